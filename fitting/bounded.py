@@ -1,0 +1,73 @@
+"""Minimisation in a box by jaxopt's L-BFGS-B: likelihoods that are no sum of squares (censored
+pixels, say) under physical bounds. The only module that imports jaxopt.
+
+Every variable is scaled to [0, 1] across its box and the objective by `scale`; unscaled, the same
+solver misses up to a tenth of the optima and takes far longer.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+with warnings.catch_warnings():
+    warnings.filterwarnings("ignore", message="JAXopt is no longer maintained")
+    from jaxopt import LBFGSB
+
+Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
+
+
+class BoxSolution(eqx.Module):
+    """Where a bounded minimisation ended. `residual`: norm of the projected gradient in scaled
+    units; `at_bound`: which variables rest on a bound."""
+
+    vector: Float[Array, " parameters"]
+    cost: Float[Array, ""]
+    residual: Float[Array, ""]
+    steps: Int[Array, ""]
+    at_bound: Bool[Array, " parameters"]
+    converged: Bool[Array, ""]
+
+
+@eqx.filter_jit
+def minimise_in_box(
+    objective: Objective,
+    start: Float[Array, " parameters"],
+    lower: Float[Array, " parameters"],
+    upper: Float[Array, " parameters"],
+    args: Any,
+    *,
+    scale: float | Float[Array, ""] = 1.0,
+    max_steps: int = 300,
+    tolerance: float = 1e-6,
+) -> BoxSolution:
+    """Minimises objective(vector, args) over lower <= vector <= upper (finite bounds).
+
+    scale: what the objective is divided by, about the number of observations for a negative log
+    likelihood. tolerance: on the norm of the scaled projected gradient. Pass a module-level
+    `objective` and all data through `args`. Nothing is raised for a fit that does not converge;
+    read `converged`.
+    """
+    width = upper - lower
+
+    def scaled(unit: Float[Array, " parameters"]) -> Float[Array, ""]:
+        return objective(lower + width * unit, args) / scale
+
+    # jaxopt mixes dtypes and ranks freely inside.
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        solver = LBFGSB(scaled, maxiter=max_steps, tol=tolerance)
+        box = (jnp.zeros_like(start), jnp.ones_like(start))
+        unit = jnp.clip((start - lower) / width, 0, 1)
+        end, state = solver.run(unit, bounds=box)
+    return BoxSolution(
+        vector=lower + width * end,
+        cost=scaled(end) * scale,
+        residual=state.error,
+        steps=state.iter_num,
+        at_bound=(end <= 0) | (end >= 1),
+        converged=state.error <= tolerance,
+    )

@@ -1,0 +1,90 @@
+"""What the data can tell apart: identifiability from the Fisher information, in words.
+
+The information matrix F is scaled to unit diagonal; its small eigenvalues are the directions the
+data leave open, and sqrt(VIF_i) = sqrt(F_ii (F^-1)_ii) says by how much not knowing the other
+parameters widens the error of parameter i (variance inflation; Belsley, Kuh & Welsch 1980).
+An undetermined direction is reported, never inverted away by a pseudo-inverse.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .parameters import ParameterSpace, names
+
+UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
+CONFUSED = 5.0  # sqrt(VIF) from which a reader is told
+PARTNER = 0.3  # share of a direction from which a parameter is named in it
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """eigenvalues: of the scaled information, ascending. worst_direction: unit vector in scaled
+    coordinates. inflation: sqrt(VIF), infinite where undetermined. sentences: the same in words,
+    empty when there is nothing to worry about."""
+
+    eigenvalues: Float[np.ndarray, " parameters"]
+    worst_direction: Float[np.ndarray, " parameters"]
+    inflation: Float[np.ndarray, " parameters"]
+    determined: bool
+    sentences: tuple[str, ...]
+
+
+def identifiability(
+    space: ParameterSpace, information: Float[np.ndarray, "parameters parameters"]
+) -> Identifiability:
+    """Judges a (P, P) information matrix on the unconstrained scale of `space`."""
+    information = np.asarray(information, np.float64)
+    labels = names(space)
+    diagonal = np.diagonal(information)
+    blind = ~(np.isfinite(diagonal) & (diagonal > 0))
+    if blind.any() or not np.isfinite(information).all():
+        count = len(labels)
+        lost = [label for label, unseen in zip(labels, blind, strict=True) if unseen]
+        what = _listed(lost) if lost else "any parameter"
+        direction = blind / max(1.0, np.sqrt(blind.sum()))
+        return Identifiability(
+            np.zeros(count),
+            direction,
+            np.where(blind, np.inf, 1.0),
+            False,
+            (f"The data say nothing about {what}.",),
+        )
+    size = np.sqrt(diagonal)
+    eigenvalues, directions = np.linalg.eigh(information / np.outer(size, size))
+    worst = directions[:, 0]
+    determined = bool(eigenvalues[0] > UNDETERMINED)
+    if determined:
+        inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
+    else:
+        inflation = np.where(np.abs(worst) > 1e-3, np.inf, 1.0)
+    return Identifiability(
+        eigenvalues, worst, inflation, determined, _in_words(labels, worst, inflation, determined)
+    )
+
+
+def _in_words(
+    labels: tuple[str, ...],
+    worst: np.ndarray,
+    inflation: np.ndarray,
+    determined: bool,
+) -> tuple[str, ...]:
+    partners = [label for label, share in zip(labels, worst, strict=True) if abs(share) > PARTNER]
+    if not determined:
+        return (
+            f"The data cannot tell {_listed(partners)} apart: a change in one is undone by the "
+            "others, so fix one of them or add measurements that separate them.",
+        )
+    if inflation.max() < CONFUSED:
+        return ()
+    most = int(np.argmax(inflation))
+    others = [label for label in partners if label != labels[most]] or ["the other parameters"]
+    return (
+        f"{labels[most]} is known {inflation[most]:.0f} times less well than it would be if "
+        f"{_listed(others)} were known: the data largely confuse them.",
+    )
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,58 @@
+"""Non-linear least squares by optimistix' Levenberg-Marquardt.
+
+Residuals are expected in units of their standard deviation, so that `cost` is half a chi-square,
+`gram` the Fisher information of the vector, and a step of 1e-3 standard deviations is where more
+digits stop meaning anything.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observations"]]
+
+
+class Solution(eqx.Module):
+    """Where a fit ended. `cost` = sum r^2 / 2, `gram` = J^T J, `gradient` = J^T r there."""
+
+    vector: Float[Array, " parameters"]
+    cost: Float[Array, ""]
+    gram: Float[Array, "parameters parameters"]
+    gradient: Float[Array, " parameters"]
+    steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+
+
+@eqx.filter_jit
+def minimise_residuals(
+    residuals: Residuals,
+    start: Float[Array, " parameters"],
+    args: Any,
+    *,
+    max_steps: int = 200,
+    rtol: float = 1e-8,
+    atol: float = 1e-8,
+) -> Solution:
+    """Minimises sum residuals(vector, args)^2 / 2 from `start` (unconstrained, so bounds belong in
+    the parameters' transforms). `rtol`, `atol`: stop when both vector and cost move by less.
+
+    Pass a module-level `residuals` and all data through `args`: the function is part of the
+    compile key. Nothing is raised for a fit that does not converge; read `converged`.
+    """
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
+    found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)
+    end, along = jax.linearize(lambda vector: residuals(vector, args), found.value)
+    jacobian = jax.vmap(along)(jnp.eye(start.size, dtype=start.dtype))
+    return Solution(
+        vector=found.value,
+        cost=end @ end / 2,
+        gram=jacobian @ jacobian.T,
+        gradient=jacobian @ end,
+        steps=found.stats["num_steps"],
+        converged=found.result == optx.RESULTS.successful,
+    )

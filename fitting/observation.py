@@ -1,0 +1,80 @@
+"""Images of a rig as arrays, checked before any fit sees them.
+
+Digital numbers come as float64 (h, w) or (h, w, channels), as stored: black level, gamma and
+saturation belong to the models, not to the reading.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+
+from .rig import Camera, Rig
+
+
+def read_frame(path: Path, camera: Camera) -> np.ndarray:
+    """One image's digital numbers; `InputError` for non-finite, negative or too large ones and for
+    data whose depth contradicts the camera's `bits`."""
+    stored = read_image(path)
+    if not np.issubdtype(stored.dtype, np.number) or stored.ndim not in (2, 3):
+        raise InputError(
+            f"{path}: holds {stored.dtype} of shape {stored.shape}, not an image; "
+            "give (h, w) or (h, w, channels) numbers."
+        )
+    if stored.dtype == np.uint8 and camera.bits > 8:
+        raise InputError(
+            f"{path}: 8-bit data, but the rig declares a {camera.bits}-bit camera; "
+            "save the frames with 16 bits or correct camera.bits."
+        )
+    frame = stored.astype(np.float64)
+    if not np.isfinite(frame).all():
+        bad = int(np.size(frame) - np.isfinite(frame).sum())
+        raise InputError(f"{path}: {bad} pixels are NaN or infinite; repair or mask them.")
+    if frame.max() > camera.full_scale or frame.min() < 0:
+        raise InputError(
+            f"{path}: values from {frame.min():g} to {frame.max():g} do not fit a "
+            f"{camera.bits}-bit camera (0 to {camera.full_scale}); correct camera.bits."
+        )
+    return frame
+
+
+def read_stack(rig: Rig, files: Sequence[str]) -> np.ndarray:
+    """Frames of one size as (frames, h, w[, channels])."""
+    frames = [read_frame(rig.path(name), rig.camera) for name in files]
+    for name, frame in zip(files, frames, strict=True):
+        if frame.shape != frames[0].shape:
+            raise InputError(
+                f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {frames[0].shape}; "
+                "all frames of one set need the same size."
+            )
+    return np.stack(frames)
+
+
+def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
+    """Colour planes of one frame by name: `grey` for (h, w), `red green blue` for (h, w, 3), and
+    for a Bayer mosaic its four sites `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2)."""
+    if frame.ndim == 3:
+        if frame.shape[2] != 3:
+            raise InputError(
+                f"a frame has {frame.shape[2]} channels; give one (grey or mosaic) or three (RGB)."
+            )
+        return dict(zip(("red", "green", "blue"), np.moveaxis(frame, -1, 0), strict=True))
+    if camera.pattern is None:
+        return {"grey": frame}
+    sites = {"R": ["red"], "G": ["green 2", "green 1"], "B": ["blue"]}
+    return {
+        sites[letter].pop(): frame[site // 2 :: 2, site % 2 :: 2]
+        for site, letter in enumerate(camera.pattern)
+    }
+
+
+def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """A boolean (h, w) mask: true where any channel of the image is non-zero."""
+    mask = read_image(path) != 0
+    mask = mask.any(axis=-1) if mask.ndim == 3 else mask
+    if mask.shape != shape:
+        raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")
+    return mask
