@@ -10,7 +10,7 @@ window, as emcee documents it): its own autocorrelation time cannot be trusted.
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -57,6 +57,13 @@ class SamplingOptions:
             raise InputError(
                 f"steps = {self.steps} with blocks of {self.block}: use at least one block of one."
             )
+
+
+def for_group(options: SamplingOptions | None, group: str) -> SamplingOptions | None:
+    """The same options with a checkpoint folder of its own for one group (a colour channel)."""
+    if options is None or options.checkpoint is None:
+        return options
+    return replace(options, checkpoint=options.checkpoint / group.replace(" ", "_"))
 
 
 @dataclass(frozen=True)
@@ -257,7 +264,7 @@ def _fingerprint(
 ) -> str:
     digest = hashlib.sha256()
     packages = [f"{name} {version(name)}" for name in ("emcee", "jax", "numpy", "scipy")]
-    digest.update(repr((space, options.seed, options.walkers, options.block, packages)).encode())
+    digest.update(repr((space, options.seed, options.walkers, packages)).encode())
     for leaf in jax.tree.leaves((mode, covariance, args)):
         digest.update(np.asarray(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
     return digest.hexdigest()
@@ -319,19 +326,19 @@ class _Run:
     def _tau(self, chain: np.ndarray) -> np.ndarray:
         from emcee.autocorr import integrated_time
 
-        return np.maximum(integrated_time(chain, tol=0, quiet=True), 1.0)
+        with np.errstate(invalid="ignore"):  # a walker that never moved has no autocorrelation
+            tau = integrated_time(chain, tol=0, quiet=True)
+        return np.where(np.isfinite(tau), np.maximum(tau, 1.0), np.inf)
 
     def _settled_start(self) -> tuple[int, np.ndarray]:
         chain = self._stacked("chain")
         tau = self._tau(chain)
-        start = min(math.ceil(BURN_IN_TAU * float(np.max(tau))), len(chain) // 2)
+        start = int(min(np.ceil(BURN_IN_TAU * np.max(tau)), len(chain) // 2))
         return start, self._tau(chain[start:])
 
     def _length_in_tau(self) -> tuple[float, float]:
         start, tau = self._settled_start()
         slowest = float(np.max(tau))
-        if not np.isfinite(slowest):
-            return 0.0, math.inf
         return (self.steps - start) / slowest, slowest
 
     def long_enough(self) -> bool:
@@ -341,18 +348,18 @@ class _Run:
         length, tau = self._length_in_tau()
         if length >= TIMES_TAU:
             return
+        resumes = " and run again: it resumes." if self.options.checkpoint else "."
         if not math.isfinite(tau):
             raise InputError(
-                "No walker moved: the log density is flat or not finite around the fit; "
-                "check the data and the priors."
+                f"Some walkers have not moved in {self.steps} steps, so the chain cannot be "
+                f"judged; allow about {10 * self.steps} steps{resumes}"
             )
         # Short chains underestimate their autocorrelation time, by up to 1.7 at 14 times tau.
         needed = math.ceil((TIMES_TAU + BURN_IN_TAU) * 1.7 * tau / 100) * 100
         raise InputError(
             f"The chain of {self.steps} steps is {length:.0f} autocorrelation times long (tau = "
             f"{tau:.0f} steps) and at least {TIMES_TAU} are needed to report it; allow about "
-            f"{max(needed, self.steps + self.options.block)} steps"
-            + (" and run again: it resumes." if self.options.checkpoint else ".")
+            f"{max(needed, self.steps + self.options.block)} steps{resumes}"
         )
 
     def settled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ image is read; a mistake is an `InputError` that names the file, the entry and t
 import os
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -54,7 +54,7 @@ class Camera(_Entry):
 
     @property
     def clip_level(self) -> float:
-        return self.full_scale if self.saturation is None else self.saturation
+        return float(self.full_scale) if self.saturation is None else self.saturation
 
 
 class Flat(_Entry):
@@ -97,7 +97,7 @@ class Light(_Entry):
     held_out: bool = False
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _one_kind(self) -> "Light":
         if (self.direction is None) == (self.position is None):
             raise ValueError("give either direction or position")
         if self.direction is not None:
@@ -127,7 +127,7 @@ class Geometry(_Entry):
     mask: str | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _one_kind(self) -> "Geometry":
         if (self.sphere is None) == (self.normals is None):
             raise ValueError("give either sphere or normals")
         return self

@@ -113,6 +113,7 @@ def _write(file: Path, array: np.ndarray) -> None:
     sample = "float" if array.dtype == np.float32 else str(array.dtype)
     sink = oiio.ImageOutput.create(str(file))
     spec = oiio.ImageSpec(width, height, channels, sample)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
     if sink is None or not sink.open(str(file), spec):
         raise InputError(f"{file}: cannot be written ({_one_line(oiio.geterror())}).")
     written = sink.write_image(array.reshape(height, width, channels))

@@ -1,0 +1,62 @@
+"""Identifiability against the textbook variance inflation factor and against designed confusion."""
+
+import numpy as np
+import pytest
+
+from fitting.diagnostics import identifiability
+from fitting.parameters import Parameter
+
+SPACE = tuple(Parameter(name, symbol=name, unit="1") for name in ("gain", "gamma", "exponent"))
+
+
+def design(correlation):
+    rng = np.random.default_rng(0)
+    a, b, c = rng.standard_normal((3, 400))
+    return np.stack([a, correlation * a + np.sqrt(1 - correlation**2) * b, 50 * c], axis=1)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, 0.999])
+def test_inflation_is_the_root_of_the_variance_inflation_factor(correlation):
+    """VIF_i = 1 / (1 - R_i^2) with R_i^2 from regressing column i on the others, no intercept."""
+    columns = design(correlation)
+    judged = identifiability(SPACE, columns.T @ columns)
+    for i in range(3):
+        others = np.delete(columns, i, axis=1)
+        residual = columns[:, i] - others @ np.linalg.lstsq(others, columns[:, i])[0]
+        unexplained = residual @ residual / (columns[:, i] @ columns[:, i])
+        np.testing.assert_allclose(judged.inflation[i], 1 / np.sqrt(unexplained), rtol=1e-6)
+    assert judged.determined
+
+
+def test_a_confused_pair_is_named_and_a_good_design_is_silent():
+    assert identifiability(SPACE, design(0.1).T @ design(0.1)).sentences == ()
+    (sentence,) = identifiability(SPACE, design(0.999).T @ design(0.999)).sentences
+    assert "gain" in sentence
+    assert "gamma" in sentence
+    assert "exponent" not in sentence
+
+
+def test_an_open_direction_is_reported_not_inverted():
+    columns = design(1.0)
+    judged = identifiability(SPACE, columns.T @ columns)
+    assert not judged.determined
+    assert np.isinf(judged.inflation[:2]).all()
+    assert np.isfinite(judged.inflation[2])
+    assert "cannot tell gain and gamma apart" in judged.sentences[0]
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, -1.0])
+def test_a_parameter_the_data_do_not_see(value):
+    judged = identifiability(SPACE, np.diag([1.0, value, 2.0]))
+    assert not judged.determined
+    assert judged.sentences == ("The data say nothing about gamma.",)
+
+
+def test_scaling_a_parameter_changes_nothing():
+    gram = design(0.9).T @ design(0.9)
+    scale = np.diag([1e6, 1e-6, 1.0])
+    np.testing.assert_allclose(
+        identifiability(SPACE, scale @ gram @ scale).inflation,
+        identifiability(SPACE, gram).inflation,
+        rtol=1e-6,
+    )

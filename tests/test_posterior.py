@@ -1,0 +1,195 @@
+"""Laplace and emcee against a Gaussian known in closed form and a skewed one by quadrature;
+refusal of short chains; kill and resume."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting.parameters import Parameter
+from fitting.posterior import (
+    SamplingOptions,
+    convergence_in_words,
+    estimates,
+    for_group,
+    laplace,
+    sample,
+)
+from jaxvision.errors import InputError
+
+COVARIANCE = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.3], [0.0, 0.3, 2.0]])
+PRECISION = jnp.asarray(np.linalg.inv(COVARIANCE))
+SPACE = (
+    Parameter("offset", symbol="o", unit="DN"),
+    Parameter("gain", symbol="K", unit="DN/e-", transform="log"),
+    Parameter("dark", symbol="d", unit="e-"),
+)
+ORIGIN = jnp.zeros(3)
+SHORT = {"walkers": 32, "block": 100, "seed": 5}
+
+
+def gaussian(vector, precision):
+    return -vector @ precision @ vector / 2
+
+
+def gamma_in_log(vector, shape):
+    """log density of ln x for x ~ Gamma(shape, 1): skewed, so that Laplace errs visibly."""
+    return shape * vector[0] - jnp.exp(vector[0])
+
+
+def flat(vector, args):
+    return args * vector[0] ** 2
+
+
+def test_laplace_is_exact_for_a_gaussian():
+    posterior = laplace(gaussian, SPACE, ORIGIN, PRECISION)
+    np.testing.assert_allclose(posterior.covariance, COVARIANCE, atol=1e-12)
+    offset, gain, _ = estimates(posterior)
+    np.testing.assert_allclose(offset.interval_95, stats.norm.interval(0.95), rtol=1e-9)
+    np.testing.assert_allclose(offset.interval_68, stats.norm.interval(0.68), rtol=1e-9)
+    np.testing.assert_allclose(gain.interval_95, stats.lognorm(1.0).interval(0.95), rtol=1e-9)
+    assert gain.value == 1.0
+    assert gain.unit == "DN/e-"
+
+
+def test_laplace_draws_have_the_covariance_they_claim():
+    posterior = laplace(gaussian, SPACE, ORIGIN, PRECISION, draws=40_000, seed=1)
+    vectors = posterior.samples.copy()
+    vectors[:, 1] = np.log(vectors[:, 1])
+    # 5 standard errors of a covariance from 40 000 draws with variances up to 2.
+    np.testing.assert_allclose(np.cov(vectors.T), COVARIANCE, atol=5 * 2.8 / 200)
+
+
+def test_inflation_widens_and_a_given_covariance_replaces():
+    plain = laplace(gaussian, SPACE, ORIGIN, PRECISION)
+    wide = laplace(gaussian, SPACE, ORIGIN, PRECISION, inflation=4.0)
+    np.testing.assert_allclose(wide.covariance, 4 * plain.covariance)
+    given = laplace(gaussian, SPACE, ORIGIN, PRECISION, covariance=np.eye(3))
+    np.testing.assert_array_equal(given.covariance, np.eye(3))
+
+
+def test_laplace_refuses_an_open_direction_in_words():
+    with pytest.raises(InputError, match="say nothing about gain and dark"):
+        laplace(flat, SPACE, ORIGIN, jnp.asarray(-1.0))
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    """One chain that runs through, and the same one killed after 300 steps and resumed."""
+    options = SamplingOptions(**SHORT, steps=20_000)
+    return sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+
+
+def test_emcee_finds_the_gaussian(sampled):
+    assert sampled.steps >= 50 * sampled.tau.max()
+    vectors = sampled.samples.copy()
+    vectors[:, 1] = np.log(vectors[:, 1])
+    independent = len(vectors) / sampled.tau.max()
+    error = 5 / np.sqrt(independent)
+    np.testing.assert_allclose(vectors.mean(0), 0, atol=error * np.sqrt(2))
+    np.testing.assert_allclose(np.cov(vectors.T), COVARIANCE, atol=error * 2.8)
+    assert "independent draws" in convergence_in_words(sampled)
+
+
+def test_the_same_seed_gives_the_same_chain_and_another_another(sampled):
+    again = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=SamplingOptions(**SHORT))
+    np.testing.assert_array_equal(again.draws, sampled.draws)
+    other = SamplingOptions(**{**SHORT, "seed": 6})
+    different = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=other)
+    assert different.draws.shape != sampled.draws.shape or (different.draws != sampled.draws).any()
+
+
+class KilledError(Exception):
+    pass
+
+
+def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
+    def kill(done, total):
+        if done >= 100:
+            raise KilledError
+
+    def options(progress=None):
+        return SamplingOptions(**SHORT, checkpoint=tmp_path / "c", progress=progress)
+
+    with pytest.raises(KilledError):
+        sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options(kill))
+    assert len(list((tmp_path / "c").glob("*.npz"))) == 1
+    resumed_at = []
+    resumed = sample(
+        gaussian,
+        SPACE,
+        ORIGIN,
+        COVARIANCE,
+        PRECISION,
+        options=options(lambda done, total: resumed_at.append(done)),
+    )
+    assert resumed_at[0] == 200
+    np.testing.assert_array_equal(resumed.draws, sampled.draws)
+    np.testing.assert_array_equal(resumed.log_density, sampled.log_density)
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path):
+    options = SamplingOptions(**SHORT, checkpoint=tmp_path)
+    sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+    with pytest.raises(InputError, match="chain of another run"):
+        sample(gaussian, SPACE, ORIGIN, COVARIANCE, 2 * PRECISION, options=options)
+
+
+def test_a_short_chain_is_refused_and_its_remedy_works(tmp_path):
+    def run(steps):
+        options = SamplingOptions(
+            walkers=8, block=min(steps, 300), steps=steps, seed=2, checkpoint=tmp_path
+        )
+        return sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+
+    with pytest.raises(InputError, match="not moved in 10 steps"):
+        run(10)
+    with pytest.raises(InputError, match="autocorrelation times long") as refused:
+        run(100)
+    advised = int(str(refused.value).split("allow about ")[1].split()[0])
+    assert "resumes" in str(refused.value)
+    assert run(5 * advised).steps > 100
+
+
+def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():
+    space = (Parameter("x", symbol="x", unit="1", transform="log"),)
+    shape = jnp.asarray(3.0)
+    start = jnp.log(shape)[None]
+    gaussian_fit = laplace(gamma_in_log, space, start, shape)
+    options = SamplingOptions(walkers=32, block=400, seed=1)
+    chain = sample(gamma_in_log, space, start, gaussian_fit.covariance, shape, options=options)
+    low, high = stats.gamma(3.0).interval(0.95)
+    (estimate,) = estimates(chain, group="red")
+    assert estimate.group == "red"
+    np.testing.assert_allclose(estimate.interval_95, (low, high), rtol=0.1)
+    assert abs(estimates(gaussian_fit)[0].interval_95[0] - low) > 0.2 * low
+
+
+def nan_below_zero(vector, args):
+    return jnp.where(vector[0] > 0, -vector[0] * args, jnp.nan)
+
+
+def test_nan_counts_as_impossible():
+    space = (Parameter("x", symbol="x", unit="1"),)
+    options = SamplingOptions(walkers=16, block=400, seed=1)
+    chain = sample(
+        nan_below_zero, space, jnp.ones(1), np.eye(1) * 0.01, jnp.asarray(1.0), options=options
+    )
+    assert chain.samples.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [({"walkers": 7}, "walkers = 7"), ({"steps": 10, "block": 20}, "steps = 10")],
+)
+def test_unusable_options_are_refused(options, expected):
+    with pytest.raises(InputError, match=expected):
+        SamplingOptions(**options)
+
+
+def test_each_group_has_a_checkpoint_of_its_own():
+    options = SamplingOptions(checkpoint=Path("c"))
+    assert for_group(options, "green 1").checkpoint == Path("c/green_1")
+    assert for_group(None, "red") is None

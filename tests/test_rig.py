@@ -1,0 +1,160 @@
+"""Rig files: what is right is read, what is wrong is named with its entry."""
+
+import numpy as np
+import pytest
+
+from fitting.observation import read_frame, read_mask, read_stack, split_channels
+from fitting.rig import Camera, load_rig, require
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+GOOD = """
+[camera]
+bits = 12
+black_level = 60.0
+
+[[flat]]
+files = ["a.tif", "b.tif"]
+exposure = 0.01
+photons = 120.0
+
+[[light]]
+file = "l.tif"
+direction = [0.0, 0.6, 0.8]
+intensity = [1.0, 2.0, 3.0]
+
+[geometry]
+sphere = { centre = [10.0, 11.0], radius = 5.0 }
+"""
+
+
+def write_rig(folder, text):
+    (folder / "rig.toml").write_text(text)
+    return folder
+
+
+def test_a_rig_is_read_from_its_folder_or_its_file(tmp_path):
+    rig = load_rig(write_rig(tmp_path, GOOD))
+    assert rig == load_rig(tmp_path / "rig.toml")
+    assert rig.camera.full_scale == 4095
+    assert rig.camera.clip_level == 4095
+    assert rig.flat[0].files == ("a.tif", "b.tif")
+    assert rig.light[0].intensity == (1.0, 2.0, 3.0)
+    assert rig.path("a.tif") == tmp_path / "a.tif"
+
+
+def test_root_expands_environment_variables(tmp_path, monkeypatch):
+    monkeypatch.setenv("LAB_DATA", str(tmp_path / "elsewhere"))
+    write_rig(tmp_path, 'root = "${LAB_DATA}/today"\n' + GOOD)
+    assert load_rig(tmp_path).path("a.tif") == tmp_path / "elsewhere" / "today" / "a.tif"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("bits = 12", "", r"camera\.bits is missing"),
+        ("bits = 12", "bits = 20", r"camera\.bits = 20"),
+        ("bits = 12", "bits = 12\nbit_depth = 12", r"camera\.bit_depth is not a key"),
+        ("exposure = 0.01", "", r"flat\[1\]\.exposure is missing"),
+        ("exposure = 0.01", "exposure = 0.0", r"flat\[1\]\.exposure = 0\.0"),
+        ("exposure = 0.01", "exposure = nan", r"flat\[1\]\.exposure = nan"),
+        ('"a.tif", "b.tif"', '"a.tif"', r"flat\[1\]\.files"),
+        ("[0.0, 0.6, 0.8]", "[0.0, 0.6, 0.9]", r"light\[1\]: direction has length 1\.08"),
+        ("[0.0, 0.6, 0.8]", "[0.0, 0.6]", r"light\[1\]\.direction"),
+        ("direction = [0.0, 0.6, 0.8]", "", r"light\[1\]: give either direction or position"),
+        ("radius = 5.0", "radius = -5.0", r"geometry\.sphere\.radius = -5"),
+        ("sphere = {", "sphere = ", "not a TOML file"),
+        ("[camera]", 'folder = "x"\n[camera]', "`folder` is not a key"),
+    ],
+)
+def test_mistakes_are_named_with_their_entry(tmp_path, old, new, expected):
+    assert old in GOOD
+    with pytest.raises(InputError, match=expected) as raised:
+        load_rig(write_rig(tmp_path, GOOD.replace(old, new)))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_direction_off_by_rounding_is_accepted(tmp_path):
+    load_rig(write_rig(tmp_path, GOOD.replace("0.8]", "0.80005]")))
+
+
+def test_missing_rig_and_missing_section(tmp_path):
+    with pytest.raises(InputError, match=r"rig\.toml: no such rig file"):
+        load_rig(tmp_path)
+    rig = load_rig(write_rig(tmp_path, GOOD))
+    require(rig, "flat", "geometry", purpose="a test")
+    with pytest.raises(InputError, match=r"no \[\[dark\]\] entry, which photon transfer needs"):
+        require(rig, "flat", "dark", purpose="photon transfer")
+
+
+@pytest.fixture
+def camera():
+    return Camera(bits=12)
+
+
+def test_frames_are_float64_as_stored(tmp_path, camera):
+    pixels = np.arange(12, dtype=np.uint16).reshape(3, 4) * 300
+    write_image(tmp_path / "a.tif", pixels)
+    frame = read_frame(tmp_path / "a.tif", camera)
+    assert frame.dtype == np.float64
+    np.testing.assert_array_equal(frame, pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels", "expected"),
+    [
+        ("a.png", np.zeros((2, 2), np.uint8), "8-bit data, but the rig declares a 12-bit"),
+        ("a.png", np.full((2, 2), 4096, np.uint16), "do not fit a 12-bit camera"),
+        ("a.npy", np.array([[1.0, np.nan]]), "1 pixels are NaN or infinite"),
+        ("a.npy", np.array([[1.0, -2.0]]), "values from -2 to 1 do not fit"),
+        ("a.npy", np.array(["x"]), "not an image"),
+        ("a.npy", np.zeros((2, 2, 2, 2)), "not an image"),
+    ],
+)
+def test_unusable_frames_are_named(tmp_path, camera, name, pixels, expected):
+    if name.endswith("npy"):
+        np.save(tmp_path / name, pixels)
+    else:
+        write_image(tmp_path / name, pixels)
+    with pytest.raises(InputError, match=expected):
+        read_frame(tmp_path / name, camera)
+
+
+def test_frames_of_one_set_need_one_size(tmp_path):
+    rig = load_rig(write_rig(tmp_path, GOOD))
+    write_image(tmp_path / "a.tif", np.zeros((3, 4), np.uint16))
+    write_image(tmp_path / "b.tif", np.zeros((4, 4), np.uint16))
+    with pytest.raises(InputError, match=r"b\.tif: is \(4, 4\), but a\.tif is \(3, 4\)"):
+        read_stack(rig, rig.flat[0].files)
+
+
+def test_bayer_sites_against_the_mosaic_written_out():
+    mosaic = np.array([[1, 2], [3, 4]] * 2)
+    sites = split_channels(np.tile(mosaic, (1, 2)), Camera(bits=8, pattern="GBRG"))
+    assert {name: plane.flat[0] for name, plane in sites.items()} == {
+        "green 1": 1,
+        "blue": 2,
+        "red": 3,
+        "green 2": 4,
+    }
+    assert all(plane.shape == (2, 2) and np.ptp(plane) == 0 for plane in sites.values())
+
+
+def test_colour_frames_split_by_channel(camera):
+    frame = RNG_FRAME
+    planes = split_channels(frame, camera)
+    assert list(planes) == ["red", "green", "blue"]
+    np.testing.assert_array_equal(planes["blue"], frame[..., 2])
+    with pytest.raises(InputError, match="2 channels"):
+        split_channels(frame[..., :2], camera)
+
+
+RNG_FRAME = np.random.default_rng(0).random((3, 4, 3))
+
+
+def test_masks(tmp_path):
+    write_image(tmp_path / "m.png", np.array([[0, 255], [1, 0]], np.uint8))
+    mask = read_mask(tmp_path / "m.png", (2, 2))
+    np.testing.assert_array_equal(mask, [[False, True], [True, False]])
+    with pytest.raises(InputError, match=r"the mask is \(2, 2\), the images are \(3, 3\)"):
+        read_mask(tmp_path / "m.png", (3, 3))

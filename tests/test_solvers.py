@@ -1,0 +1,89 @@
+"""Least squares and bounded minimisation against scipy and closed forms."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+
+from fitting.bounded import minimise_in_box
+from fitting.least_squares import minimise_residuals
+
+RNG = np.random.default_rng(1)
+X = np.linspace(0, 3, 40)
+Y = 2.0 * np.exp(-1.3 * X) + 0.01 * RNG.standard_normal(40)
+
+
+def decay(vector, args):
+    x, y = args
+    return (vector[0] * jnp.exp(-vector[1] * x) - y) / 0.01
+
+
+def test_least_squares_agrees_with_scipy():
+    found = minimise_residuals(decay, jnp.array([1.0, 1.0]), (jnp.asarray(X), jnp.asarray(Y)))
+    reference = scipy.optimize.least_squares(
+        lambda p: (p[0] * np.exp(-p[1] * X) - Y) / 0.01, [1.0, 1.0], xtol=1e-14, ftol=1e-14
+    )
+    assert found.converged
+    sd = np.sqrt(np.diag(np.linalg.inv(reference.jac.T @ reference.jac)))
+    np.testing.assert_allclose((found.vector - reference.x) / sd, 0, atol=1e-3)
+    np.testing.assert_allclose(found.cost, reference.cost, rtol=1e-8)
+    np.testing.assert_allclose(found.gram, reference.jac.T @ reference.jac, rtol=1e-3)
+    # At the optimum the step that the gradient still asks for is far below a standard deviation.
+    step = np.linalg.solve(np.asarray(found.gram), np.asarray(found.gradient))
+    np.testing.assert_allclose(step / sd, 0, atol=1e-3)
+
+
+def test_least_squares_batches():
+    starts = jnp.array([[1.0, 1.0], [3.0, 0.5], [0.5, 2.0]])
+    args = (jnp.asarray(X), jnp.asarray(Y))
+    many = jax.vmap(lambda start: minimise_residuals(decay, start, args))(starts)
+    np.testing.assert_allclose(np.ptp(many.vector, axis=0), 0, atol=1e-5)
+
+
+def hopeless(vector, args):
+    return jnp.exp(-vector) * args
+
+
+def test_least_squares_that_cannot_end_says_so():
+    found = minimise_residuals(hopeless, jnp.zeros(1), jnp.ones(3), max_steps=3)
+    assert not found.converged
+
+
+def rosenbrock(vector, args):
+    x, y = vector
+    return (1 - x) ** 2 + args * (y - x**2) ** 2
+
+
+def test_box_minimum_on_a_bound_agrees_with_scipy():
+    lower, upper = np.array([-2.0, -1.0]), np.array([0.5, 3.0])
+    found = minimise_in_box(
+        rosenbrock,
+        jnp.array([-1.0, 2.0]),
+        jnp.asarray(lower),
+        jnp.asarray(upper),
+        jnp.asarray(100.0),
+        scale=100.0,
+    )
+    reference = scipy.optimize.minimize(
+        lambda p: (1 - p[0]) ** 2 + 100 * (p[1] - p[0] ** 2) ** 2,
+        [-1.0, 2.0],
+        bounds=list(zip(lower, upper, strict=True)),
+        method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-10},
+    )
+    assert found.converged
+    np.testing.assert_allclose(found.vector, reference.x, atol=1e-5)
+    np.testing.assert_array_equal(found.at_bound, [True, False])
+    np.testing.assert_allclose(found.cost, reference.fun, rtol=1e-6)
+
+
+def test_only_the_maintenance_notice_of_jaxopt_is_silenced():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        import importlib
+
+        import fitting.bounded
+
+        importlib.reload(fitting.bounded)
