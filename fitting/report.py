@@ -1,0 +1,225 @@
+"""A calibration written down: `report.html` (self-contained), `results.json`, and the posterior
+draws as NetCDF in ArviZ' layout. Everything is prepared first and written last, so that a failure
+leaves nothing half-written."""
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxvision.io import replaced_on_success
+
+from .formatting import format_cell, format_interval, format_value
+from .parameters import names
+from .posterior import Posterior
+from .results import Picture, Section, Table
+
+PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
+DOTS_PER_INCH = 130
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those whose numbers enter a result."""
+    return {name: version(name) for name in PACKAGES}
+
+
+def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
+    """Estimates with units and intervals, findings, tables, settings, versions and seed as JSON
+    text; what is not determined is null, with its reason."""
+    content = {
+        "created": _now(),
+        "seed": seed,
+        "versions": versions(),
+        "settings": settings,
+        "sections": [
+            {
+                "kind": section.kind,
+                "title": section.title,
+                "estimates": [asdict(estimate) for estimate in section.estimates],
+                "findings": section.findings,
+                "tables": [asdict(table) for table in section.tables],
+                "settings": section.settings,
+            }
+            for section in sections
+        ],
+    }
+    return json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def as_html(sections: Sequence[Section], *, title: str, tables: Sequence[Table] = ()) -> str:
+    """The report as one HTML page with its pictures inside; `tables` stand before the sections."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fitting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        title=title,
+        created=_now(),
+        versions=versions(),
+        tables=[_table_cells(table) for table in tables],
+        sections=[_section_cells(section) for section in sections],
+    )
+
+
+def write_chains(path: Path, posteriors: dict[str, Posterior]) -> None:
+    """Draws of every posterior in one NetCDF file, as the groups `posterior` and `sample_stats` of
+    ArviZ' layout (dimensions chain, draw); with several posteriors each variable name is preceded
+    by its own (`red_exponent`)."""
+    import xarray
+
+    variables, statistics, attributes = {}, {}, {}
+    for name, posterior in posteriors.items():
+        prefix = "" if len(posteriors) == 1 else f"{name.replace(' ', '_')}_"
+        dimensions = (f"{prefix}chain", f"{prefix}draw") if prefix else ("chain", "draw")
+        for i, label in enumerate(names(posterior.space)):
+            variables[f"{prefix}{label}"] = (
+                dimensions,
+                posterior.draws[:, :, i],
+                {"units": posterior.space[i].unit},
+            )
+        if posterior.log_density is not None:
+            statistics[f"{prefix}lp"] = (dimensions, posterior.log_density)
+        attributes[f"{prefix}method"] = posterior.method
+        attributes[f"{prefix}seed"] = posterior.seed
+    with replaced_on_success(path) as partial:
+        xarray.Dataset(variables, attrs=attributes).to_netcdf(
+            partial, mode="w", group="posterior", engine="h5netcdf"
+        )
+        if statistics:
+            xarray.Dataset(statistics).to_netcdf(
+                partial, mode="a", group="sample_stats", engine="h5netcdf"
+            )
+
+
+def write_report(
+    folder: Path,
+    sections: Sequence[Section],
+    *,
+    title: str,
+    seed: int,
+    settings: dict[str, Any],
+    tables: Sequence[Table] = (),
+) -> list[Path]:
+    """Writes `report.html`, `results.json` and, for each section with posteriors,
+    `<kind>_chains.nc` into `folder` (made if needed); returns their paths."""
+    page = as_html(sections, title=title, tables=tables)
+    data = as_json(sections, seed=seed, settings=settings)
+    written = []
+    for name, text in (("report.html", page), ("results.json", data)):
+        with replaced_on_success(folder / name) as partial:
+            partial.write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    for section in sections:
+        if section.posteriors:
+            path = folder / f"{section.kind}_chains.nc"
+            write_chains(path, section.posteriors)
+            written.append(path)
+    return written
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _finite(content: Any) -> Any:
+    """JSON without NaN: arrays as lists, non-finite numbers as null."""
+    match content:
+        case dict():
+            return {str(key): _finite(value) for key, value in content.items()}
+        case list() | tuple():
+            return [_finite(value) for value in content]
+        case np.ndarray():
+            return _finite(content.tolist())
+        case bool() | str() | int() | None:
+            return content
+        case float() | np.floating():
+            return float(content) if np.isfinite(content) else None
+        case np.integer():
+            return int(content)
+        case Path():
+            return content.name
+    return str(content)
+
+
+def _section_cells(section: Section) -> dict[str, Any]:
+    return {
+        "kind": section.kind,
+        "title": section.title,
+        "findings": section.findings,
+        "grouped": any(estimate.group for estimate in section.estimates),
+        "estimates": [
+            {
+                "group": estimate.group,
+                "name": estimate.name.replace("_", " "),
+                "symbol": estimate.symbol,
+                "unit": estimate.unit,
+                "method": estimate.method,
+                "reason": estimate.reason,
+                "value": format_value(estimate),
+                "interval_68": format_interval(estimate, 68),
+                "interval_95": format_interval(estimate, 95),
+            }
+            for estimate in section.estimates
+        ],
+        "tables": [_table_cells(table) for table in section.tables],
+        "pictures": [_picture_cells(p) for p in (*section.pictures, *_chain_pictures(section))],
+        "settings": {name: format_cell(value) for name, value in section.settings.items()},
+    }
+
+
+def _chain_pictures(section: Section) -> list[Picture]:
+    from .figures.chains import corner_figure, trace_figure
+
+    pictures = []
+    for group, posterior in section.posteriors.items():
+        which = f" ({group})" if group else ""
+        if len(posterior.space) > 1:
+            pictures.append(
+                Picture(
+                    f"corner_{group}",
+                    f"Joint uncertainty{which}",
+                    f"{posterior.method} posterior: 68 and 95 % regions of every pair of "
+                    "parameters; a slanted ellipse is a pair the data partly confuse.",
+                    lambda posterior=posterior: corner_figure(posterior),
+                )
+            )
+        if posterior.method == "emcee":
+            pictures.append(
+                Picture(
+                    f"trace_{group}",
+                    f"Walkers{which}",
+                    "Paths of some walkers after burn-in; a settled chain looks like even noise.",
+                    lambda posterior=posterior: trace_figure(posterior),
+                )
+            )
+    return pictures
+
+
+def _table_cells(table: Table) -> dict[str, Any]:
+    return {
+        "title": table.title,
+        "columns": table.columns,
+        "rows": [[format_cell(cell) for cell in row] for row in table.rows],
+        "caption": table.caption,
+    }
+
+
+def _picture_cells(picture: Picture) -> dict[str, str]:
+    buffer = io.BytesIO()
+    picture.draw().savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return {
+        "title": picture.title,
+        "caption": picture.caption,
+        "png": base64.b64encode(buffer.getvalue()).decode(),
+    }
