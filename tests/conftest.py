@@ -22,3 +22,12 @@ def data_folder() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"measurements not found at {DATA}; set JAXVISION_DATA to their folder")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory):
+    """(folder, truth) of one simulated lab afternoon."""
+    from fitting.lab import simulate_lab
+
+    folder = tmp_path_factory.mktemp("lab")
+    return folder, simulate_lab(folder, seed=11)
