@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 from rich.table import Table as RichTable
 
-from .formatting import format_cell, format_interval, format_value
+from .formatting import format_cell, format_interval, format_unit, format_value
 from .posterior import Progress as ProgressCallback
 from .results import Estimate, Section, Table
 
@@ -77,7 +77,7 @@ def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
         cells = [
             estimate.name.replace("_", " "),
             format_value(estimate),
-            estimate.unit,
+            format_unit(estimate.unit),
             format_interval(estimate, 68),
             format_interval(estimate, 95),
             estimate.method,

@@ -1,10 +1,11 @@
 """Numbers as a reader wants them: rounded to what their uncertainty supports."""
 
 import math
-from collections.abc import Sequence
+import re
 
 from .results import Estimate
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DIGITS = 2  # significant digits of an uncertainty
 
 
@@ -42,9 +43,30 @@ def format_interval(estimate: Estimate, level: int) -> str:
     interval = estimate.interval_68 if level == 68 else estimate.interval_95
     if interval is None:
         return ""
-    places = decimals_for((interval[1] - interval[0]) / 4)
+    deviations = 2 if level == 68 else 4
+    places = decimals_for((interval[1] - interval[0]) / deviations)
     low, high = (format_number(end, places) for end in interval)
     return f"[{low}, {high}]"
+
+
+def format_unit(unit: str) -> str:
+    """`sr^-1` as sr⁻¹; the unit one is left unsaid."""
+    if unit == "1":
+        return ""
+    return re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), unit)
+
+
+def split_symbol(symbol: str) -> tuple[str, str]:
+    """A symbol such as `σ_d` as its letter and its subscript (empty if it has none)."""
+    letter, _, subscript = symbol.partition("_")
+    return letter, subscript
+
+
+def format_axis(symbol: str, unit: str) -> str:
+    """An axis label: the symbol set as mathematics, its unit in brackets."""
+    letter, subscript = split_symbol(symbol)
+    mathematics = f"${letter}_{{\\rm {subscript}}}$" if subscript else f"${letter}$"
+    return f"{mathematics} [{format_unit(unit)}]" if format_unit(unit) else mathematics
 
 
 def format_cell(cell: object) -> str:
@@ -52,8 +74,3 @@ def format_cell(cell: object) -> str:
     if cell is None:
         return "–"
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
-
-
-def methods_of(estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """The methods that occur, in order of appearance."""
-    return tuple(dict.fromkeys(estimate.method for estimate in estimates))

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxvision.io import replaced_on_success
 
-from .formatting import format_cell, format_interval, format_value
+from .formatting import format_cell, format_interval, format_unit, format_value, split_symbol
 from .parameters import names
 from .posterior import Posterior
 from .results import Picture, Section, Table
@@ -162,8 +162,8 @@ def _section_cells(section: Section) -> dict[str, Any]:
             {
                 "group": estimate.group,
                 "name": estimate.name.replace("_", " "),
-                "symbol": estimate.symbol,
-                "unit": estimate.unit,
+                "symbol": split_symbol(estimate.symbol),
+                "unit": format_unit(estimate.unit),
                 "method": estimate.method,
                 "reason": estimate.reason,
                 "value": format_value(estimate),

@@ -3,20 +3,17 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..formatting import format_axis
 from ..posterior import Posterior
 
 MOST_WALKERS = 16  # paths drawn; more only blacken the panel
-
-
-def _axis_label(symbol: str, unit: str) -> str:
-    return symbol if unit in ("", "1") else f"{symbol} [{unit}]"
 
 
 def corner_figure(posterior: Posterior) -> Figure:
     """Every pair of parameters with 68 and 95 % regions, quantiles on the diagonal."""
     import corner
 
-    labels = [_axis_label(p.symbol, p.unit) for p in posterior.space]
+    labels = [format_axis(p.symbol, p.unit) for p in posterior.space]
     size = 1.6 + 1.5 * len(labels)
     return corner.corner(
         posterior.samples,
@@ -38,7 +35,7 @@ def trace_figure(posterior: Posterior) -> Figure:
     axes = np.atleast_1d(figure.subplots(count, 1, sharex=True))
     for i, (axis, parameter) in enumerate(zip(axes, posterior.space, strict=True)):
         axis.plot(posterior.draws[:MOST_WALKERS, :, i].T, color="tab:blue", alpha=0.3, lw=0.5)
-        axis.set_ylabel(_axis_label(parameter.symbol, parameter.unit), fontsize=8)
+        axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=8)
         axis.tick_params(labelsize=8)
     axes[-1].set_xlabel("step after burn-in")
     return figure
