@@ -107,7 +107,7 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
     return truth
 
 
-def sphere_lights(count: int = 24) -> np.ndarray:
+def sphere_lights(*, count: int = 24) -> np.ndarray:
     """Directions (count, 3) spread evenly over the cap within 65 degrees of the view (+z): a
     Fibonacci spiral."""
     index = np.arange(count) + 0.5

@@ -1,0 +1,115 @@
+"""Every NaN-safe primitive: finite values and finite gradients at the edges of their domain.
+
+A risky operation gets a harmless argument where it would fail, then its output is masked
+("double where"), so that reverse-mode differentiation never multiplies zero by infinity.
+Works elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records; any
+floating dtype is kept.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from ._types import Scalars
+from ._vector import Vec3, as_vec, scaled
+
+
+def smallest_divisor(dtype: DTypeLike) -> float:
+    """The length below which a divisor counts as zero: tiny ** (1/4), 3e-10 in float32 and 1e-77
+    in float64, so that even the inverse cube in a gradient stays finite."""
+    return float(jnp.finfo(dtype).tiny) ** 0.25
+
+
+def log_of_zero(dtype: DTypeLike) -> float:
+    """What stands for log(0): the logarithm of the smallest normal number of `dtype`."""
+    return float(np.log(jnp.finfo(dtype).tiny))
+
+
+def dot(u: Vec3, v: Vec3) -> Scalars:
+    """Inner product of vectors: (..., 3), (..., 3) -> (...)."""
+    a, b = as_vec(u), as_vec(v)
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def safe_sqrt(x: Scalars) -> Scalars:
+    """sqrt(max(x, 0)); value and gradient are 0 at and below x = 0."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
+
+
+def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
+    """log(x) with x clamped below at `floor` (default: the smallest normal number of its dtype),
+    where the gradient is 0."""
+    smallest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, x.dtype)
+    above = x > smallest
+    return jnp.log(jnp.where(above, x, smallest))
+
+
+def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
+    """(v / s, s) with s the largest component in magnitude: their squares neither over- nor
+    underflow. s is a constant to gradients, and 1 for vectors that are zero or not finite."""
+    a = as_vec(v)
+    largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
+    usable = (largest > 0) & jnp.isfinite(largest)
+    scale = jax.lax.stop_gradient(jnp.where(usable, largest, 1))
+    return scaled(v, 1 / scale), scale
+
+
+def norm(v: Vec3) -> Scalars:
+    """Euclidean length of vectors; gradient 0 at the zero vector."""
+    sized, scale = _to_unit_size(v)
+    return scale * safe_sqrt(dot(sized, sized))
+
+
+def normalize(v: Vec3) -> Vec3:
+    """v / |v|; the zero vector stays zero."""
+    sized, _ = _to_unit_size(v)
+    square = dot(sized, sized)
+    return scaled(sized, 1 / jnp.sqrt(jnp.where(square > 0, square, 1)))
+
+
+def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
+    """Angle in [0, pi] between unit vectors, in radians.
+
+    2 atan2(|u - v|, |u + v|) (Kahan, "How Futile are Mindless Assessments of Roundoff", 2006)
+    keeps full relative accuracy near 0 and pi, where arccos of the dot product loses all. Between
+    two zero vectors the angle is 0.
+    """
+    apart, together = norm(u - v), norm(u + v)
+    defined = jnp.maximum(apart, together) > smallest_divisor(apart.dtype)
+    return 2 * jnp.arctan2(jnp.where(defined, apart, 0), jnp.where(defined, together, 1))
+
+
+def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
+    """log of the cosine between unit vectors, in [log_of_zero, 0]; `log_of_zero(dtype)`, with
+    gradient 0, where the angle is a right one or more.
+
+    cos = 1 - |u - v|^2 / 2 below 60 degrees: the chord keeps the digits that the inner product
+    loses at small angles, and the inner product those that the chord loses near a right angle.
+    """
+    chord, cosine = u - v, dot(u, v)
+    deficit = dot(chord, chord) / 2
+    near, front = deficit < 0.5, cosine > 0
+    logarithm = jnp.where(
+        near, jnp.log1p(-jnp.where(near, deficit, 0)), jnp.log(jnp.where(front, cosine, 1))
+    )
+    return jnp.where(front, logarithm, log_of_zero(deficit.dtype))
+
+
+def power(base: Scalars, exponent: Scalars) -> Scalars:
+    """base ** exponent for base >= 0 with 0 ** positive = 0 and finite gradients in both
+    arguments; a negative base counts as 0."""
+    positive = base > 0
+    return jnp.where(positive, jnp.power(jnp.where(positive, base, 1), exponent), 0)
+
+
+def log1mexp(x: Scalars) -> Scalars:
+    """log(1 - exp(-x)) for x > 0 without cancellation (Maechler 2012)."""
+    small = x < 0.6931471805599453
+    return jnp.where(
+        small,
+        jnp.log(-jnp.expm1(-jnp.where(small, x, 1))),
+        jnp.log1p(-jnp.exp(-jnp.where(small, 1, x))),
+    )

@@ -1,0 +1,66 @@
+"""A Cartesian vector as a record of three components, for hot paths.
+
+A trailing axis of 3 defeats vector units; under `vmap` three components become three long arrays.
+Functions of vectors take a (..., 3) array or a `Vec` and return the kind they were given; the two
+mix in sums and differences, giving a `Vec`.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._types import Scalars
+
+
+class Vec(eqx.Module):
+    """`x`, `y`, `z`: equally shaped arrays; arithmetic is componentwise, with scalars too."""
+
+    x: Scalars
+    y: Scalars
+    z: Scalars
+
+    def __add__(self, other: "Vec3") -> "Vec":
+        o = as_vec(other)
+        return Vec(self.x + o.x, self.y + o.y, self.z + o.z)
+
+    def __sub__(self, other: "Vec3") -> "Vec":
+        o = as_vec(other)
+        return Vec(self.x - o.x, self.y - o.y, self.z - o.z)
+
+    def __mul__(self, scale: Scalars) -> "Vec":
+        return Vec(self.x * scale, self.y * scale, self.z * scale)
+
+    def __neg__(self) -> "Vec":
+        return Vec(-self.x, -self.y, -self.z)
+
+    def __rsub__(self, other: "Vec3") -> "Vec":
+        return as_vec(other) - self
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+
+Vec3 = Float[Array, "... 3"] | Vec
+Vector = Float[Array, "3"] | Vec
+
+
+def as_vec(v: Vec3) -> Vec:
+    """The components of a (..., 3) array; a `Vec` is returned as it is."""
+    return v if isinstance(v, Vec) else Vec(v[..., 0], v[..., 1], v[..., 2])
+
+
+def as_array(v: Vec3) -> Float[Array, "... 3"]:
+    """The (..., 3) array of a `Vec`; an array is returned as it is."""
+    return jnp.stack([v.x, v.y, v.z], axis=-1) if isinstance(v, Vec) else v
+
+
+def scaled(v: Vec3, scale: Scalars) -> Vec3:
+    """Each vector times its own scalar: (..., 3) or `Vec`, times (...)."""
+    return v * scale if isinstance(v, Vec) else v * scale[..., None]
+
+
+def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
+    """Each vector where its flag (...) is set, else the zero vector."""
+    if isinstance(v, Vec):
+        return Vec(*(jnp.where(keep, component, 0) for component in (v.x, v.y, v.z)))
+    return jnp.where(keep[..., None], v, 0)

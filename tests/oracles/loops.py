@@ -1,0 +1,96 @@
+"""A renderer and tone curves as naive Python loops in NumPy float64, straight from the textbook.
+
+It shares no code and no numerical trick with the library: arccos of inner products, the schoolbook
+quadratic, one pixel and one light at a time.
+"""
+
+import math
+
+import numpy as np
+
+
+def unit(v):
+    return np.asarray(v, float) / np.linalg.norm(v)
+
+
+def sphere(origin, direction, centre, radius):
+    """(distance, normal) or None."""
+    f = origin - centre
+    b, c = 2 * f @ direction, f @ f - radius**2
+    discriminant = b * b - 4 * c
+    if discriminant <= 0:
+        return None
+    for t in ((-b - math.sqrt(discriminant)) / 2, (-b + math.sqrt(discriminant)) / 2):
+        if t > 0:
+            return t, (origin + t * direction - centre) / radius
+    return None
+
+
+def plane(origin, direction, point, normal):
+    """(distance, normal) or None."""
+    slope = normal @ direction
+    if slope == 0:
+        return None
+    t = normal @ (point - origin) / slope
+    return (t, normal) if t > 0 else None
+
+
+def lobe(material, mirror, wo):
+    """Specular factor of a material given as a dict."""
+    theta = math.acos(min(1.0, max(-1.0, mirror @ wo)))
+    if material["kind"] == "phong":
+        return max(0.0, math.cos(theta)) ** material["exponent"] if theta < math.pi / 2 else 0.0
+    return math.exp(-((material["concentration"] * theta) ** 2))
+
+
+def shade(material, lights, ambient, point, normal, wo):
+    """k_a L_a + sum E (k_d [n.l]+ + k_s lobe), black from behind."""
+    colour = np.zeros(len(material["diffuse"]))
+    if normal @ wo <= 0:
+        return colour
+    if ambient is not None and material.get("ambient") is not None:
+        colour += np.multiply(material["ambient"], ambient)
+    for light in lights:
+        if light["kind"] == "point":
+            toward = light["position"] - point
+            irradiance = np.asarray(light["intensity"]) / (toward @ toward)
+        else:
+            toward, irradiance = np.asarray(light["direction"], float), light["irradiance"]
+        wi = unit(toward)
+        cos_i = normal @ wi
+        if cos_i <= 0:
+            continue
+        value = np.multiply(material["diffuse"], cos_i)
+        if material["kind"] != "lambert":
+            mirror = 2 * (normal @ wi) * normal - wi
+            value = value + np.multiply(material["specular"], lobe(material, mirror, wo))
+        colour += np.multiply(irradiance, value)
+    return colour
+
+
+def render(surfaces, lights, ambient, rays, bands):
+    """`surfaces`: (intersect(origin, direction) -> (t, normal) | None, material dict) pairs;
+    `rays`: (h, w) nested lists of (origin, direction)."""
+    picture = np.zeros((len(rays), len(rays[0]), bands))
+    for i, row in enumerate(rays):
+        for j, (origin, direction) in enumerate(row):
+            nearest = None
+            for intersect, material in surfaces:
+                hit = intersect(origin, direction)
+                if hit is not None and (nearest is None or hit[0] < nearest[0]):
+                    nearest = (*hit, material)
+            if nearest is not None:
+                t, normal, material = nearest
+                picture[i, j] = shade(
+                    material, lights, ambient, origin + t * direction, normal, -direction
+                )
+    return picture
+
+
+def srgb_encode(x):
+    """One number at a time, IEC 61966-2-1."""
+    return 12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055
+
+
+def srgb_decode(x):
+    return x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4

@@ -1,0 +1,273 @@
+"""One sweep over the public API, discovered, not listed: documented, keyword-only, `key` first;
+eager == jit, vmap == loop, gradients finite and equal to the directional finite difference.
+
+A new public function of numbers needs one line in `EXAMPLES`; without it the sweep fails.
+"""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import fitting
+import jaxvision
+from jaxvision import as_vec
+from jaxvision import scene as s
+from jaxvision.geometry import Ray
+
+# The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
+EAGER = {"jaxvision.io", "jaxvision.accuracy", "jaxvision.effects"}
+UNIT = (
+    r"\b(DN|W m\^-2|W sr\^-1|sr\^-1|m|m\^2|metres|photons|electrons|e-|rad|radians|rad\^-1|"
+    r"unit|pixels|relative|codes)\b"
+)
+
+
+def modules(package):
+    """The package and its public modules, command lines apart."""
+    names = [
+        name
+        for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if not any(part.startswith("_") for part in name.split("."))
+        and not name.endswith((".cli", ".plots"))
+    ]
+    return [importlib.import_module(name) for name in names]
+
+
+def functions(package):
+    """Every public function where it is defined."""
+    found = {}
+    for module in modules(package):
+        for name, value in vars(module).items():
+            inner = inspect.unwrap(value) if callable(value) else value
+            if (
+                not name.startswith("_")
+                and inspect.isfunction(inner)
+                and inner.__module__ == module.__name__
+            ):
+                found[f"{module.__name__}.{name}"] = value
+    return found
+
+
+def records(package):
+    return {
+        f"{module.__name__}.{name}": value
+        for module in modules(package)
+        for name, value in vars(module).items()
+        if inspect.isclass(value)
+        and value.__module__ == module.__name__
+        and not name.startswith("_")
+    }
+
+
+ALL = functions(jaxvision)
+TRACED = {name: f for name, f in ALL.items() if name.rpartition(".")[0] not in EAGER}
+BOTH = ALL | functions(fitting)
+
+# ------------------------------------------------ words
+
+
+def test_discovery_discovers():
+    assert {"jaxvision.capture.capture", "jaxvision.brdf.phong.phong_lobe"} <= ALL.keys()
+    assert "jaxvision.scene.Phong" in records(jaxvision)
+
+
+@pytest.mark.parametrize("name", sorted(BOTH))
+def test_documented_with_optional_arguments_by_keyword_and_key_first(name):
+    function = BOTH[name]
+    assert len(inspect.getdoc(function) or "") >= 10, f"{name} is not documented"
+    parameters = list(inspect.signature(function).parameters.values())
+    for i, parameter in enumerate(parameters):
+        optional = parameter.default is not inspect.Parameter.empty
+        if optional:
+            assert parameter.kind is inspect.Parameter.KEYWORD_ONLY, f"{name}({parameter})"
+        if parameter.name == "key":
+            assert i == 0, f"{name}: key comes first"
+
+
+@pytest.mark.parametrize("name", sorted(TRACED))
+def test_units_are_stated_by_the_function_or_for_its_whole_module(name):
+    module = importlib.import_module(TRACED[name].__module__)
+    words = f"{module.__doc__}\n{inspect.getdoc(TRACED[name])}"
+    assert re.search(UNIT, words), f"{name} states no unit"
+
+
+@pytest.mark.parametrize("name", sorted(records(jaxvision)))
+def test_records_are_documented(name):
+    record = records(jaxvision)[name]
+    assert record.__doc__
+    assert not record.__doc__.startswith(f"{record.__name__}(")  # what dataclasses write
+
+
+def test_everything_exported_exists_and_nothing_is_forgotten():
+    assert set(jaxvision.__all__) <= set(vars(jaxvision))
+    exported = {id(getattr(jaxvision, name)) for name in jaxvision.__all__}
+    kinds = records(jaxvision)
+    missing = [
+        n
+        for n, kind in kinds.items()
+        if n.startswith("jaxvision.scene") and id(kind) not in exported
+    ]
+    assert not missing
+
+
+# ------------------------------------------------ numbers
+
+RNG = np.random.default_rng(3)
+# Correctness needs no optimised code: this compiles three times faster.
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
+def unit(*v):
+    v = np.asarray(v, float)
+    return jnp.asarray(v / np.linalg.norm(v))
+
+
+N, WI, WO = unit(0.1, -0.2, 1), unit(0.5, 0.3, 0.9), unit(-0.4, -0.5, 0.8)
+KD, KS, KA = jnp.asarray([0.2, 0.1]), jnp.asarray([0.3, 0.2]), jnp.asarray([0.5, 0.6])
+X = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 3, 2)))
+ONE, TWO = jnp.asarray(0.7), jnp.asarray(2.3)
+POINT = jnp.asarray([0.2, 0.1, -0.3])
+PHONG = s.Phong(KD, KS, 9.0, ambient=KA)
+SPHERE, PLANE = s.Sphere([0.1, 0.2, 3], 1.0), s.Plane([0, 0, 5], [0.1, 0.1, -1])
+LAMP, SUN = s.PointLight([1, 2, -3], KS), s.DirectionalLight([0.3, 0.2, -1], KD)
+AMBIENT = s.AmbientLight([0.1, 0.2])
+SCENE = s.Scene([s.Surface(SPHERE, PHONG)], [LAMP], AMBIENT)
+RAY = Ray(jnp.zeros(3), unit(0.05, 0.02, 1))
+PINHOLE = s.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.05, resolution=(2, 3), f_number=4.0)
+SENSOR = s.Sensor(
+    photon_conversion=s.PhotonConversion([5e-7, 6e-7], 1e-11),
+    exposure_time=0.01,
+    quantum_efficiency=[0.5, 0.6],
+    prnu=0.01,
+    dark_current=100.0,
+    shot_noise=s.GaussianShotNoise(),
+    full_well=1e9,
+    dsnu=1.0,
+    read_noise=2.0,
+    gain=0.1,
+    offset=64.0,
+)
+DEVELOPMENT = s.Development(black_level=0.05, white_level=1.5, tone=s.SRGB())
+KEY, DIE = jax.random.split(jax.random.key(0))
+INDEX = jnp.asarray(1)
+
+EXAMPLES = {
+    "brdf.reflect": ((PHONG, N, WI, WO), {}),
+    "brdf.lambert.lambert_shading": ((N, WI, KD), {}),
+    "brdf.lambert.shading": ((s.Lambert(KD), N, WI, WO), {}),
+    "brdf.phong.phong_lobe": ((-X, TWO), {}),
+    "brdf.phong.phong_shading": ((N, WI, WO, KD, KS, TWO), {}),
+    "brdf.phong.shading": ((PHONG, N, WI, WO), {}),
+    "brdf.gaussian_lobe.gaussian_lobe": ((X, TWO), {}),
+    "brdf.gaussian_lobe.gaussian_lobe_shading": ((N, WI, WO, KD, KS, TWO), {}),
+    "brdf.gaussian_lobe.shading": ((s.GaussianLobe(KD, KS, TWO), N, WI, WO), {}),
+    "capture.radiance_along": ((SCENE, RAY), {}),
+    "capture.render": ((SCENE, PINHOLE), {}),
+    "capture.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),
+    "develop.develop": ((X, DEVELOPMENT), {}),
+    "develop.to_integers": ((X,), {}),
+    "geometry.mirror_direction": ((N, WI), {}),
+    "geometry.intersect_sphere": ((RAY, SPHERE), {}),
+    "geometry.intersect_plane": ((RAY, PLANE), {}),
+    "geometry.intersect": ((RAY, PLANE), {}),
+    "geometry.nearest_shape": ((RAY, [SPHERE, PLANE]), {}),
+    "geometry.hit_shape": ((RAY, [PLANE, SPHERE], INDEX), {}),
+    "lights.from_point_light": ((LAMP, POINT), {}),
+    "lights.from_directional_light": ((SUN, POINT), {}),
+    "lights.incident": ((LAMP, as_vec(POINT)), {}),
+    "optics.look_at": ((POINT, WI, WO), {}),
+    "optics.pixel_offset": ((PINHOLE, ONE, TWO), {}),
+    "optics.camera_ray": ((PINHOLE, ONE, TWO), {}),
+    "optics.cos_to_axis": ((PINHOLE, ONE, TWO), {}),
+    "optics.pixel_irradiance": ((PINHOLE, KD, ONE, TWO), {}),
+    "optics.pixel_grid": ((PINHOLE,), {}),
+    "optics.sensor_irradiance": ((PINHOLE, X), {}),
+    "point_ops.gain_bias": ((X, TWO, ONE), {}),
+    "point_ops.gamma_encode": ((X, TWO), {}),
+    "point_ops.gamma_decode": ((X, TWO), {}),
+    "point_ops.srgb_encode": ((X,), {}),
+    "point_ops.srgb_decode": ((X,), {}),
+    "sensor.photon_rate": ((X, KD, ONE), {}),
+    "sensor.mean_photoelectrons": ((SENSOR, X), {}),
+    "sensor.collect": ((KEY, SENSOR, X), {"die_key": DIE}),
+    "sensor.count": ((KEY, X, s.GaussianShotNoise()), {}),
+    "sensor.digitise": ((SENSOR, X), {}),
+    "sensor.raw_image": ((KEY, SENSOR, X), {"die_key": DIE}),
+    "sensor.expected_signal": ((SENSOR, X), {}),
+    "sensor.signal_variance": ((SENSOR, X), {}),
+    "sensor.pattern_variance": ((SENSOR, X), {}),
+    "shading.outgoing_radiance": ((PHONG, [LAMP, SUN], POINT, N, WO), {"ambient": AMBIENT}),
+}
+
+
+def is_float(leaf):
+    return jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def direction(x):
+    """A fixed direction of change, in proportion to each number."""
+    x = np.asarray(x)
+    return x * np.cos(np.arange(x.size, dtype=x.dtype)).reshape(x.shape)
+
+
+def shifted(tree, step):
+    """Every number of a tree moved by `step` along `direction`."""
+    return jax.tree.map(lambda x: x + step * direction(x) if is_float(x) else x, tree)
+
+
+def total(tree):
+    """The sum of all numbers in a result."""
+    return sum((x.sum() for x in jax.tree.leaves(tree) if is_float(x)), jnp.zeros(()))
+
+
+def close(a, b, rtol):
+    def compare(x, y):
+        np.testing.assert_allclose(x, y, rtol=rtol, atol=rtol * (1e-30 + np.abs(y).max(initial=0)))
+
+    jax.tree.map(compare, a, b)
+
+
+def test_every_public_function_has_an_example():
+    assert {f"jaxvision.{name}" for name in EXAMPLES} == TRACED.keys()
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_eager_jit_vmap_loop_and_gradient(name):
+    arguments, options = EXAMPLES[name]
+    function = partial(TRACED[f"jaxvision.{name}"], **options)
+    compiled = quick_jit(function)
+    eager = function(*arguments)
+    close(compiled(*arguments), eager, 1e-12)
+
+    lanes = [arguments, shifted(arguments, 1e-3)]
+    batch = jax.tree.map(lambda *x: jnp.stack(x), *lanes)
+    looped = jax.tree.map(lambda *x: jnp.stack(x), *(compiled(*lane) for lane in lanes))
+    close(quick_jit(jax.vmap(function))(*batch), looped, 1e-12)
+
+    flat, structure = jax.tree.flatten(arguments)
+    numbers = [i for i, x in enumerate(flat) if is_float(x)]
+
+    def of_numbers(values):
+        whole = list(flat)
+        for i, value in zip(numbers, values, strict=True):
+            whole[i] = value
+        return total(function(*jax.tree.unflatten(structure, whole)))
+
+    gradient = quick_jit(jax.grad(of_numbers))([flat[i] for i in numbers])
+    assert all(jnp.isfinite(g).all() for g in gradient)
+
+    h = 1e-6
+    ahead, behind = (total(compiled(*shifted(arguments, step))) for step in (h, -h))
+    slope = sum(
+        float(np.vdot(g, direction(flat[i]))) for g, i in zip(gradient, numbers, strict=True)
+    )
+    # central difference: truncation h^2, rounding eps / h of the value
+    tolerance = 1e-6 * abs(slope) + 1e-8 * abs(float(ahead)) + 1e-12
+    assert abs(float(ahead - behind) / (2 * h) - slope) <= tolerance

@@ -1,0 +1,160 @@
+"""The imports, read from the source: light goes one way, and `import jaxvision` stays light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# A module may import only from lower floors; modules on one floor never import each other.
+# Modules that do not exist yet have their place already; one that is not named here is an error.
+FLOORS = [
+    {"errors", "_types"},
+    {"_vector", "scene"},
+    {"_numerics"},
+    {"spectra", "geometry", "padding"},
+    {"lights", "brdf", "filters"},
+    {"shading", "point_ops"},
+    {"transport"},
+    {"histogram", "compositing", "optics", "sensor", "develop"},
+    {"capture", "effects", "accuracy"},
+    {"io", "plots"},
+    {"cli"},
+]
+PHYSICS = set.union(*FLOORS[1:9])
+SOLVERS = {
+    "parameters",
+    "least_squares",
+    "bounded",
+    "varpro",
+    "posterior",
+    "diagnostics",
+}
+CALIBRATIONS = {"reflectance", "response", "noise", "joint"}
+NEVER_IN_JAXVISION = {"fitting", "optimistix", "lineax", "jaxopt", "emcee", "scipy", "xarray"}
+NEVER_ON_IMPORT = ["matplotlib", "OpenImageIO", "scipy", "optimistix", "jaxopt", "emcee", "xarray"]
+
+
+class _Running(ast.NodeTransformer):
+    """Drops what only a type checker reads."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        if ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            return node.orelse
+        return self.generic_visit(node)
+
+
+def imports(file: Path) -> set[str]:
+    """Absolute dotted names that a file imports when it runs, relative ones resolved; `from a
+    import b` gives both a and a.b, since b may be a module."""
+    package = list(file.relative_to(ROOT).parent.parts)
+    found = set()
+    for node in ast.walk(_Running().visit(ast.parse(file.read_text()))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            name = ".".join(base + (node.module.split(".") if node.module else []))
+            found |= {name} | {f"{name}.{alias.name}" for alias in node.names}
+    return found
+
+
+def rooms(package: str) -> dict[str, set[str]]:
+    """For each top-level module of a package (a sub-package counts as one), what it imports.
+
+    `__init__` is no room: it opens the doors of all of them.
+    """
+    found: dict[str, set[str]] = {}
+    for file in sorted((ROOT / package).rglob("*.py")):
+        parts = file.relative_to(ROOT / package).with_suffix("").parts
+        if parts != ("__init__",):
+            found.setdefault(parts[0], set()).update(imports(file))
+    return found
+
+
+def neighbours(package: str) -> dict[str, set[str]]:
+    """The rooms of the same package that each room imports."""
+    plan = rooms(package)
+    return {
+        room: {
+            name.split(".")[1]
+            for name in names
+            if name.startswith(f"{package}.") and name.split(".")[1] in plan.keys() - {room}
+        }
+        for room, names in plan.items()
+    }
+
+
+def outside(names: set[str]) -> set[str]:
+    return {name.split(".")[0] for name in names}
+
+
+def test_the_reader_of_imports_reads():
+    """A check that cannot fail is a defect: three imports that are known to be there."""
+    plan = neighbours("jaxvision")
+    assert {"geometry", "scene", "_numerics"} <= plan["brdf"]
+    assert {"sensor", "optics", "shading"} <= plan["capture"]
+    assert "jax" in outside(rooms("jaxvision")["sensor"])
+
+
+@pytest.mark.parametrize("room", sorted(rooms("jaxvision")))
+def test_light_goes_one_way(room):
+    floor = {name: i for i, names in enumerate(FLOORS) for name in names}
+    assert room in floor, f"give jaxvision/{room} its floor in {__name__}"
+    wrong = {other for other in neighbours("jaxvision")[room] if floor[other] >= floor[room]}
+    assert not wrong, f"jaxvision/{room} must not import {sorted(wrong)}"
+
+
+def test_scene_holds_records_only():
+    assert neighbours("jaxvision")["scene"] == {"_types"}
+    tree = ast.parse((ROOT / "jaxvision" / "scene.py").read_text())
+    for record in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+        methods = {node.name for node in record.body if isinstance(node, ast.FunctionDef)}
+        assert methods <= {"__check_init__"}, f"{record.name} has behaviour: {methods}"
+
+
+@pytest.mark.parametrize("room", sorted(rooms("jaxvision")))
+def test_jaxvision_knows_no_solver(room):
+    assert not outside(rooms("jaxvision")[room]) & NEVER_IN_JAXVISION
+
+
+def test_only_bounded_imports_jaxopt():
+    users = {room for room, names in rooms("fitting").items() if "jaxopt" in outside(names)}
+    assert users <= {"bounded"}
+
+
+@pytest.mark.parametrize("room", sorted(SOLVERS & rooms("fitting").keys()))
+def test_solvers_know_no_physics_and_no_calibration(room):
+    names = rooms("fitting")[room]
+    physics = {name for name in names if name.split(".")[:1] == ["jaxvision"]}
+    assert not {name.split(".")[1] for name in physics if "." in name} & PHYSICS
+    assert not neighbours("fitting")[room] & (CALIBRATIONS | {"report", "cli"})
+
+
+@pytest.mark.parametrize("package", ["jaxvision", "fitting"])
+def test_no_cycles(package):
+    plan = {room: set(others) for room, others in neighbours(package).items()}
+    while plan:
+        leaves = {room for room, others in plan.items() if not others & plan.keys()}
+        assert leaves, f"{package} has a cycle among {sorted(plan)}"
+        plan = {room: others for room, others in plan.items() if room not in leaves}
+
+
+def test_import_jaxvision_is_light():
+    """In a fresh process; `jax` itself is not counted in the time."""
+    program = (
+        "import sys, time, jax\n"
+        "start = time.perf_counter()\n"
+        "import jaxvision\n"
+        "print(time.perf_counter() - start, *sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    cost, *modules = done.stdout.split()
+    assert "jaxvision.capture" in modules
+    assert float(cost) < 1
+    assert not {name.split(".")[0] for name in modules} & set(NEVER_ON_IMPORT)

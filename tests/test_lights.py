@@ -1,0 +1,60 @@
+"""Inverse square, constancy, and the point that is the light itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import as_dtype
+from jaxvision.lights import incident
+from jaxvision.scene import DirectionalLight, PointLight
+
+
+def test_point_light_falls_with_the_square_of_the_distance():
+    light = PointLight([1, 2, 5], [9.0, 18.0])
+    here = incident(light, jnp.asarray([1.0, 2.0, 2.0]))
+    np.testing.assert_allclose(here.irradiance, [1, 2], rtol=1e-15)
+    np.testing.assert_allclose(here.direction, [0, 0, 1], atol=1e-15)
+    farther = incident(light, jnp.asarray([1.0, 2.0, -4.0]))
+    np.testing.assert_allclose(farther.irradiance, [1 / 9, 2 / 9], rtol=1e-15)
+
+
+def test_flux_through_a_sphere_about_the_light_is_4_pi_intensity():
+    """Conservation of energy over an off-centre sphere, by Gauss-Legendre times trapezoid: the
+    light needs no centre."""
+    cos_theta, weight = np.polynomial.legendre.leggauss(40)
+    phi = np.arange(80) * 2 * np.pi / 80
+    sin_theta = np.sqrt(1 - cos_theta**2)
+    normals = np.stack(
+        [
+            np.outer(sin_theta, np.cos(phi)),
+            np.outer(sin_theta, np.sin(phi)),
+            np.outer(cos_theta, np.ones_like(phi)),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    light = PointLight([0.3, -0.2, 0.4], [2.0])
+    arriving = jax.vmap(lambda p: incident(light, p))(jnp.asarray(normals))
+    cosine = -(np.asarray(arriving.direction) * normals).sum(-1)
+    flux = (np.asarray(arriving.irradiance)[:, 0] * cosine).reshape(40, 80).sum(1)
+    np.testing.assert_allclose((flux @ weight) * 2 * np.pi / 80, 4 * np.pi * 2, rtol=1e-10)
+
+
+def test_directional_light_is_the_same_everywhere_whatever_its_length():
+    light = DirectionalLight([0, 3, 4], [1.0, 2.0, 3.0])
+    for point in ([0.0, 0.0, 0.0], [5.0, -1.0, 100.0]):
+        arriving = incident(light, jnp.asarray(point))
+        np.testing.assert_allclose(arriving.direction, [0, 0.6, 0.8], rtol=1e-15)
+        np.testing.assert_array_equal(arriving.irradiance, [1, 2, 3])
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_at_the_light_itself_everything_is_zero(dtype):
+    light = as_dtype(PointLight([1, 2, 3], [1.0]), dtype)
+    point = jnp.asarray([1, 2, 3], dtype)
+    arriving = incident(light, point)
+    assert (arriving.direction == 0).all()
+    assert (arriving.irradiance == 0).all()
+    gradient = jax.grad(lambda p: incident(light, p).irradiance.sum())
+    assert (gradient(point) == 0).all()
+    assert jnp.isfinite(gradient(point + jnp.asarray([1e-6, 0, 0], dtype))).all()

@@ -1,0 +1,132 @@
+"""The primitives against mpmath, in units of the last place, with gradients at every edge."""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from oracles import exact
+
+from jaxvision import _numerics as num
+from jaxvision._vector import as_array, as_vec, masked, scaled
+
+DTYPES = [jnp.float32, jnp.float64]
+RNG = np.random.default_rng(20240501)
+
+
+def unit_pairs(dtype, angle, count=8):
+    """Pairs of nearly unit vectors about `angle` apart, rounded to `dtype`."""
+    u = RNG.normal(size=(count, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    side = np.cross(u, RNG.normal(size=(count, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return jnp.asarray(u, dtype), jnp.asarray(np.cos(angle) * u + np.sin(angle) * side, dtype)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+def test_norm_and_normalize(dtype, scale):
+    v = jnp.asarray(RNG.normal(size=(8, 3)) * scale, dtype)
+    lengths, units = num.norm(v), num.normalize(v)
+    assert lengths.dtype == units.dtype == dtype
+    for row, got, direction in zip(v, lengths, units, strict=True):
+        truth = exact.length(exact.vector(row))
+        assert exact.ulps(got, truth) <= 3
+        for component, unit_component in zip(row, direction, strict=True):
+            assert exact.ulps(unit_component, exact.number(component) / truth) <= 6
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.5, 3.0])
+def test_angles(dtype, angle):
+    u, v = unit_pairs(dtype, angle)
+    for a, b, got in zip(u, v, num.angle_between(u, v), strict=True):
+        truth = exact.angle(exact.vector(a), exact.vector(b))
+        # the inputs are unit to half a unit in the last place, which turns by as much near pi
+        assert exact.ulps(got, truth) <= 4
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.1, 1.5])
+def test_log_cos(dtype, angle):
+    """The unit vectors themselves are off by eps / 2, which moves log cos by as much; below 60
+    degrees only the angle's own relative error is left."""
+    u, v = unit_pairs(dtype, angle)
+    eps = float(jnp.finfo(dtype).eps)
+    for a, b, got in zip(u, v, num.log_cos_between(u, v), strict=True):
+        truth = mp.log(exact.cosine(exact.vector(a), exact.vector(b)))
+        bound = 4 * eps * (abs(truth) if angle < 0.5 else 1 / np.cos(angle))
+        assert abs(exact.number(got) - truth) <= bound
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
+    u = jnp.asarray([0, 0, 1], dtype)
+    beyond = jnp.asarray([[1, 0, 0], [0, 0.6, -0.8], [0, 0, -1], [0, 0, 0]], dtype)
+    values = jax.vmap(lambda v: num.log_cos_between(u, v))(beyond)
+    assert (values == jnp.asarray(num.log_of_zero(dtype), dtype)).all()
+    assert (jax.vmap(jax.grad(lambda v: num.log_cos_between(u, v)))(beyond) == 0).all()
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_gradients_are_finite_at_every_edge(dtype):
+    x = jnp.asarray([0.0, -1.0, 1e-30, 1.0, 1e30], dtype)
+    one = jnp.ones((), dtype)
+    scalar = {
+        "sqrt": num.safe_sqrt,
+        "log": num.safe_log,
+        "power": lambda t: num.power(t, one / 2),
+        "exponent": lambda t: num.power(jnp.zeros_like(t), t),
+        "log1mexp": lambda t: num.log1mexp(jnp.abs(t) + jnp.finfo(dtype).eps),
+    }
+    for name, function in scalar.items():
+        assert jnp.isfinite(jax.vmap(jax.grad(function))(x)).all(), name
+    z = jnp.asarray([0, 0, 1], dtype)
+    vectors = jnp.asarray([[0, 0, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0], [1e-30, 0, 0]], dtype)
+    functions = {
+        "norm": num.norm,
+        "normalize": lambda v: num.normalize(v).sum(),
+        "angle": lambda v: num.angle_between(z, v),
+        "angle to itself": lambda v: num.angle_between(v, v),
+        "log cos": lambda v: num.log_cos_between(z, v),
+    }
+    for name, function in functions.items():
+        assert jnp.isfinite(jax.vmap(jax.grad(function))(vectors)).all(), name
+
+
+def test_defined_values_at_the_edges():
+    zero, x = jnp.zeros(3), jnp.asarray([-1.0, 0.0, 4.0])
+    assert num.norm(zero) == 0
+    assert (num.normalize(zero) == 0).all()
+    assert num.angle_between(zero, zero) == 0
+    np.testing.assert_array_equal(num.safe_sqrt(x), [0, 0, 2])
+    np.testing.assert_array_equal(num.power(x, jnp.asarray(2.0)), [0, 0, 16])
+    assert num.safe_log(x)[0] == num.log_of_zero(jnp.float64)
+    assert float(num.safe_log(x, floor=0.5)[1]) == np.log(0.5)
+    assert num.norm(jnp.asarray([jnp.inf, 0, 0])) == jnp.inf
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_log1mexp(dtype):
+    for x in jnp.asarray([1e-6, 0.1, 0.69, 0.7, 5.0, 40.0], dtype):
+        truth = mp.log(1 - mp.exp(-exact.number(x)))
+        assert exact.ulps(num.log1mexp(x), truth) <= 3
+
+
+def test_gradient_of_norm_is_the_unit_vector():
+    v = jnp.asarray([3.0, -4.0, 12.0])
+    np.testing.assert_allclose(jax.grad(num.norm)(v), np.asarray(v) / 13, rtol=1e-15)
+
+
+def test_component_records_agree_with_arrays():
+    u, v = jnp.asarray(RNG.normal(size=(2, 5, 3)))
+    a, b = as_vec(u), as_vec(v)
+    s = jnp.arange(5.0)
+    np.testing.assert_array_equal(as_array(a - v + u - b), np.asarray(u - v + u - v))
+    np.testing.assert_array_equal(as_array(u - b), np.asarray(u - v))
+    np.testing.assert_array_equal(as_array(-(s * a)), as_array(-scaled(u, s)))
+    np.testing.assert_array_equal(as_array(masked(s > 2, a)), masked(s > 2, u))
+    np.testing.assert_array_equal(num.norm(a), num.norm(u))
+    np.testing.assert_array_equal(num.dot(a, v), num.dot(u, v))
+    np.testing.assert_array_equal(as_array(num.normalize(a)), num.normalize(u))
+    np.testing.assert_allclose(num.dot(u, v), np.einsum("ij,ij->i", u, v), rtol=1e-12, atol=1e-12)

@@ -1,0 +1,70 @@
+"""Conversions keep dtypes, checks say what they got, grouping keeps order."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision._types import (
+    as_dtype,
+    as_float,
+    as_optional_float,
+    check_shape,
+    group_by_structure,
+    take,
+)
+from jaxvision.scene import Lambert, Phong, Sphere
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_floating_dtypes_are_kept(dtype):
+    assert as_float(np.ones(2, dtype)).dtype == jnp.ones(2, dtype).dtype
+
+
+@pytest.mark.parametrize("x", [1, 1.0, True, np.int32(3), jnp.asarray(1.0)])
+def test_the_rest_becomes_the_default_and_strong(x):
+    array = as_float(x)
+    assert array.dtype == jnp.result_type(float)
+    assert not array.weak_type
+    assert float(array) == float(x)
+
+
+def test_none_stays_none():
+    assert as_optional_float(None) is None
+    assert as_optional_float(2) == 2
+
+
+def test_as_dtype_changes_floating_leaves_only():
+    tree = as_dtype({"a": jnp.ones(2), "b": jnp.arange(2)}, jnp.float32)
+    assert tree["a"].dtype == jnp.float32
+    assert tree["b"].dtype == jnp.arange(2).dtype
+
+
+def test_a_record_in_float32_stays_in_float32():
+    sphere = Sphere(np.zeros(3, np.float32), np.float32(1))
+    assert {leaf.dtype for leaf in jax.tree.leaves(sphere)} == {jnp.dtype("float32")}
+
+
+def test_shape_checks_name_got_and_expected():
+    check_shape("x", jnp.zeros((2, 5)), (), (2, "bands"))
+    check_shape("x", None, (3,))
+    with pytest.raises(ValueError, match=r"x must have shape \(\) or \(bands\), got \(2, 3\)"):
+        check_shape("x", jnp.zeros((2, 3)), (), ("bands",))
+
+
+def test_groups_keep_order_and_take_finds_each_member():
+    materials = [
+        Phong([0.1], [0.2], 1.0),
+        Lambert([0.3]),
+        Phong([0.4], [0.5], 2.0),
+        Lambert([0.6], ambient=[1.0]),
+    ]
+    groups = group_by_structure(materials)
+    assert [members for members, _ in groups] == [(0, 2), (1,), (3,)]
+    for members, group in groups:
+        for index, material in enumerate(materials):
+            found, among = take(members, group, jnp.asarray(index))
+            assert bool(among) == (index in members)
+            if among:
+                assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), found, material))
+        assert not take(members, group, jnp.asarray(-1))[1]
