@@ -61,7 +61,7 @@ class Options:
 
 CHECKPOINT = "checkpoint"
 Images = dict[str, np.ndarray]
-Calibrate = Callable[[Reporter], tuple[Section, Images]]
+Calibrate = Callable[[Reporter], tuple[list[Section], Images]]
 
 app = typer.Typer(
     add_completion=False,
@@ -91,6 +91,12 @@ def noise(
         Path,
         typer.Argument(help="Rig folder, or a CSV of sums per exposure.", metavar="PATH"),
     ],
+    bits: Annotated[
+        int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)
+    ] = None,
+    channel: Annotated[
+        str, typer.Option(help="Site of a Bayer mosaic to use (default: the first green).")
+    ] = "",
     out: Out = None,
     as_json: Json = False,
     mcmc: Mcmc = False,
@@ -104,13 +110,13 @@ def noise(
 
     options = Options(out, as_json, mcmc, seed, steps, walkers)
 
-    def calibrate(reporter: Reporter) -> tuple[Section, Images]:
+    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading frames"):
-            measurement = read_photon_transfer(path)
+            measurement = read_photon_transfer(path, bits=bits, channel=channel)
         with reporter.step("fitting photon transfer") as progress:
             sampling = options.sampling("noise", progress)
-            calibration = calibrate_noise(measurement, sampling=sampling)
-        return noise_section(calibration), {}
+            calibration = calibrate_noise(measurement, sampling=sampling, seed=seed)
+        return [noise_section(calibration)], {}
 
     _run("Photon transfer", path, options, calibrate)
 
@@ -126,18 +132,23 @@ def response(
     walkers: Walkers = WALKERS,
 ) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
-    from .response import calibrate_response, read_exposure_stack, response_section
+    from .exposures import read_exposure_stack
+    from .response import calibrate_response, radiance_images, response_section
     from .rig import load_rig
 
     options = Options(out, as_json, mcmc, seed, steps, walkers)
 
-    def calibrate(reporter: Reporter) -> tuple[Section, Images]:
+    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading exposures"):
             stack = read_exposure_stack(load_rig(path))
         with reporter.step("fitting response") as progress:
             sampling = options.sampling("response", progress)
-            calibration = calibrate_response(stack, sampling=sampling)
-        return response_section(calibration), {}
+            calibration = calibrate_response(stack, sampling=sampling, seed=seed)
+        images = {
+            f"radiance_{group}.exr" if group else "radiance.exr": radiance
+            for group, radiance in radiance_images(calibration).items()
+        }
+        return [response_section(calibration)], images
 
     _run("Camera response", path, options, calibrate)
 
@@ -146,6 +157,15 @@ def response(
 def brdf(
     path: RigPath,
     model: Annotated[Model, typer.Option(help="Model to report in full.")] = Model.PHONG,
+    ambient: Annotated[
+        bool, typer.Option("--ambient", help="Fit a constant ambient light per channel.")
+    ] = False,
+    gamma: Annotated[
+        bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
+    ] = False,
+    minimum_cosine: Annotated[
+        float, typer.Option(help="Leave out samples lit at a smaller n.l.", min=0.0)
+    ] = 0.0,
     out: Out = None,
     as_json: Json = False,
     mcmc: Mcmc = False,
@@ -160,15 +180,48 @@ def brdf(
 
     options = Options(out, as_json, mcmc, seed, steps, walkers)
 
-    def calibrate(reporter: Reporter) -> tuple[Section, Images]:
+    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading images"):
             observation = read_reflectance_observation(load_rig(path))
         with reporter.step("fitting reflectance") as progress:
             sampling = options.sampling("brdf", progress)
-            calibration = calibrate_reflectance(observation, model=model.value, sampling=sampling)
-        return reflectance_section(calibration), {}
+            calibration = calibrate_reflectance(
+                observation,
+                model=model.value,
+                sampling=sampling,
+                ambient=ambient,
+                fit_gamma=gamma,
+                minimum_cosine=minimum_cosine,
+            )
+        return [reflectance_section(calibration)], {}
 
     _run("Reflectance", path, options, calibrate)
+
+
+@app.command()
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", help="Where images and report go.", metavar="DIR")
+    ] = Path("jaxvision-demo"),
+    as_json: Json = False,
+    mcmc: Mcmc = False,
+    seed: Seed = 0,
+    steps: Steps = STEPS,
+    walkers: Walkers = WALKERS,
+) -> None:
+    """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth."""
+    from .demo import calibrate_lab, demo_section
+    from .lab import simulate_lab
+
+    options = Options(out, as_json, mcmc, seed, steps, walkers)
+
+    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+        with reporter.step("simulating the lab") as progress:
+            truth = simulate_lab(out / "lab", seed=seed, progress=progress)
+        sections = calibrate_lab(out / "lab", reporter.step, options.sampling)
+        return [demo_section(sections, truth), *sections], {}
+
+    _run("A simulated lab afternoon", out, options, calibrate)
 
 
 def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
@@ -178,21 +231,22 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
     from .report import as_json, write_report
 
     with _failures_as_sentences(), reporting() as reporter:
-        section, images = calibrate(reporter)
+        sections, images = calibrate(reporter)
         settings = {"input": path.name, **asdict(options)}
         if options.out is not None:
             with reporter.step("writing the report"):
                 for name, pixels in images.items():
                     write_image(options.out / name, pixels)
                 write_report(
-                    options.out, [section], title=title, seed=options.seed, settings=settings
+                    options.out, sections, title=title, seed=options.seed, settings=settings
                 )
                 shutil.rmtree(options.out / CHECKPOINT, ignore_errors=True)
     if options.as_json:
-        print(as_json([section], seed=options.seed, settings=settings))
+        print(as_json(sections, seed=options.seed, settings=settings))
         return
     console = output()
-    print_section(console, section)
+    for section in sections:
+        print_section(console, section)
     if options.out is not None:
         console.print(f"\nReport: {options.out / 'report.html'}")
 

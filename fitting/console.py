@@ -12,7 +12,7 @@ from .formatting import format_cell, format_interval, format_unit, format_value
 from .posterior import Progress as ProgressCallback
 from .results import Estimate, Section, Table
 
-PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
+PLAIN_WIDTH = 170  # columns where the output is no terminal and so has no width of its own
 
 
 def output() -> Console:
@@ -52,7 +52,8 @@ def reporting() -> Iterator[Reporter]:
 def print_section(console: Console, section: Section) -> None:
     """The estimates of a calibration as a table, its findings as sentences under it."""
     console.print()
-    console.print(estimate_table(section.title, section.estimates))
+    if section.estimates:
+        console.print(estimate_table(section.title, section.estimates))
     for estimate in section.estimates:
         if estimate.reason:
             console.print(
@@ -70,7 +71,7 @@ def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
     grouped = any(estimate.group for estimate in estimates)
     heads = ["quantity", "value ± s.e.", "unit", "68 %", "95 %", "method"]
     for head in (["channel"] if grouped else []) + heads:
-        table.add_column(head, justify="left", no_wrap=True)
+        table.add_column(head, no_wrap=head in ("value ± s.e.", "68 %", "95 %"))
     for estimate in estimates:
         if estimate.reason:
             continue

@@ -1,13 +1,28 @@
 """`jaxvision-fit demo`: simulate a lab afternoon to files, calibrate from the files alone, and set
 truth beside estimate."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from .exposures import read_exposure_stack
 from .formatting import format_interval, format_unit, format_value
 from .lab import Truth, rgb
-from .results import Estimate, Section, Table
+from .noise import calibrate_noise, noise_section
+from .noise_calibration import LIKELIHOOD, STANDARD
+from .photon_transfer import read_photon_transfer
+from .posterior import Progress, SamplingOptions
+from .reflectance import calibrate_reflectance, reflectance_section
+from .reflectance_observation import read_reflectance_observation
+from .response import calibrate_response, response_section
+from .results import Estimate, Picture, Section, Table, find
+from .rig import Rig, load_rig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Key = tuple[str, str, str]  # section kind, estimate name, group
 
@@ -19,6 +34,18 @@ class Comparison:
     kind: str
     estimate: Estimate
     truth: float
+
+    @property
+    def deviations(self) -> tuple[float, ...]:
+        """Ends of the 95 and 68 % intervals and the value between them, less the truth, in
+        standard errors, ascending."""
+        unknown = (math.nan, math.nan)
+        low95, high95 = self.estimate.interval_95 or unknown
+        low68, high68 = self.estimate.interval_68 or unknown
+        value = math.nan if self.estimate.value is None else self.estimate.value
+        error = self.estimate.standard_error or math.nan
+        ends = (low95, low68, value, high68, high95)
+        return tuple((end - self.truth) / error for end in ends)
 
     @property
     def inside_68(self) -> bool:
@@ -33,14 +60,50 @@ def _inside(value: float, interval: tuple[float, float] | None) -> bool:
     return interval is not None and interval[0] <= value <= interval[1]
 
 
+def calibrate_lab(
+    folder: Path,
+    step: Callable[[str], AbstractContextManager[Progress]],
+    sampling: Callable[[str, Progress], SamplingOptions | None],
+) -> list[Section]:
+    """The three calibrations of `simulate_lab`'s files. The reflectance fit weighs its pixels with
+    the gain and the read noise that photon transfer has just measured."""
+    with step("photon transfer") as progress:
+        measurement = read_photon_transfer(folder / "noise")
+        noise = noise_section(calibrate_noise(measurement, sampling=sampling("noise", progress)))
+    with step("response curve") as progress:
+        stack = read_exposure_stack(load_rig(folder / "response"))
+        response = response_section(
+            calibrate_response(stack, sampling=sampling("response", progress))
+        )
+    with step("reflectance") as progress:
+        rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
+        reflectance = reflectance_section(
+            calibrate_reflectance(
+                read_reflectance_observation(rig),
+                model="phong",
+                sampling=sampling("brdf", progress),
+            )
+        )
+    return [noise, response, reflectance]
+
+
+def _with_measured_noise(rig: Rig, noise: Section) -> Rig:
+    measured = {
+        field: find(noise.estimates, name, method=LIKELIHOOD).value
+        for field, name in (("gain", "system_gain"), ("read_noise", "read_noise"))
+    }
+    return rig.model_copy(update={"camera": rig.camera.model_copy(update=measured)})
+
+
 def truths(truth: Truth) -> dict[Key, float]:
     """What the lab was simulated with, under the names of the estimates."""
     values: dict[Key, float] = {
         ("noise", "system_gain", ""): truth.system_gain,
-        ("noise", "quantum_efficiency", ""): truth.quantum_efficiency,
+        ("noise", "quantum_efficiency", ""): 100 * truth.quantum_efficiency,
         ("noise", "read_noise", ""): truth.read_noise,
+        ("noise", "dark_current", ""): truth.dark_current,
         ("noise", "dsnu", ""): truth.dsnu,
-        ("noise", "prnu", ""): truth.prnu,
+        ("noise", "prnu", ""): 100 * truth.prnu,
     }
     for channel in rgb(truth.diffuse):
         values["response", "gamma", channel] = truth.gamma
@@ -51,13 +114,16 @@ def truths(truth: Truth) -> dict[Key, float]:
 
 
 def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
-    """Every estimate whose truth is known, with that truth."""
+    """Every estimate whose truth is known, with that truth; where the standard's figure stands
+    beside the likelihood's, which uses the same frames, only the latter."""
     known = truths(truth)
     return [
         Comparison(section.kind, estimate, known[section.kind, estimate.name, estimate.group])
         for section in sections
         for estimate in section.estimates
-        if (section.kind, estimate.name, estimate.group) in known and estimate.value is not None
+        if (section.kind, estimate.name, estimate.group) in known
+        and estimate.value is not None
+        and estimate.method != STANDARD
     ]
 
 
@@ -82,7 +148,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     )
     count = len(comparisons)
     return Table(
-        "Truth against estimate",
+        "Every known truth",
         ("channel", "quantity", "truth", "estimate", "unit", "68 %", "95 %", "truth in", "method"),
         rows,
         f"{held_68} of {count} truths lie in their 68 % interval (about {0.68 * count:.0f} are "
@@ -90,6 +156,23 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     )
 
 
-def lab_folder(out: Path) -> Path:
-    """Where the simulated images go."""
-    return out / "lab"
+def demo_section(sections: Iterable[Section], truth: Truth) -> Section:
+    """The demo's summary: every known truth beside its estimate."""
+    comparisons = compare(sections, truth)
+
+    def draw() -> "Figure":
+        from .figures.demo import forest_figure
+
+        return forest_figure(comparisons)
+
+    caption = (
+        "Each estimate less its truth, in standard errors: thick 68 %, thin 95 % interval. "
+        "Grey: where 95 % of all truths should fall."
+    )
+    return Section(
+        kind="demo",
+        title="Truth against estimate",
+        estimates=(),
+        tables=(comparison_table(comparisons),),
+        pictures=(Picture("forest", "What the files gave back", caption, draw),),
+    )

@@ -45,7 +45,7 @@ from .posterior import Progress
 from .rig import RIG_FILE
 
 FLAT_SIZE, STACK_SIZE, SPHERE_SIZE = (240, 320), (96, 128), (128, 128)
-FLAT_EXPOSURES = np.round(np.geomspace(2e-4, 2.6e-2, 22), 6)
+FLAT_EXPOSURES = np.round(np.linspace(5e-4, 2.45e-2, 25), 6)  # 1.08 times saturation at the end
 STACK_EXPOSURES = tuple(float(2.0**stop) for stop in range(-11, -2))
 SPATIAL_FRAMES = 16
 RED_GREEN_BLUE = ("red", "green", "blue")
@@ -97,7 +97,7 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
     `progress` is called with (images written, all images).
     """
     truth = Truth()
-    bench = _Bench(_sensor(truth), jax.random.key(seed), jax.random.key(seed + 1))
+    bench = _Bench(_sensor(truth), *jax.random.split(jax.random.key(seed)))
     total = 4 * len(FLAT_EXPOSURES) + 2 * (SPATIAL_FRAMES - 2)
     total += len(STACK_EXPOSURES) + len(sphere_lights())
     written = _Counter(total, progress)
@@ -154,7 +154,7 @@ class _Counter:
 def _photon_transfer(folder: Path, truth: Truth, bench: _Bench, written: _Counter) -> None:
     """Pairs of flats up to and past saturation, pairs of darks, and one deep stack of each at half
     saturation for the spatial statistics."""
-    photons_per_second = 1.25 * truth.full_well / truth.quantum_efficiency / FLAT_EXPOSURES[-1]
+    photons_per_second = 1.08 * truth.full_well / truth.quantum_efficiency / FLAT_EXPOSURES[-1]
     half = int(np.argmin(np.abs(FLAT_EXPOSURES * photons_per_second - photons_at_half(truth))))
     flats, darks = [], []
     for i, exposure in enumerate(FLAT_EXPOSURES):
@@ -237,13 +237,13 @@ def _sphere_under_lights(folder: Path, truth: Truth, bench: _Bench, written: _Co
                 "held_out": i % 4 == 3,
             }
         )
-    dark_level = truth.offset + truth.system_gain * truth.dark_current * exposure
+    cap_on = _flat_frame(
+        _exposed(bench, exposure), jnp.zeros(()), jnp.asarray(written.done), shape=FLAT_SIZE
+    )
     camera = {
         "bits": truth.bits,
-        "black_level": dark_level,
+        "black_level": float(jnp.mean(cap_on)),
         "saturation": truth.system_gain * truth.full_well,
-        "gain": truth.system_gain,
-        "read_noise": truth.read_noise,
     }
     sphere = {"centre": [(width - 1) / 2, (height - 1) / 2], "radius": radius}
     _write_rig(folder, {"camera": camera, "geometry": {"sphere": sphere}, "light": entries})

@@ -53,8 +53,8 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
     return json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def as_html(sections: Sequence[Section], *, title: str, tables: Sequence[Table] = ()) -> str:
-    """The report as one HTML page with its pictures inside; `tables` stand before the sections."""
+def as_html(sections: Sequence[Section], *, title: str) -> str:
+    """The report as one HTML page with its pictures inside."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -67,7 +67,6 @@ def as_html(sections: Sequence[Section], *, title: str, tables: Sequence[Table] 
         title=title,
         created=_now(),
         versions=versions(),
-        tables=[_table_cells(table) for table in tables],
         sections=[_section_cells(section) for section in sections],
     )
 
@@ -109,11 +108,10 @@ def write_report(
     title: str,
     seed: int,
     settings: dict[str, Any],
-    tables: Sequence[Table] = (),
 ) -> list[Path]:
     """Writes `report.html`, `results.json` and, for each section with posteriors,
     `<kind>_chains.nc` into `folder` (made if needed); returns their paths."""
-    page = as_html(sections, title=title, tables=tables)
+    page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []
     for name, text in (("report.html", page), ("results.json", data)):

@@ -1,0 +1,175 @@
+"""The commands as a user meets them: tables and JSON, one sentence and status 2 for bad input,
+nothing left behind."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fitting.cli import app
+from fitting.report import as_json
+from jaxvision.io import read_image, write_image
+
+RUNNER = CliRunner()
+
+
+def run(*arguments):
+    """Exit status, standard output and standard error of a command run in this process."""
+    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def one_sentence(stderr):
+    """The message of a refused command: a single line that is no traceback."""
+    lines = [line for line in stderr.strip().splitlines() if line.startswith("jaxvision-fit:")]
+    assert len(lines) == 1, stderr
+    assert "Traceback" not in stderr
+    return lines[0]
+
+
+def broken_rig(folder, **sections):
+    """A copy of nothing but a rig: `[camera]` and the given TOML text."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rig.toml").write_text("\n".join(["[camera]", "bits = 12", *sections.values()]))
+    return folder
+
+
+@pytest.mark.parametrize("command", ["noise", "response", "brdf"])
+def test_a_folder_without_rig(command, tmp_path):
+    status, _, stderr = run(command, tmp_path, "--out", tmp_path / "out")
+    assert status == 2
+    assert "no such rig file" in one_sentence(stderr)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "section"),
+    [("noise", "[[flat]]"), ("response", "[[exposure]]"), ("brdf", "[[light]]")],
+)
+def test_a_rig_without_the_section_a_command_needs(command, section, tmp_path):
+    status, _, stderr = run(command, broken_rig(tmp_path / "rig"))
+    assert status == 2
+    assert section in one_sentence(stderr)
+
+
+def test_unknown_options_and_models_exit_with_2(tmp_path):
+    assert run("noise", tmp_path, "--nonsense")[0] == 2
+    assert run("brdf", tmp_path, "--model", "mirror")[0] == 2
+    assert run("noise", tmp_path, "--mcmc", "--walkers", "2")[0] == 2
+
+
+def test_noise_writes_report_results_and_chains_and_prints_json(lab, tmp_path):
+    folder, truth = lab
+    status, stdout, _ = run("noise", folder / "noise", "--out", tmp_path / "out", "--json")
+    assert status == 0
+    printed = json.loads(stdout)
+    stored = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert printed["sections"] == stored["sections"]
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"report.html", "results.json", "noise_chains.nc"}
+    gain = next(e for e in stored["sections"][0]["estimates"] if e["name"] == "system_gain")
+    assert gain["interval_95"][0] < truth.system_gain < gain["interval_95"][1]
+
+
+def test_the_output_folder_that_is_a_file_is_named(lab, tmp_path):
+    folder, _ = lab
+    (tmp_path / "out").write_text("in the way")
+    status, _, stderr = run("noise", folder / "noise", "--out", tmp_path / "out")
+    assert status == 2
+    assert "out" in one_sentence(stderr)
+    assert (tmp_path / "out").read_text() == "in the way"
+
+
+def rig_with(folder, target, edit):
+    """Links every image of a rig folder into `target` and writes its rig through `edit`."""
+    target.mkdir()
+    for file in folder.iterdir():
+        if file.name != "rig.toml":
+            (target / file.name).symlink_to(file)
+    (target / "rig.toml").write_text(edit((folder / "rig.toml").read_text()))
+    return target
+
+
+def same(text):
+    return text
+
+
+@pytest.mark.parametrize(
+    ("section", "image", "pixels", "expected"),
+    [
+        ("noise", "flat_03_00.tif", None, "no such image file"),
+        ("noise", "flat_03_00.tif", np.zeros((4, 4), np.uint16), "size"),
+        ("noise", "flat_03_00.tif", np.zeros((240, 320), np.uint8), "8-bit data"),
+        ("noise", "flat_03_00.tif", b"junk", "not readable"),
+        ("response", "stack_03.png", np.zeros((4, 4, 3), np.uint8), "size"),
+        ("response", "stack_03.png", np.zeros((96, 128, 3), np.uint16) + 300, "do not fit"),
+        ("brdf", "light_03.tif", np.zeros((4, 4, 3), np.uint16), "size"),
+        ("brdf", "light_03.tif", None, "no such image file"),
+    ],
+)
+def test_bad_images_are_named(lab, tmp_path, section, image, pixels, expected):
+    rig = rig_with(lab[0] / section, tmp_path / "rig", same)
+    (rig / image).unlink()
+    if isinstance(pixels, bytes):
+        (rig / image).write_bytes(pixels)
+    elif pixels is not None:
+        write_image(rig / image, pixels)
+    status, _, stderr = run(section, rig, "--out", tmp_path / "out")
+    assert status == 2
+    sentence = one_sentence(stderr)
+    assert image in sentence
+    assert expected in sentence
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("section", "pattern", "level"),
+    [
+        ("response", "stack_*.png", 255),
+        ("response", "stack_*.png", 0),
+        ("brdf", "light_*.tif", 4095),
+        ("brdf", "light_*.tif", 0),
+        ("noise", "flat_*.tif", 4095),
+        ("noise", "flat_*.tif", 0),
+    ],
+)
+def test_images_without_information_are_refused(lab, tmp_path, section, pattern, level):
+    rig = rig_with(lab[0] / section, tmp_path / "rig", same)
+    for file in rig.glob(pattern):
+        shape = read_image(file).shape
+        dtype = read_image(file).dtype
+        file.unlink()
+        write_image(file, np.full(shape, level, dtype))
+    status, _, stderr = run(section, rig, "--out", tmp_path / "out")
+    assert status == 2
+    one_sentence(stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_equal_exposures_are_refused(lab, tmp_path):
+    def equal(text):
+        lines = text.splitlines()
+        return "\n".join("exposure = 0.01" if "exposure =" in line else line for line in lines)
+
+    rig = rig_with(lab[0] / "response", tmp_path / "rig", equal)
+    status, _, stderr = run("response", rig)
+    assert status == 2
+    assert "exposure" in one_sentence(stderr)
+
+
+def test_the_installed_command_shows_no_traceback(tmp_path):
+    command = Path(sys.executable).with_name("jaxvision-fit")
+    ran = subprocess.run([command, "noise", tmp_path], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    one_sentence(ran.stderr)
+    assert ran.stdout == ""
+
+
+def test_json_of_nothing_is_still_json():
+    assert json.loads(as_json([], seed=0, settings={}))["sections"] == []
