@@ -1,0 +1,38 @@
+"""Llanos' linear camera: gamma is 1 to within what its shutter and linearity allow."""
+
+import numpy as np
+import pytest
+from exposure_rigs import write_bandpass_rig
+
+from fitting.response import (
+    calibrate_response,
+    largest_departure,
+    read_exposure_stack,
+    response_section,
+)
+from fitting.rig import load_rig
+
+
+@pytest.mark.real
+def test_linear_camera_has_gamma_one(data_folder, tmp_path):
+    """The bands at 500 and 600 nm, each in the sites that see it; published linearity .1 to 4 %."""
+    folder = write_bandpass_rig(data_folder, tmp_path, bands=("500nm", "600nm"))
+    stack = read_exposure_stack(load_rig(folder))
+    assert stack.planes[0].black < 0.01  # the dark frames
+    calibration = calibrate_response(stack)
+    bright = [
+        channel
+        for channel in calibration.channels
+        if channel.plane.label
+        in ("500nm green 1", "500nm green 2", "600nm red", "600nm green 1", "600nm green 2")
+    ]
+    assert len(bright) == 5
+    for channel in bright:
+        gamma = channel.gamma.gamma
+        assert abs(gamma.value - 1) < 0.01
+        assert gamma.standard_error < 0.005
+        assert largest_departure(channel.curve, channel.gamma.departure)[0] < 0.04
+    holding = [c.gamma.gamma.interval_95[0] < 1 < c.gamma.gamma.interval_95[1] for c in bright]
+    assert np.mean(holding) >= 0.6
+    # Where an interval misses 1, the report says that the exposure times disagree.
+    assert any("disagree on their exposure" in s for s in response_section(calibration).findings)

@@ -1,0 +1,150 @@
+"""From a rig folder to a section: planes, masks, merged map, findings, refusals."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.stacks import exposure_stack, gamma, srgb
+
+from fitting.radiance_map import merge
+from fitting.response import (
+    calibrate_response,
+    radiance_images,
+    read_exposure_stack,
+    response_section,
+)
+from fitting.response_curve import fit_response_curve
+from fitting.results import find
+from fitting.rig import load_rig
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+TIMES = 2.0 ** np.arange(-4, 5)
+SIZE = (64, 80)
+
+
+def write_rig(folder: Path, images, times=TIMES, *, camera: str = "bits = 8") -> Path:
+    entries = []
+    for i, (image, t) in enumerate(zip(images, times, strict=True)):
+        write_image(folder / f"{i}.png", image)
+        entries.append(f'[[exposure]]\nfile = "{i}.png"\nexposure = {t}\n')
+    (folder / "rig.toml").write_text(f"[camera]\n{camera}\n" + "\n".join(entries))
+    return folder
+
+
+def colour_images(response=srgb, seed=0):
+    rng = np.random.default_rng(seed)
+    planes = [exposure_stack(response, TIMES, rng, pixels=SIZE[0] * SIZE[1])[1] for _ in range(3)]
+    return np.stack(planes, axis=-1).reshape(len(TIMES), *SIZE, 3).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory):
+    folder = write_rig(tmp_path_factory.mktemp("rig"), colour_images())
+    return calibrate_response(read_exposure_stack(load_rig(folder)))
+
+
+def test_section_of_a_colour_stack(calibration):
+    section = response_section(calibration)
+    assert section.kind == "response"
+    for channel in ("red", "green", "blue"):
+        assert find(section.estimates, "gamma", group=channel).value == pytest.approx(2.1, abs=0.15)
+        assert channel in section.posteriors
+    assert any("not a pure gamma" in sentence for sentence in section.findings)
+    assert any("sRGB curve fits better" in sentence for sentence in section.findings)
+    assert all(sentence.endswith(".") for sentence in section.findings)
+
+
+def test_pictures_are_drawn(calibration, tmp_path):
+    for picture in response_section(calibration).pictures:
+        picture.draw().savefig(tmp_path / f"{picture.name}.png", dpi=40)
+        assert (tmp_path / f"{picture.name}.png").stat().st_size > 2000
+
+
+def test_merged_map_is_the_scene():
+    rng = np.random.default_rng(1)
+    irradiance, codes = exposure_stack(gamma(2.2), TIMES, rng)
+    merged = merge(codes, TIMES, fit_response_curve(codes, TIMES, bits=8))
+    error = np.log(merged.radiance / irradiance)
+    error -= np.median(error)
+    # Shot noise of all the electrons that the unclipped exposures collect.
+    unclipped = (irradiance * TIMES[:, None] < 0.95) * TIMES[:, None]
+    ideal = 1 / np.sqrt(8000 * irradiance * unclipped.sum(axis=0))
+    bright = irradiance > 0.02
+    assert np.std(error[bright]) < 1.5 * np.sqrt(np.mean(ideal[bright] ** 2))
+    assert np.mean(np.abs(error) < 3 * merged.relative_error) > 0.9
+    assert np.isfinite(merged.radiance).all()
+
+
+def test_pixels_clipped_everywhere_are_bounds():
+    rng = np.random.default_rng(2)
+    irradiance, codes = exposure_stack(gamma(2.2), TIMES, rng)
+    codes[:, 0], codes[:, 1] = 255, 0
+    merged = merge(codes, TIMES, fit_response_curve(codes, TIMES, bits=8))
+    assert merged.coverage[0] == merged.coverage[1] == 0
+    # Tonal comparison with the brightest and darkest of the others.
+    assert merged.radiance[0] > np.quantile(merged.radiance, 0.999)
+    assert merged.radiance[1] < np.quantile(merged.radiance, 0.01)
+    assert irradiance.min() > 0
+
+
+def test_mosaic_is_taken_apart(tmp_path):
+    rng = np.random.default_rng(3)
+    _, codes = exposure_stack(gamma(1.0), TIMES, rng, pixels=96 * 128)
+    images = codes.reshape(len(TIMES), 96, 128).astype(np.uint8)
+    folder = write_rig(tmp_path, images, camera='bits = 8\npattern = "GBRG"')
+    calibration = calibrate_response(read_exposure_stack(load_rig(folder)))
+    names = [channel.plane.channel for channel in calibration.channels]
+    assert names == ["green 1", "blue", "red", "green 2"]
+    assert radiance_images(calibration)[""].shape == (48, 64, 3)
+
+
+def test_black_level_is_read_off_unresponsive_pixels(tmp_path):
+    rng = np.random.default_rng(4)
+    _, codes = exposure_stack(gamma(2.2), TIMES, rng, pixels=SIZE[0] * SIZE[1], pedestal=20)
+    codes[:, :200] = 20
+    folder = write_rig(tmp_path, codes.reshape(len(TIMES), *SIZE).astype(np.uint8))
+    stack = read_exposure_stack(load_rig(folder))
+    assert stack.planes[0].black == 20
+    assert stack.planes[0].clip == 255
+
+
+def test_mask_keeps_what_it_says(tmp_path):
+    folder = write_rig(tmp_path, colour_images())
+    mask = np.zeros(SIZE, bool)
+    with pytest.raises(InputError, match="leaves no pixel"):
+        read_exposure_stack(load_rig(folder), mask=mask)
+    with pytest.raises(InputError, match="resize"):
+        read_exposure_stack(load_rig(folder), mask=np.ones((3, 3), bool))
+    mask[:2, :20] = True
+    with pytest.raises(InputError, match="well exposed"):
+        calibrate_response(read_exposure_stack(load_rig(folder), mask=mask))
+
+
+@pytest.mark.parametrize(
+    ("images", "times", "message"),
+    [
+        (np.full((2, 8, 8), 9, np.uint8), [1.0, 1.0], "different exposure times"),
+        (np.full((1, 8, 8), 9, np.uint8), [1.0], "at least two"),
+        ([np.zeros((8, 8), np.uint8), np.zeros((8, 9), np.uint8)], [1.0, 2.0], "same size"),
+    ],
+)
+def test_unusable_stacks_are_refused(tmp_path, images, times, message):
+    with pytest.raises(InputError, match=message):
+        read_exposure_stack(load_rig(write_rig(tmp_path, images, times)))
+
+
+def test_fractions_are_refused(tmp_path):
+    folder = write_rig(tmp_path, colour_images())
+    np.save(tmp_path / "half.npy", np.full((*SIZE, 3), 10.5))
+    rig = (folder / "rig.toml").read_text().replace('"0.png"', '"half.npy"')
+    (folder / "rig.toml").write_text(rig)
+    with pytest.raises(InputError, match="fractions"):
+        read_exposure_stack(load_rig(folder))
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_dark_or_saturated_stacks_are_refused_with_their_reason(tmp_path, level):
+    folder = write_rig(tmp_path, np.full((9, *SIZE), level, np.uint8))
+    with pytest.raises(InputError, match="well exposed"):
+        calibrate_response(read_exposure_stack(load_rig(folder)))

@@ -1,0 +1,186 @@
+"""The response curve against stacks simulated from known curves."""
+
+import numpy as np
+import pytest
+from oracles.stacks import exposure_stack, gamma, log_exposures, s_shaped, srgb
+
+from fitting.code_pairs import (
+    NoiseModel,
+    code_bins,
+    hat_rule,
+    noise_rule,
+    observe,
+    pair_statistics,
+)
+from fitting.response_curve import (
+    fit_response_curve,
+    log_exposure_at,
+    roughness,
+    shutter_basis,
+)
+from jaxvision.errors import InputError
+
+TIMES = 2.0 ** np.arange(-4, 5)
+CURVES = {"gamma 2.2": gamma(2.2), "srgb": srgb, "s-shaped": s_shaped, "linear": gamma(1.0)}
+
+
+def log_rms(found: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square of ln exposure errors, a common factor aside."""
+    error = found - truth
+    return float(np.std(error - np.median(error)))
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_curve_is_recovered_between_codes_20_and_235(name):
+    _, codes = exposure_stack(CURVES[name], TIMES, np.random.default_rng(1))
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    judged = (curve.codes >= 20) & (curve.codes <= 235)
+    truth = log_exposures(CURVES[name], curve.codes)
+    assert log_rms(curve.log_exposure[judged], truth[judged]) < 0.004
+    assert curve.monotone
+    assert curve.shutter_error is None
+
+
+def test_low_codes_of_a_quiet_camera():
+    _, codes = exposure_stack(
+        srgb, TIMES, np.random.default_rng(2), full_well=60_000.0, read_noise=2.0
+    )
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    low = (curve.codes >= 5) & (curve.codes < 20)
+    truth = log_exposures(srgb, curve.codes)
+    assert log_rms(curve.log_exposure[low], truth[low]) < 0.03
+
+
+def test_band_holds_the_truth_and_widens_with_shutter_errors():
+    inside, widths = [], []
+    for shutter_error in (0.0, 0.02):
+        for seed in range(4):
+            _, codes = exposure_stack(
+                s_shaped,
+                TIMES,
+                np.random.default_rng(seed),
+                pixels=4000,
+                shutter_error=shutter_error,
+            )
+            curve = fit_response_curve(codes, TIMES, bits=8)
+            judged = (curve.codes >= 20) & (curve.codes <= 235)
+            truth = log_exposures(s_shaped, curve.codes)
+            gap = (curve.log_exposure - truth + truth[127])[judged]
+            inside.append(np.mean(np.abs(gap) < 3 * curve.standard_error[judged] + 1e-3))
+            widths.append(curve.standard_error[24])  # far from mid-scale, where g = 0
+    assert np.mean(inside) > 0.85
+    assert np.mean(widths[4:]) > 2 * np.mean(widths[:4])
+
+
+def test_shutter_errors_are_seen():
+    rng = np.random.default_rng(3)
+    _, codes = exposure_stack(gamma(2.2), TIMES, rng, shutter_error=0.03)
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    assert curve.shutter_error is not None
+    assert 0.01 < curve.shutter_error < 0.09
+    # They show only beyond a common factor and exponent.
+    assert np.abs(shutter_basis(np.log(TIMES)).T @ np.log(TIMES)).max() < 1e-12
+
+
+def test_twelve_bit_codes_with_a_pedestal():
+    rng = np.random.default_rng(4)
+    _, codes = exposure_stack(gamma(1.0), TIMES, rng, bits=12, pedestal=64)
+    curve = fit_response_curve(codes, TIMES, bits=12, black=64.0)
+    assert len(curve.codes) <= 512
+    bright = (curve.codes > 300) & (curve.codes < 3800)
+    assert log_rms(curve.log_exposure[bright], np.log(curve.codes[bright] - 64)) < 0.004
+
+
+def test_pair_statistics_are_the_eliminated_energy():
+    """theta^T A theta against the residuals of the explicit least-squares problem."""
+    rng = np.random.default_rng(5)
+    _, codes = exposure_stack(gamma(2.2), TIMES, rng, pixels=300)
+    bins, log_t = code_bins(8, 0.0, 255.0), np.log(TIMES)
+    g, s = np.sort(rng.normal(size=254)), log_t + rng.normal(0, 0.1, len(log_t))
+    weight = np.append(hat_rule(bins).by_bin, 0.0)
+    energy = 0.0
+    for pixel in bins.lookup[codes].T:
+        w = weight[pixel]
+        if np.count_nonzero(w) >= 2:
+            y = g[pixel] - s
+            energy += np.sum(w * (y - np.average(y, weights=w)) ** 2)
+    found = pair_statistics(codes, log_t, bins, hat_rule(bins), g)
+    theta = np.concatenate([g, s])
+    assert theta @ found.matrix @ theta == pytest.approx(energy, rel=1e-10)
+
+
+def test_statistics_do_not_depend_on_chunks(monkeypatch):
+    _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(6), pixels=3000)
+    bins, means = code_bins(8, 0.0, 255.0), np.linspace(-5, 2, 254)
+    rule = noise_rule(NoiseModel(1e-2, 1e-3, 1e-4), means)
+    whole = pair_statistics(codes, np.log(TIMES), bins, rule, means)
+    monkeypatch.setattr("fitting.code_pairs.CHUNK", 700)
+    parts = pair_statistics(codes, np.log(TIMES), bins, rule, means)
+    np.testing.assert_allclose(parts.matrix, whole.matrix, atol=1e-9 * np.abs(whole.matrix).max())
+    np.testing.assert_allclose(parts.score, whole.score, atol=1e-9 * np.abs(whole.score).max())
+    assert parts.pixels == whole.pixels
+
+
+def test_clipped_and_black_codes_weigh_nothing():
+    bins = code_bins(8, 10.0, 250.0)
+    assert (bins.lookup[:11] == -1).all()
+    assert (bins.lookup[250:] == -1).all()
+    assert bins.lookup[11] == 0
+    codes = np.array([[5], [60], [255], [120]])
+    seen = observe(bins.lookup[codes], np.zeros(4), np.linspace(-3, 1, 239), hat_rule(bins))
+    np.testing.assert_array_equal(seen.weights[:, 0] > 0, [False, True, False, True])
+
+
+def test_pure_gamma_costs_nothing_in_the_prior():
+    bins = code_bins(8, 0.0, 255.0)
+    pure = 2.2 * np.log(bins.centres)
+    scale = np.abs(roughness(bins)).max() * np.abs(pure).max() ** 2
+    assert abs(pure @ roughness(bins) @ pure) < 1e-12 * scale
+    bent = pure + 0.1 * np.log(bins.centres) ** 2
+    assert bent @ roughness(bins) @ bent > 1e-3
+
+
+def test_between_bins_the_curve_is_interpolated():
+    _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(7), pixels=4000)
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    np.testing.assert_allclose(log_exposure_at(curve, curve.codes), curve.log_exposure)
+
+
+@pytest.mark.parametrize("level", [0, 3, 255])
+def test_images_without_information_are_refused(level):
+    codes = np.full((9, 5000), level, np.uint16)
+    with pytest.raises(InputError, match="well exposed"):
+        fit_response_curve(codes, TIMES, bits=8)
+
+
+def test_exposures_that_share_no_pixels_are_refused():
+    rng = np.random.default_rng(8)
+    codes = np.zeros((4, 4000), np.uint16)
+    codes[:2, :2000] = rng.integers(60, 200, (2, 2000))
+    codes[2:, 2000:] = rng.integers(60, 200, (2, 2000))
+    with pytest.raises(InputError, match="share no unclipped"):
+        fit_response_curve(codes, np.array([1.0, 2.0, 100.0, 200.0]), bits=8)
+
+
+@pytest.mark.real
+def test_measured_curves_are_recovered(data_folder):
+    """Every fortieth of the 201 DoRF curves (Grossberg & Nayar 2003)."""
+    import scipy.io
+
+    measured = scipy.io.loadmat(data_folder / "camera_response" / "201_CRF_data.mat")
+    errors = []
+    for k in range(0, 201, 40):
+        light, value = measured["I"][k], np.maximum.accumulate(measured["B"][k])
+
+        def response(x, light=light, value=value):
+            return np.interp(x, light, value)
+
+        rng = np.random.default_rng(k)
+        _, codes = exposure_stack(response, TIMES, rng, full_well=20_000.0)
+        curve = fit_response_curve(codes, TIMES, bits=8)
+        rising = value + 1e-9 * np.arange(len(value))
+        truth = np.log(np.interp(curve.codes / 255, rising, np.maximum(light, 1e-6)))
+        judged = (curve.codes >= 20) & (curve.codes <= 235)
+        errors.append(log_rms(curve.log_exposure[judged], truth[judged]))
+    assert np.median(errors) < 0.01
+    assert max(errors) < 0.05
