@@ -32,6 +32,7 @@ __all__ = [
 
 PURE = 0.05  # departure in ln exposure up to which a response counts as a pure gamma
 SURE = 0.02  # standard error of ln exposure up to which a departure is judged
+QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
 EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
 
@@ -139,17 +140,18 @@ def _shutter_estimate(channel: ChannelResponse) -> Estimate:
     if size <= PURE:
         return channel.gamma.shutter_error
     reason = "the response is no pure gamma, so its misfit would count as shutter error"
-    return not_determined("shutter error", "τ", "", reason, group=channel.plane.label)
+    return not_determined("shutter_error", "τ", "", reason, group=channel.plane.label)
 
 
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
     """(|departure| in ln exposure, code) where it is largest, among the codes between 5 and 95 % of
-    the range that are known to 2 %."""
+    the range that are known to 2 % and whose pixels are known to 10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
-    judged = central & curve.seen & (curve.standard_error < SURE) & np.isfinite(departure)
+    known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
+    judged = central & curve.seen & known & np.isfinite(departure)
     if not judged.any():
         return float("nan"), float("nan")
     size = np.where(judged, np.abs(departure), -1)

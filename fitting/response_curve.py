@@ -11,7 +11,8 @@ A pure least-squares fit would shrink the curve, because g multiplies noisy code
 what its gradient amounts to at the true curve (the corrected score of Nakamura, Biometrika 77,
 1990). Errors of all shutters in common, delta ~ 1 or delta ~ ln t, are indistinguishable from
 another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
-sum (ln t - mean)^2, is added to the posterior.
+sum (ln t - mean)^2, is added to the posterior. So is, code by code, an error as large as the terms
+of second order that logarithms of noisy codes leave out, the variance of ln X itself.
 
 Prior: the local exponent dg / d ln(z - black) is a random walk in the clock of `roughness`, in
 which the 201 measured curves of Grossberg & Nayar (2003) are about equally rough all along; a pure
@@ -30,6 +31,7 @@ from jaxtyping import Float, Integer
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 
@@ -41,6 +43,7 @@ from .code_pairs import (
     fit_noise,
     hat_rule,
     noise_rule,
+    noise_variance,
     observe,
     pair_statistics,
 )
@@ -89,6 +92,11 @@ class ResponseCurve:
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
+    def pixel_noise(self) -> Float[np.ndarray, " bins"]:
+        """Standard deviation of one pixel's log exposure at each code."""
+        return np.sqrt(noise_variance(self.noise, self.log_exposure))
+
+    @property
     def monotone(self) -> bool:
         """Whether g rises over the codes that were seen, three standard errors aside."""
         g, covariance = self.log_exposure[self.seen], self.covariance[np.ix_(self.seen, self.seen)]
@@ -123,7 +131,8 @@ def fit_response_curve(
     pilot = codes[:, linked[:: max(1, len(linked) // PILOT_PIXELS)]]
     in_use = _exposures_in_use(pilot, bins)
     codes, pilot, log_t = codes[in_use], pilot[in_use], np.log(exposures[in_use])
-    means, noise, start = _pilot(pilot, log_t, bins, code_bins(bits, black, clip, PILOT_BINS))
+    with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
+        means, noise, start = _pilot(pilot, log_t, bins, code_bins(bits, black, clip, PILOT_BINS))
     offset_t = log_t + start.delta
     statistics = pair_statistics(codes, offset_t, bins, noise_rule(noise, means), means)
     if statistics.pixels < KEPT * len(linked):
@@ -131,7 +140,8 @@ def fit_response_curve(
             "the images agree on no response curve; check the exposure times, the black level, and "
             "that neither scene nor camera moved."
         )
-    found = _solve(statistics, log_t, bins, start.smoothness, start.shutter_error, rounds=3)
+    with threadpool_limits(1, user_api="blas"):
+        found = _solve(statistics, log_t, bins, start.smoothness, start.shutter_error, rounds=3)
     tau = _shutter_error(found, log_t)
     if tau is not None and tau >= SHAKIEST:
         raise InputError(
@@ -330,6 +340,8 @@ def _curve(
     middle = _mid_scale(bins)
     g = _at_centres(found.means, middle)
     covariance = _at_centres(_at_centres(found.covariance, middle).T, middle).T
+    unmodelled = noise_variance(noise, g)
+    covariance = covariance + np.diag(unmodelled**2)
     if tau is not None:
         covariance = covariance + np.outer(g, g) * tau**2 / spread_of_times(exposures)
     return ResponseCurve(
