@@ -24,6 +24,7 @@ def corner_figure(posterior: Posterior) -> Figure:
         plot_datapoints=False,
         label_kwargs={"fontsize": 9},
         max_n_ticks=3,
+        labelpad=0.12,
         fig=Figure(figsize=(size, size)),
     )
 

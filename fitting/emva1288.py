@@ -1,0 +1,378 @@
+"""The data sheet of EMVA Standard 1288, release 3.1, by the standard's own regressions.
+
+    responsivity    mu_y - mu_y.dark = R mu_p                      through the origin, to 70 %
+    gain            var_y - var_y.dark = K (mu_y - mu_y.dark)      through the origin, to 70 %
+    efficiency      eta = R / K
+    dark noise      sigma_y.dark^2 = intercept of var_y.dark over exposure, at least 0.24 DN^2
+                    sigma_d = sqrt(sigma_y.dark^2 - 1/12) / K
+    dark current    slopes of mu_y.dark (/ K) and var_y.dark (/ K^2) over exposure
+    saturation      light at the largest var_y;  mu_e.sat = eta mu_p.sat;  SNR_max = sqrt(mu_e.sat)
+    threshold       mu_p.min = (sigma_y.dark / K + 1/2) / eta;  DR = mu_p.sat / mu_p.min
+    linearity       relative deviations from a line weighted by 1 / signal^2, from 5 % to 95 %
+    fixed pattern   s^2 = s^2_measured - var_y / L;  DSNU = s_dark / K;
+                    PRNU = sqrt(s_50^2 - s_dark^2) / (mu_50 - mu_dark)
+
+Percentages are of the saturation signal. The sheet is a pure function of the measured means and
+variances, so each figure's standard error follows from their sampling covariance by the delta
+method. Where a quantity scatters about its own regression more than pixel noise can (p < 1 %), its
+variances are multiplied by chi-square per degree of freedom (Birge 1932): the regressions stay the
+standard's, the errors tell of the scatter.
+
+Decibels are 20 log10. Usable bits are log2 of the dynamic range.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaincc
+from jaxtyping import Array, Bool, Float
+
+from .levels import Levels, PhotonTransfer, linear_levels, saturation_index
+
+SENSITIVITY_TOP = 0.7
+LINEARITY_RANGE = (0.05, 0.95)
+LEAST_DARK_VARIANCE = 0.24  # DN^2; below, the standard says, rounding rules and sigma_d is a bound
+ROUNDING = 1 / 12
+UNLIKELY = 0.01  # p-value of a chi-square from which scatter is believed
+
+Sheet = dict[str, Float[Array, ""]]
+
+
+class Quantity(NamedTuple):
+    """A line of the sheet. positive: its intervals are symmetric in the logarithm."""
+
+    name: str
+    symbol: str
+    unit: str
+    positive: bool = True
+
+
+QUANTITIES = (
+    Quantity("system_gain", "K", "DN/e⁻"),
+    Quantity("inverse_gain", "1/K", "e⁻/DN"),
+    Quantity("quantum_efficiency", "η", "%"),
+    Quantity("responsivity", "R", "DN/photon"),
+    Quantity("temporal_dark_noise", "σ_y.dark", "DN"),
+    Quantity("read_noise", "σ_d", "e⁻"),
+    Quantity("dark_current_mean", "μ_I.mean", "e⁻/s", False),
+    Quantity("dark_current_variance", "μ_I.var", "e⁻/s", False),
+    Quantity("saturation_photons", "μ_p.sat", "photons"),
+    Quantity("saturation_electrons", "μ_e.sat", "e⁻"),
+    Quantity("snr_max", "SNR_max", "1"),
+    Quantity("snr_max_db", "SNR_max", "dB", False),
+    Quantity("snr_max_bits", "SNR_max", "bit", False),
+    Quantity("threshold_photons", "μ_p.min", "photons"),
+    Quantity("threshold_electrons", "μ_e.min", "e⁻"),
+    Quantity("dynamic_range", "DR", "1"),
+    Quantity("dynamic_range_db", "DR", "dB", False),
+    Quantity("usable_bits", "log₂ DR", "bit", False),
+    Quantity("linearity_error_min", "LE_min", "%", False),
+    Quantity("linearity_error_max", "LE_max", "%", False),
+    Quantity("dsnu", "DSNU", "e⁻"),
+    Quantity("prnu", "PRNU", "%"),
+)
+NEED_PHOTONS = ("quantum_efficiency", "responsivity", "saturation_photons", "threshold_photons")
+NEED_SATURATION = (
+    "saturation_photons",
+    "saturation_electrons",
+    "snr_max",
+    "snr_max_db",
+    "snr_max_bits",
+    "dynamic_range",
+    "dynamic_range_db",
+    "usable_bits",
+)
+
+
+class Ranges(eqx.Module):
+    """Which bright levels enter what. saturation: light at the saturation point and the distance
+    of its two neighbours, between which the true maximum lies; None without saturation."""
+
+    sensitivity: Bool[Array, " levels"]
+    linearity: Bool[Array, " levels"]
+    saturation: Float[Array, ""] | None = None
+    saturation_width: Float[Array, ""] | None = None
+    dark_exposures: int = eqx.field(static=True, default=0)
+
+
+class Statistics(eqx.Module):
+    """What the sheet is a function of: means (DN) and variances (DN^2) of bright and dark levels,
+    and the light at saturation."""
+
+    bright_mean: Float[Array, " levels"]
+    bright_variance: Float[Array, " levels"]
+    dark_mean: Float[Array, " darks"]
+    dark_variance: Float[Array, " darks"]
+    saturation: Float[Array, ""] | None
+
+
+class SamplingErrors(eqx.Module):
+    """Variances of a level's mean and variance, and their covariance."""
+
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    both: Float[Array, " levels"]
+
+
+class Misfit(eqx.Module):
+    """Chi-square per degree of freedom of the four regressions against pixel noise, and the factors
+    by which the variances were multiplied for it (1 where the scatter is no surprise)."""
+
+    dark_mean: Float[Array, ""]
+    dark_variance: Float[Array, ""]
+    responsivity: Float[Array, ""]
+    gain: Float[Array, ""]
+    factors: Float[Array, "4"]
+
+
+class Evaluation(eqx.Module):
+    """The sheet with the standard error of each figure."""
+
+    values: Sheet
+    errors: Sheet
+    misfit: Misfit
+
+
+def ranges(measurement: PhotonTransfer) -> Ranges:
+    """The standard's ranges. Without a saturation point the brightest usable level stands for it
+    there, and no figure that needs saturation is given."""
+    bright = measurement.bright
+    signal = np.asarray(_signal(statistics(measurement, None), measurement))
+    saturated = saturation_index(bright)
+    top = saturated if saturated is not None else int(linear_levels(measurement)[-1])
+    below = np.arange(len(signal)) <= top
+    low, high = LINEARITY_RANGE
+    light, width = None, None
+    if saturated is not None:
+        lights = np.asarray(bright.light)
+        neighbours = lights[max(saturated - 1, 0)], lights[min(saturated + 1, len(lights) - 1)]
+        light, width = jnp.asarray(lights[saturated]), jnp.asarray(neighbours[1] - neighbours[0])
+    return Ranges(
+        sensitivity=jnp.asarray(below & (signal <= SENSITIVITY_TOP * signal[top])),
+        linearity=jnp.asarray(
+            below & (signal >= low * signal[top]) & (signal <= high * signal[top])
+        ),
+        saturation=light,
+        saturation_width=width,
+        dark_exposures=len(np.unique(np.asarray(measurement.dark.exposure))),
+    )
+
+
+def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statistics:
+    """The measured statistics of a sheet."""
+    bright, dark = measurement.bright, measurement.dark
+    return Statistics(bright.mean, bright.variance, dark.mean, dark.variance, saturation)
+
+
+def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
+    """The standard's figures; those the measurement cannot give are left out. Of `measurement` only
+    light and exposures are used."""
+    signal = _signal(stats, measurement)
+    gain = through_origin(signal, _shot_variance(stats, measurement), within.sensitivity)
+    responsivity = through_origin(measurement.bright.light, signal, within.sensitivity)
+    mean_slope, variance_slope, dark_variance = 0.0, 0.0, stats.dark_variance[0]
+    if within.dark_exposures > 2:
+        _, mean_slope = line(measurement.dark.exposure, stats.dark_mean)
+        dark_variance, variance_slope = line(measurement.dark.exposure, stats.dark_variance)
+    figures = derived_figures(
+        gain,
+        responsivity,
+        jnp.maximum(dark_variance, LEAST_DARK_VARIANCE),
+        stats.saturation,
+        photons_known=measurement.photons_known,
+    )
+    if within.dark_exposures > 2:
+        figures["dark_current_mean"] = mean_slope / gain
+        figures["dark_current_variance"] = variance_slope / gain**2
+    low, high = linearity_errors(measurement.bright.light, signal, within.linearity)
+    return figures | {"linearity_error_min": low, "linearity_error_max": high}
+
+
+def derived_figures(
+    gain: Array,
+    responsivity: Array,
+    dark_variance: Array,
+    saturation: Array | None,
+    *,
+    photons_known: bool,
+) -> Sheet:
+    """What follows from K (DN/e-), R (DN per unit of light), sigma_y.dark^2 (DN^2) and the light at
+    saturation. Where the light is counted in seconds, what needs photons is left out."""
+    efficiency = responsivity / gain
+    threshold = jnp.sqrt(dark_variance) / gain + 0.5
+    figures = {
+        "system_gain": gain,
+        "inverse_gain": 1 / gain,
+        "quantum_efficiency": 100 * efficiency,
+        "responsivity": responsivity,
+        "temporal_dark_noise": jnp.sqrt(dark_variance),
+        "read_noise": jnp.sqrt(dark_variance - ROUNDING) / gain,
+        "threshold_photons": threshold / efficiency,
+        "threshold_electrons": threshold,
+    }
+    if saturation is not None:
+        electrons = efficiency * saturation
+        snr = jnp.sqrt(electrons)
+        dynamic_range = electrons / threshold
+        figures |= {
+            "saturation_photons": saturation,
+            "saturation_electrons": electrons,
+            "snr_max": snr,
+            "snr_max_db": 20 * jnp.log10(snr),
+            "snr_max_bits": jnp.log2(snr),
+            "dynamic_range": dynamic_range,
+            "dynamic_range_db": 20 * jnp.log10(dynamic_range),
+            "usable_bits": jnp.log2(dynamic_range),
+        }
+    if not photons_known:
+        figures = {name: x for name, x in figures.items() if name not in NEED_PHOTONS}
+    return figures
+
+
+def linearity_errors(
+    light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """(LE_min, LE_max) in per cent: extreme relative deviations of the signal (DN) from the line
+    that minimises the sum of (deviation / signal)^2."""
+    deviation = linearity_deviation(light, signal, within)
+    return (
+        jnp.min(jnp.where(within, deviation, jnp.inf)),
+        jnp.max(jnp.where(within, deviation, -jnp.inf)),
+    )
+
+
+def linearity_deviation(
+    light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
+) -> Float[Array, " levels"]:
+    """Deviation of each level from the linearity line, in per cent of the line."""
+    safe = jnp.where(within, signal, 1)
+    offset, slope = line(light, signal, weights=jnp.where(within, 1 / safe**2, 0))
+    expected = offset + slope * light
+    return 100 * (signal - expected) / jnp.where(within, expected, 1)
+
+
+def evaluate(measurement: PhotonTransfer, within: Ranges) -> Evaluation:
+    """The sheet and its standard errors."""
+    stats = statistics(measurement, within.saturation)
+    values = sheet(stats, measurement, within)
+    errors, misfit = _sampling(stats, measurement, within, values["system_gain"])
+    bright, dark = errors
+    slopes = jax.jacrev(lambda stats: sheet(stats, measurement, within))(stats)
+
+    def standard_error(slope: Statistics) -> Array:
+        total = _propagated(slope.bright_mean, slope.bright_variance, bright)
+        total = total + _propagated(slope.dark_mean, slope.dark_variance, dark)
+        if within.saturation_width is not None and slope.saturation is not None:
+            # The true maximum lies between the neighbours: triangular over their distance.
+            total = total + slope.saturation**2 * within.saturation_width**2 / 24
+        return jnp.sqrt(total)
+
+    return Evaluation(
+        values, {name: standard_error(slope) for name, slope in slopes.items()}, misfit
+    )
+
+
+def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
+    """Least-squares slope of y = b x over the levels `within`."""
+    return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
+
+
+def line(x: Array, y: Array, weights: Array | None = None) -> tuple[Array, Array]:
+    """(intercept, slope) of the weighted least-squares line."""
+    weights = jnp.ones_like(x) if weights is None else weights
+    total = jnp.sum(weights)
+    centre_x, centre_y = jnp.sum(weights * x) / total, jnp.sum(weights * y) / total
+    away = x - centre_x
+    slope = jnp.sum(weights * away * (y - centre_y)) / jnp.sum(weights * away**2)
+    return centre_y - slope * centre_x, slope
+
+
+def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> SamplingErrors:
+    """Sampling (co)variances of mean and variance over n pixels and L frames; `shot_variance`
+    (DN^2) is the part that is Poisson and so skew: kappa_3 = K var, kappa_4 = K^2 var."""
+    shot = jnp.maximum(shot_variance, 0)
+    n, frames = levels.pixels, levels.frames
+    return SamplingErrors(
+        mean=levels.variance / (n * frames),
+        variance=(2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n,
+        both=gain * shot / (n * frames),
+    )
+
+
+def surprise(chi_square: Array, degrees: Array) -> Array:
+    """The p-value of a chi-square; 1 without degrees of freedom."""
+    free = jnp.maximum(degrees, 1)
+    return jnp.where(degrees > 0, gammaincc(free / 2, chi_square / 2), 1)
+
+
+def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
+    """(chi-square, degrees of freedom) of y about its own weighted line over x."""
+    intercept, slope = line(x, y, 1 / variances)
+    return (
+        jnp.sum((y - intercept - slope * x) ** 2 / variances),
+        jnp.asarray(x.size - 2, y.dtype),
+    )
+
+
+def _signal(stats: Statistics, measurement: PhotonTransfer) -> Array:
+    return stats.bright_mean - stats.dark_mean[measurement.dark_of]
+
+
+def _shot_variance(stats: Statistics, measurement: PhotonTransfer) -> Array:
+    return stats.bright_variance - stats.dark_variance[measurement.dark_of]
+
+
+def _propagated(mean_slope: Array, variance_slope: Array, errors: SamplingErrors) -> Array:
+    return jnp.sum(
+        mean_slope**2 * errors.mean
+        + 2 * mean_slope * variance_slope * errors.both
+        + variance_slope**2 * errors.variance
+    )
+
+
+def _sampling(
+    stats: Statistics, measurement: PhotonTransfer, within: Ranges, gain: Array
+) -> tuple[tuple[SamplingErrors, SamplingErrors], Misfit]:
+    """Sampling errors of (bright, dark), inflated block by block where the regressions say so."""
+    shot = _shot_variance(stats, measurement)
+    bright = sampling_errors(measurement.bright, shot, gain)
+    dark = sampling_errors(measurement.dark, jnp.zeros_like(stats.dark_mean), gain)
+    ratios, factors = [], []
+
+    def judge(chi_square: Array, degrees: Array) -> Array:
+        ratio = chi_square / jnp.maximum(degrees, 1)
+        factor = jnp.where(surprise(chi_square, degrees) < UNLIKELY, jnp.maximum(ratio, 1), 1)
+        ratios.append(ratio)
+        factors.append(factor)
+        return factor
+
+    exposure = measurement.dark.exposure
+    if within.dark_exposures > 2:
+        mean_factor = judge(*line_misfit(exposure, stats.dark_mean, dark.mean))
+        variance_factor = judge(*line_misfit(exposure, stats.dark_variance, dark.variance))
+    else:
+        nothing = jnp.zeros_like(gain)
+        mean_factor, variance_factor = judge(nothing, nothing), judge(nothing, nothing)
+    dark = SamplingErrors(mean_factor * dark.mean, variance_factor * dark.variance, dark.both)
+
+    own_dark = jax.tree.map(lambda error: error[measurement.dark_of], dark)
+    signal, used = _signal(stats, measurement), within.sensitivity
+    degrees = jnp.sum(used, dtype=gain.dtype) - 1
+    responsivity = through_origin(measurement.bright.light, signal, used)
+    missed = signal - responsivity * measurement.bright.light
+    mean_factor = judge(_chi_square(missed, bright.mean + own_dark.mean, used), degrees)
+    missed = shot - gain * signal
+    spread = bright.variance + own_dark.variance + gain**2 * (bright.mean + own_dark.mean)
+    variance_factor = judge(_chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
+    bright = SamplingErrors(
+        mean_factor * bright.mean, variance_factor * bright.variance, bright.both
+    )
+    return (bright, dark), Misfit(*ratios, factors=jnp.stack(factors))
+
+
+def _chi_square(missed: Array, variances: Array, used: Array) -> Array:
+    safe = jnp.where(used & (variances > 0), variances, 1)
+    return jnp.sum(jnp.where(used, missed**2 / safe, 0))

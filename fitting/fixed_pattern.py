@@ -1,0 +1,99 @@
+"""Fixed pattern of a sensor from the spatial variances of its levels: DSNU and PRNU.
+
+    s^2 = s^2_measured - var_y / L                 pattern left after L frames of temporal noise
+    s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   what dark signal and gain of the pixels add up to
+
+The standard (EMVA 1288, release 3.1) takes one dark level and one at half of saturation; the
+weighted fit takes all. Uneven light counts as PRNU in both. Errors are those of the population
+that the die's n pixels are a sample of: 2 s^4 / n for the pattern itself, beside temporal noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .emva1288 import Ranges
+from .levels import LINEAR_TOP, Levels, PhotonTransfer
+
+HALF = 0.5  # of the saturation signal: where the standard measures PRNU
+SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
+
+
+@dataclass(frozen=True)
+class PatternVariance:
+    """s_dark^2 (DN^2) and PRNU^2 with their variances; `level`: the bright level used, None where
+    all were."""
+
+    dark: float
+    dark_error: float
+    response: float
+    response_error: float
+    chi_square_per_dof: float | None = None
+    level: int | None = None
+
+
+def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
+    """(s^2, its variance by temporal noise) of each level, DN^2 and DN^4."""
+    measured, temporal, frames = (
+        np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
+    )
+    n, rest = float(levels.pixels), temporal / frames
+    pattern = measured - rest
+    by_noise = (4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)) / n
+    return pattern, by_noise
+
+
+def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
+    """The standard's two levels: most frames first, then closest to half of saturation."""
+    bright, dark, pixels = measurement.bright, measurement.dark, float(measurement.dark.pixels)
+    pattern, by_noise = pattern_variance(bright)
+    dark_pattern, dark_by_noise = pattern_variance(dark)
+    matched = np.asarray(measurement.dark_of)
+    signal = _signal(measurement)
+    linear = np.flatnonzero(np.asarray(within.linearity))
+    half = HALF * signal[linear].max() / LINEAR_TOP
+    frames = np.minimum(np.asarray(bright.frames), np.asarray(dark.frames)[matched])[linear]
+    level = int(linear[np.lexsort((np.abs(signal[linear] - half), -frames))[0]])
+    own = matched[level]
+    square = signal[level] ** 2
+    variances = by_noise + 2 * pattern**2 / pixels
+    dark_variances = dark_by_noise + 2 * dark_pattern**2 / pixels
+    return PatternVariance(
+        dark=float(dark_pattern[own]),
+        dark_error=float(np.sqrt(dark_variances[own])),
+        response=float((pattern[level] - dark_pattern[own]) / square),
+        response_error=float(np.sqrt(variances[level] + dark_variances[own]) / square),
+        level=level,
+    )
+
+
+def fitted_pattern(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> PatternVariance:
+    """Weighted least squares over all darks and the `usable` bright levels."""
+    pattern, by_noise = pattern_variance(measurement.bright)
+    dark_pattern, dark_by_noise = pattern_variance(measurement.dark)
+    square = np.concatenate([_signal(measurement)[usable] ** 2, np.zeros(len(dark_pattern))])
+    observed = np.concatenate([pattern[usable], dark_pattern])
+    spread = np.sqrt(np.concatenate([by_noise[usable], dark_by_noise]))
+    design = np.stack([np.ones_like(square), square], axis=1) / spread[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    found = covariance @ (design.T @ (observed / spread))
+    chi_square = float(np.sum((observed / spread - design @ found) ** 2))
+    degrees = max(len(observed) - 2, 1)
+    covariance = covariance * max(chi_square / degrees, 1)
+    of_sample = 2 * found**2 / float(measurement.bright.pixels)
+    errors = np.sqrt(np.diagonal(covariance) + of_sample)
+    return PatternVariance(
+        dark=float(found[0]),
+        dark_error=float(errors[0]),
+        response=float(found[1]),
+        response_error=float(errors[1]),
+        chi_square_per_dof=chi_square / degrees,
+    )
+
+
+def _signal(measurement: PhotonTransfer) -> Float[np.ndarray, " levels"]:
+    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
+    return np.asarray(measurement.bright.mean) - dark

@@ -1,0 +1,89 @@
+"""The record of a photon transfer measurement, and which of its levels are below saturation.
+
+At one level every pixel sees the same light in L frames. With S1, S2 the sums of its digital
+numbers and of their squares,
+
+    mean      y   = S1 / L                               averaged over the pixels
+    variance  s^2 = (L S2 - S1^2) / (L (L - 1))          averaged over the pixels
+    spatial   s^2_measured = variance of S1 / L over the pixels
+
+so that all frames of a level count, and a fixed pattern cancels from the temporal variance. DN is
+the digital number; exposures are seconds; light is counted in photons per pixel and exposure.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+FEWEST_PIXELS = 100
+SATURATED_DROP = 5.0  # standard errors by which the variance falls behind the saturation point
+LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
+CLEAR_OF_CLIPPING = 4.0  # standard deviations
+
+
+class Levels(eqx.Module):
+    """Statistics of the frames taken at each level of light.
+
+    light: photons per pixel (0 in the dark). exposure: s. mean: DN. variance: temporal, DN^2.
+    frames: L. pixels: how many. spatial_variance: measured over the pixels' means, DN^2, None
+    where only sums over the pixels are known.
+    """
+
+    light: Float[Array, " levels"]
+    exposure: Float[Array, " levels"]
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    frames: Float[Array, " levels"]
+    pixels: Float[Array, ""]
+    spatial_variance: Float[Array, " levels"] | None = None
+
+
+class PhotonTransfer(eqx.Module):
+    """A photon transfer measurement, levels in the order of their light.
+
+    dark_of: index of the dark that belongs to each bright level. light_step: what the photon counts
+    were rounded to, photons. photons_known: false where `bright.light` is the exposure in seconds,
+    for want of a photon count. full_scale: largest DN, None where unknown. remarks: what the reader
+    of the measurement did with it, in sentences.
+    """
+
+    bright: Levels
+    dark: Levels
+    dark_of: Int[Array, " levels"]
+    light_step: Float[Array, ""]
+    photons_known: bool = eqx.field(static=True, default=True)
+    full_scale: float | None = eqx.field(static=True, default=None)
+    remarks: tuple[str, ...] = eqx.field(static=True, default=())
+
+
+def saturation_index(levels: Levels) -> int | None:
+    """The standard's saturation point: the level of largest temporal variance, None where the
+    variance does not fall significantly behind it."""
+    variance = np.asarray(levels.variance)
+    degrees = np.asarray(levels.pixels * (levels.frames - 1))
+    peak = int(np.argmax(variance))
+    behind = variance[peak + 1 :]
+    if not behind.size:
+        return None
+    drop = SATURATED_DROP * variance[peak] * np.sqrt(2 / degrees[peak])
+    return peak if behind.min() < variance[peak] - drop else None
+
+
+def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
+    """Indices of bright levels that neither full well nor ADC has touched: up to 95 % of the
+    saturation signal and four standard deviations below full scale."""
+    bright = measurement.bright
+    mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
+    usable = variance > 0
+    if measurement.full_scale is not None:
+        usable &= mean + CLEAR_OF_CLIPPING * np.sqrt(variance) <= measurement.full_scale
+    saturated = saturation_index(bright)
+    if saturated is not None:
+        signal = mean - np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
+        usable &= signal <= LINEAR_TOP * signal[saturated]
+    return np.flatnonzero(usable)
+
+
+def rounding_step(amounts: np.ndarray) -> float:
+    """1 where all counts are whole numbers, as if rounded; else 0."""
+    return 1.0 if np.array_equal(amounts, np.round(amounts)) else 0.0

@@ -1,0 +1,156 @@
+"""A photon transfer measurement from a CSV table: one row per level, bright and dark at the same
+exposure.
+
+Columns: `photons_per_pixel`; one of `exposure_s`, `_ms`, `_us`, `_ns`; the four moments
+`mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN`, `var_dark_DN2`, or the sums `bright_sum` (of S1
+over the pixels), `bright_pvar` (of L (L S2 - S1^2)), `dark_sum`, `dark_pvar`; `frames` (L, default
+2); and `pixels`, unless sums and means together give it. Lines that start with # are skipped.
+"""
+
+import csv
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.errors import InputError
+
+from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, rounding_step
+
+COUNT_COLUMNS = ("bright_sum", "bright_pvar", "dark_sum", "dark_pvar")
+MOMENT_COLUMNS = ("mean_bright_DN", "var_bright_DN2", "mean_dark_DN", "var_dark_DN2")
+PIXELS_COLUMN, FRAMES_COLUMN = "pixels", "frames"
+EXPOSURE_UNITS = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6, "exposure_ns": 1e-9}
+
+
+def read_table(file: Path, bits: int | None) -> PhotonTransfer:
+    """The measurement in a table; `bits` as declared, None to infer it. `InputError` names the
+    column or row that is missing or wrong."""
+    columns = _columns(file)
+    units = [name for name in EXPOSURE_UNITS if name in columns]
+    if not units:
+        raise InputError(
+            f"{file}: has no exposure column; name one of {', '.join(EXPOSURE_UNITS)}."
+        )
+    light = _column(file, columns, "photons_per_pixel")
+    exposure = _column(file, columns, units[0]) * EXPOSURE_UNITS[units[0]]
+    frames = columns.get(FRAMES_COLUMN, np.full(len(light), 2.0))
+    pixels = _pixels(file, columns, frames)
+    moments = _moments(file, columns, frames, pixels)
+    order = np.argsort(light, kind="stable")
+    size = jnp.asarray(float(pixels))
+    bright, dark = (
+        Levels(
+            light=jnp.asarray(amount[order]),
+            exposure=jnp.asarray(exposure[order]),
+            mean=jnp.asarray(mean[order]),
+            variance=jnp.asarray(variance[order]),
+            frames=jnp.asarray(frames[order]),
+            pixels=size,
+        )
+        for amount, mean, variance in (
+            (light, moments[0], moments[1]),
+            (np.zeros_like(light), moments[2], moments[3]),
+        )
+    )
+    full_scale, remarks = _depth(file, bits, moments[0], moments[1])
+    return PhotonTransfer(
+        bright=bright,
+        dark=dark,
+        dark_of=jnp.arange(len(light)),
+        light_step=jnp.asarray(rounding_step(light)),
+        full_scale=full_scale,
+        remarks=remarks,
+    )
+
+
+def _columns(file: Path) -> dict[str, np.ndarray]:
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: no such table; check the name and the folder.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{file}: not a CSV table ({error}); export it again.") from error
+    if len(rows) < 2:
+        raise InputError(f"{file}: holds no rows under its heads; give one row per level of light.")
+    heads = [name.strip() for name in rows[0]]
+    numbers = np.empty((len(rows) - 1, len(heads)))
+    for i, row in enumerate(rows[1:]):
+        if len(row) != len(heads):
+            raise InputError(
+                f"{file}: row {i + 1} has {len(row)} cells under {len(heads)} heads; mend that row."
+            )
+        for j, cell in enumerate(row):
+            try:
+                numbers[i, j] = float(cell)
+            except ValueError as error:
+                raise InputError(
+                    f"{file}: {cell!r} in row {i + 1} of column {heads[j]} is no number; mend it."
+                ) from error
+    if not np.isfinite(numbers).all():
+        i, j = np.argwhere(~np.isfinite(numbers))[0]
+        raise InputError(f"{file}: row {i + 1} of column {heads[j]} is not finite; mend it.")
+    return dict(zip(heads, numbers.T, strict=True))
+
+
+def _column(file: Path, columns: dict[str, np.ndarray], name: str) -> np.ndarray:
+    if name not in columns:
+        raise InputError(f"{file}: has no column {name}; add it (there are {', '.join(columns)}).")
+    return columns[name]
+
+
+def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> int:
+    """The pixel count: given, or what sums and means imply."""
+    if PIXELS_COLUMN in columns:
+        counts = columns[PIXELS_COLUMN]
+    elif "bright_sum" in columns and "mean_bright_DN" in columns:
+        counts = columns["bright_sum"] / (frames * columns["mean_bright_DN"])
+    else:
+        raise InputError(
+            f"{file}: says nothing of the number of pixels, on which every error depends; add a "
+            f"column {PIXELS_COLUMN}."
+        )
+    count = round(float(np.median(counts)))
+    if count < FEWEST_PIXELS or np.any(np.abs(counts / count - 1) > 1e-6):
+        raise InputError(
+            f"{file}: its rows speak of {counts.min():g} to {counts.max():g} pixels; all need the "
+            f"same number, at least {FEWEST_PIXELS}."
+        )
+    return count
+
+
+def _moments(
+    file: Path, columns: dict[str, np.ndarray], frames: np.ndarray, pixels: int
+) -> tuple[np.ndarray, ...]:
+    """(bright mean, bright variance, dark mean, dark variance) of each row; from sums where there
+    are sums, being exact."""
+    if not any(name in columns for name in COUNT_COLUMNS):
+        return tuple(_column(file, columns, name) for name in MOMENT_COLUMNS)
+    sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
+    total, within = frames * pixels, frames**2 * (frames - 1) * pixels
+    return sums[0] / total, sums[1] / within, sums[2] / total, sums[3] / within
+
+
+def _depth(
+    file: Path, bits: int | None, mean: np.ndarray, variance: np.ndarray
+) -> tuple[float | None, tuple[str, ...]]:
+    """(full scale, remarks): from `bits`, or from levels at which every pixel reads the same."""
+    brightest = float(mean.max())
+    if bits is not None:
+        if brightest > 2**bits - 1:
+            raise InputError(
+                f"{file}: means reach {brightest:g} DN, more than {bits} bits hold; correct the "
+                "number of bits."
+            )
+        return float(2**bits - 1), ()
+    clipped = np.isclose(mean, brightest) & (variance == 0)
+    implied = np.log2(brightest + 1)
+    if clipped.any() and float(implied).is_integer():
+        return brightest, (
+            f"A bit depth of {implied:.0f} was inferred from {clipped.sum()} levels at which every "
+            f"pixel reads {brightest:.0f} DN.",
+        )
+    return None, (
+        "The table does not show the bit depth, so clipping by the ADC is not looked for.",
+    )

@@ -1,0 +1,118 @@
+"""A real 12-bit camera against its published EMVA 1288 sheet (reference_results.csv)."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from fitting.emva1288 import ranges
+from fitting.levels import linear_levels, saturation_index
+from fitting.noise import calibrate_noise, noise_section
+from fitting.photon_transfer import read_photon_transfer
+from fitting.results import find
+
+pytestmark = pytest.mark.real
+
+
+@pytest.fixture(scope="module")
+def published(data_folder):
+    with (data_folder / "emva1288" / "reference_results.csv").open() as stream:
+        return {row["name"]: float(row["value"]) for row in csv.DictReader(stream)}
+
+
+@pytest.fixture(scope="module")
+def measurement(data_folder):
+    return read_photon_transfer(data_folder / "emva1288" / "temporal_ptc.csv")
+
+
+@pytest.fixture(scope="module")
+def calibration(measurement):
+    return calibrate_noise(measurement)
+
+
+def test_pixel_count_depth_and_ranges_are_found(measurement, published):
+    assert float(measurement.bright.pixels) == 640 * 480
+    assert measurement.full_scale == 2**12 - 1
+    assert saturation_index(measurement.bright) == published["index_u_ysat"]
+    within = ranges(measurement)
+    for mask, name in ((within.sensitivity, "sensitivity"), (within.linearity, "linearity")):
+        used = np.flatnonzero(mask)
+        assert used[0] == published[f"index_{name}_min"]
+        assert used[-1] == published[f"index_{name}_max"]
+    assert linear_levels(measurement)[-1] == 34
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        ("system_gain", "K"),
+        ("inverse_gain", "inverse_K"),
+        ("quantum_efficiency", "QE"),
+        ("responsivity", "R"),
+        ("temporal_dark_noise", "sigma_y_dark"),
+        ("read_noise", "sigma_d"),
+        ("saturation_photons", "u_p_sat"),
+        ("saturation_electrons", "u_e_sat"),
+        ("snr_max", "SNR_max"),
+        ("snr_max_bits", "SNR_max_bit"),
+        ("threshold_photons", "u_p_min"),
+        ("dynamic_range", "DR"),
+        ("linearity_error_min", "LE_min"),
+        ("linearity_error_max", "LE_max"),
+        ("dark_current_mean", "u_I_mean"),
+    ],
+)
+def test_the_standards_sheet_is_the_published_one(calibration, published, ours, theirs):
+    value = float(calibration.standard.values[ours])
+    np.testing.assert_allclose(value, published[theirs], rtol=1e-6)
+    assert 0 < float(calibration.standard.errors[ours]) < abs(value)
+
+
+def test_three_published_figures_are_mended(calibration, published):
+    values = calibration.standard.values
+    # The sheet's decibels are 20 ln of the ratio instead of 20 log10.
+    for ours, theirs in (("snr_max_db", "SNR_max_dB"), ("dynamic_range_db", "DR_dB")):
+        np.testing.assert_allclose(values[ours], published[theirs] / np.log(10), rtol=1e-6)
+    # Its dark current from the variance is the square root of slope / K^2, in no unit; later
+    # versions of the reference code dropped the root.
+    np.testing.assert_allclose(
+        values["dark_current_variance"], published["u_I_var"] ** 2, rtol=1e-5
+    )
+
+
+def test_what_sums_cannot_give_is_not_given(calibration):
+    section = noise_section(calibration)
+    for name in ("dsnu", "prnu"):
+        estimate = find(section.estimates, name)
+        assert estimate.value is None
+        assert "temporal sums" in estimate.reason
+
+
+def test_the_non_linearity_is_noticed_and_explained(calibration):
+    linear, chosen = calibration.linear, calibration.chosen
+    assert linear.chi_square / linear.degrees > 30
+    assert chosen.chi_square / chosen.degrees < 1.3
+    assert chosen.p_value > 0.01
+    bend = float(chosen.values["compression"]) / chosen.errors["compression"]
+    assert bend > 10
+    # Straight from the file: the first levels' shot variance over signal, 0.288, to the last's,
+    # 0.280, against the K of both methods.
+    gain = find(calibration.sheet, "system_gain")
+    assert 0.287 < gain.value < 0.294
+    standard, error = (
+        float(x["system_gain"]) for x in (calibration.standard.values, calibration.standard.errors)
+    )
+    assert gain.value - standard > 4 * np.hypot(gain.standard_error, error)
+    assert abs(calibration.standard_of_chosen - standard) < 2 * error
+    told = " ".join(noise_section(calibration).findings)
+    assert "not linear" in told
+    assert "the gain falls by" in told
+    assert "black level wanders" in told
+
+
+def test_dark_current_by_mean_variance_and_likelihood_agree(calibration):
+    values, errors = calibration.standard.values, calibration.standard.errors
+    spread = np.hypot(errors["dark_current_mean"], errors["dark_current_variance"])
+    assert abs(values["dark_current_mean"] - values["dark_current_variance"]) < 3 * spread
+    both = find(noise_section(calibration).estimates, "dark_current")
+    assert abs(both.value - values["dark_current_mean"]) < 3 * both.standard_error

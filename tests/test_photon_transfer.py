@@ -1,0 +1,211 @@
+"""Reading photon transfer: frames against NumPy on the whole stack, tables, and what is refused."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.cameras import CameraTruth, expose, moments
+
+from fitting.levels import linear_levels, saturation_index
+from fitting.photon_transfer import read_photon_transfer
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+SIZE = (24, 32)
+EXPOSURES = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
+
+
+def write_rig(folder, *, camera="bits = 12", frames=3, light="photons = {p}", change=None):
+    """A small rig; returns its stacks by name."""
+    rng = np.random.default_rng(5)
+    text, stacks = f"[camera]\n{camera}\n", {}
+    for i, exposure in enumerate(EXPOSURES):
+        photons = 1000.0 * (i + 1)
+        for kind, amount in (("flat", photons), ("dark", 0.0)):
+            stack = expose(rng, CameraTruth(), amount, exposure, (frames, *SIZE))
+            stack = stack if change is None else change(kind, i, stack)
+            stacks[kind, i] = stack
+            names = [f"{kind}_{i}_{k}.tif" for k in range(frames)]
+            for name, frame in zip(names, stack, strict=True):
+                write_image(folder / name, frame.astype(np.uint16))
+            text += f"[[{kind}]]\nfiles = {names!r}\nexposure = {exposure}\n"
+            text += light.format(p=photons) + "\n" if kind == "flat" else ""
+    (folder / "rig.toml").write_text(text)
+    return stacks
+
+
+def test_frames_are_reduced_to_the_moments_of_the_whole_stack(tmp_path):
+    stacks = write_rig(tmp_path)
+    read = read_photon_transfer(tmp_path)
+    for kind, levels in (("flat", read.bright), ("dark", read.dark)):
+        for i in range(len(EXPOSURES)):
+            stack = stacks[kind, i]
+            mean, variance, spatial = moments(stack)
+            # The drift of whole frames is no pixel noise; n - 1 degrees of freedom are left.
+            shifts = stack.mean(axis=(1, 2)).var(ddof=1)
+            n = SIZE[0] * SIZE[1]
+            np.testing.assert_allclose(levels.mean[i], mean, rtol=1e-13)
+            np.testing.assert_allclose(levels.variance[i], (variance - shifts) * n / (n - 1))
+            np.testing.assert_allclose(levels.spatial_variance[i], spatial, rtol=1e-11)
+    np.testing.assert_array_equal(read.bright.light, 1000.0 * np.arange(1, 7))
+    np.testing.assert_array_equal(read.dark_of, np.arange(6))
+    assert read.full_scale == 4095
+    assert read.photons_known
+
+
+def test_a_flicker_of_whole_frames_does_not_raise_the_variance(tmp_path):
+    def flicker(kind, i, stack):
+        return stack + 40 * np.arange(len(stack))[:, None, None] * (kind == "flat")
+
+    (tmp_path / "still").mkdir()
+    (tmp_path / "flickering").mkdir()
+    write_rig(tmp_path / "still")
+    write_rig(tmp_path / "flickering", change=flicker)
+    still, moving = (read_photon_transfer(tmp_path / name) for name in ("still", "flickering"))
+    np.testing.assert_allclose(moving.bright.variance, still.bright.variance, rtol=1e-9)
+
+
+def test_irradiance_becomes_photons(tmp_path):
+    camera = "bits = 12\nwavelength = 525e-9\npixel_pitch = 5e-6"
+    write_rig(tmp_path, camera=camera, light="irradiance = 1e-3")
+    read = read_photon_transfer(tmp_path)
+    # EMVA 1288 eq. 4: 50.34 photons per (micrometre^2, ms, micrometre, microwatt / cm^2).
+    expected = 50.34 * 25 * (np.array(EXPOSURES) * 1e3) * 0.525 * 0.1
+    np.testing.assert_allclose(read.bright.light, expected, rtol=1e-4)
+
+
+def test_without_photons_the_light_counts_in_seconds(tmp_path):
+    write_rig(tmp_path, light="")
+    read = read_photon_transfer(tmp_path)
+    assert not read.photons_known
+    np.testing.assert_array_equal(read.bright.light, EXPOSURES)
+
+
+def test_a_mosaic_gives_one_of_its_sites(tmp_path):
+    stacks = write_rig(tmp_path, camera='bits = 12\npattern = "RGGB"')
+    read = read_photon_transfer(tmp_path)
+    np.testing.assert_allclose(read.bright.mean[2], stacks["flat", 2][:, 0::2, 1::2].mean())
+    blue = read_photon_transfer(tmp_path, channel="blue")
+    np.testing.assert_allclose(blue.bright.mean[2], stacks["flat", 2][:, 1::2, 1::2].mean())
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"change": lambda kind, i, s: s * 0 if kind == "dark" else s}, "black is clipped"),
+        ({"change": lambda kind, i, s: s * 0 + 4095 if kind == "flat" else s}, "all are saturated"),
+        (
+            {"change": lambda kind, i, s: np.roll(s, 1, axis=2) * 0 + 60 + s % 3},
+            "as dark as the darks",
+        ),
+        ({"camera": "bits = 8"}, r"do not fit a\s+8-bit camera"),
+        ({"light": "irradiance = 1.0"}, "camera.wavelength and camera.pixel_pitch"),
+    ],
+)
+def test_unusable_frames_are_refused_in_words(tmp_path, options, sentence):
+    write_rig(tmp_path, **options)
+    with pytest.raises(InputError, match=sentence):
+        read_photon_transfer(tmp_path)
+
+
+def test_too_small_or_unlike_frames_are_refused(tmp_path):
+    write_rig(tmp_path)
+    write_image(tmp_path / "flat_2_1.tif", np.full((24, 30), 500, np.uint16))
+    with pytest.raises(InputError, match=r"flat_2_1\.tif.*need the same size"):
+        read_photon_transfer(tmp_path)
+    for file in tmp_path.glob("*.tif"):
+        write_image(file, np.full((5, 5), 500, np.uint16))
+    with pytest.raises(InputError, match="at least 100"):
+        read_photon_transfer(tmp_path)
+
+
+HEAD = (
+    "exposure_ms,photons_per_pixel,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2,pixels"
+)
+ROW = "{0},{1},{2},{3},20.0,6.0,10000"
+
+
+def write_table(path, *, head=HEAD, rows=8, row=ROW, tail=()):
+    lines = [head]
+    lines += [
+        row.format(i + 1, 1000 * (i + 1), 20 + 150 * (i + 1), 6 + 45 * (i + 1)) for i in range(rows)
+    ]
+    path.write_text("\n".join([*lines, *tail]) + "\n")
+    return path
+
+
+def test_a_table_of_moments(tmp_path):
+    read = read_photon_transfer(write_table(tmp_path / "ptc.csv"))
+    np.testing.assert_allclose(read.bright.exposure, 1e-3 * np.arange(1, 9))
+    np.testing.assert_allclose(read.bright.mean, 20 + 150 * np.arange(1, 9))
+    assert float(read.bright.pixels) == 10000
+    assert read.bright.spatial_variance is None
+    assert read.full_scale is None
+    assert "bit depth" in read.remarks[0]
+
+
+def test_sums_and_moments_say_the_same(tmp_path):
+    pixels, frames = 10000, 4
+    rng = np.random.default_rng(2)
+    head = "exposure_s,photons_per_pixel,bright_sum,bright_pvar,dark_sum,dark_pvar,pixels,frames"
+    lines, expected = [head], []
+    for i in range(1, 6):
+        cells = []
+        for amount in (1000.0 * i, 0.0):
+            stack = expose(rng, CameraTruth(), amount, 0.01 * i, (frames, pixels))
+            sums, squares = stack.sum(axis=0), (stack**2).sum(axis=0)
+            cells += [sums.sum(), frames * (frames * squares - sums**2).sum()]
+            expected.append(moments(stack)[:2])
+        lines.append(f"{0.01 * i},{1000 * i},{','.join(map(repr, map(float, cells)))},{pixels},4")
+    file = tmp_path / "sums.csv"
+    file.write_text("\n".join(lines))
+    read = read_photon_transfer(file, bits=12)
+    bright, dark = np.array(expected[0::2]), np.array(expected[1::2])
+    np.testing.assert_allclose(np.stack([read.bright.mean, read.bright.variance], 1), bright)
+    np.testing.assert_allclose(np.stack([read.dark.mean, read.dark.variance], 1), dark)
+    assert read.full_scale == 4095
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"head": HEAD.replace("var_dark_DN2", "dark_variance")}, "no column var_dark_DN2"),
+        ({"head": HEAD.replace("photons_per_pixel", "photons")}, "no column photons_per_pixel"),
+        ({"head": HEAD.replace("exposure_ms", "exposure")}, "no exposure column"),
+        (
+            {"head": HEAD.replace("pixels", "size").replace("per_size", "per_pixel")},
+            "number of pix",
+        ),
+        ({"rows": 0}, "holds no rows"),
+        ({"rows": 3}, "at least 4 are needed"),
+        ({"tail": ("9,9000,1,2",)}, "row 9 has 4 cells"),
+        ({"tail": ("9,9000,x,2,3,4,10000",)}, "'x' in row 9 of column mean_bright_DN"),
+        ({"tail": ("9,9000,nan,2,3,4,10000",)}, "row 9 of column mean_bright_DN is not finite"),
+        ({"tail": ("9,9000,1500,400,20,6,20000",)}, "all need the same number"),
+        ({"row": ROW.replace("20.0,6.0", "20.0,-6.0")}, "negative variance"),
+        ({"row": ROW.replace("{0}", "0")}, "no positive exposure"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_its_column(tmp_path, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read_photon_transfer(write_table(tmp_path / "ptc.csv", **options))
+
+
+def test_a_missing_or_binary_table_and_a_wrong_depth_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such table"):
+        read_photon_transfer(tmp_path / "none.csv")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(InputError, match="not a CSV table"):
+        read_photon_transfer(tmp_path / "binary.csv")
+    with pytest.raises(InputError, match="more than 8 bits"):
+        read_photon_transfer(write_table(tmp_path / "ptc.csv"), bits=8)
+
+
+def test_saturation_is_the_peak_of_the_variance_only_if_it_falls_behind(tmp_path):
+    rising = read_photon_transfer(write_table(tmp_path / "rising.csv"))
+    assert saturation_index(rising.bright) is None
+    np.testing.assert_array_equal(linear_levels(rising), jnp.arange(8))
+    tail = ("9,9000,1370,411,20,6,10000", "10,10000,1380,50,20,6,10000")
+    falling = read_photon_transfer(write_table(tmp_path / "falling.csv", tail=tail))
+    assert saturation_index(falling.bright) == 8
+    # 95 % of the saturation signal, 1350 DN, lies between the signals 1200 and 1350.
+    np.testing.assert_array_equal(linear_levels(falling), np.arange(8))
