@@ -1,0 +1,133 @@
+"""Reflectance of a known shape under known lights: Lambert, Phong or Gaussian lobe, per channel.
+
+All three models are fitted to the same lights and compared on the others; the one asked for is
+reported in full, with what stands in the way of believing it.
+"""
+
+import numpy as np
+
+from .model_comparison import LABELS, comparison_table, verdict
+from .posterior import estimates
+from .reflectance_calibration import ReflectanceCalibration, calibrate_reflectance
+from .reflectance_findings import findings, misfit_table
+from .reflectance_fit import ChannelFit
+from .reflectance_model import parameter_space
+from .results import Estimate, Picture, Section, gaussian_estimate, not_determined
+
+__all__ = ["ReflectanceCalibration", "calibrate_reflectance", "reflectance_section"]
+
+
+def reflectance_section(calibration: ReflectanceCalibration) -> Section:
+    """Estimates, findings, tables and pictures of a calibration."""
+    observation = calibration.observation
+    held_out = int(observation.held_out.sum())
+    return Section(
+        kind="brdf",
+        title=f"Reflectance: {LABELS[calibration.model]}",
+        estimates=_estimates(calibration),
+        findings=(
+            verdict(calibration.scores, held_out),
+            *findings(calibration),
+        ),
+        pictures=_pictures(calibration),
+        tables=(comparison_table(calibration.scores, held_out), misfit_table(calibration)),
+        posteriors=calibration.posteriors,
+        settings={
+            "model": calibration.model,
+            "lights fitted": int((~observation.held_out).sum()),
+            "lights held out": held_out,
+            "pixels of the object": observation.cosine.shape[1],
+            "samples per channel": len(calibration.fitted.light),
+            "smallest n.l": calibration.minimum_cosine,
+            "black level [DN]": observation.black,
+            "clip level [DN]": observation.clip,
+            "gamma": observation.gamma or 1.0,
+        },
+    )
+
+
+def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
+    rows: list[Estimate] = []
+    for fit in calibration.reported:
+        if fit.channel in calibration.posteriors:
+            rows += estimates(calibration.posteriors[fit.channel], group=fit.channel)
+            continue
+        rows += _partial_estimates(fit, calibration.open_parameters[fit.channel])
+    return tuple(rows)
+
+
+def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
+    """What is determined, given the best values of what is not; and the reasons for the rest."""
+    known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
+    errors = np.zeros(len(fit.space))
+    if fit.robustness is not None:
+        errors = np.sqrt(np.diagonal(fit.robustness.covariance))
+    elif known:
+        errors[known] = np.sqrt(np.diagonal(np.linalg.inv(fit.information[np.ix_(known, known)])))
+    rows = [
+        gaussian_estimate(
+            fit.space[i].name,
+            fit.space[i].symbol,
+            fit.space[i].unit,
+            fit.natural[i],
+            fit.natural[i] * errors[i],
+            method="Laplace",
+            group=fit.channel,
+            log_scale=True,
+        )
+        for i in known
+    ]
+    units = {parameter.name: parameter for parameter in parameter_space(fit.requested)}
+    rows += [
+        not_determined(name, units[name].symbol, units[name].unit, why, group=fit.channel)
+        for name, why in reasons.items()
+    ]
+    return rows
+
+
+def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
+    def drawn_by(name: str):
+        def draw():
+            from .figures import reflectance
+
+            return getattr(reflectance, name)(calibration)
+
+        return draw
+
+    model = LABELS[calibration.model]
+    pictures = [
+        Picture(
+            "images",
+            "Measured, predicted, and what is left",
+            f"Two lights of the fit and two held-out ones, {model}. Last row: measured less "
+            "predicted in per cent of the brightest predicted pixel (red: the photograph is "
+            "brighter); saturated pixels are grey.",
+            drawn_by("images_figure"),
+        ),
+        Picture(
+            "lobes",
+            "The two terms of the model against their angle",
+            "Left: signal per unit of light, away from the highlight, against n.l: the diffuse "
+            "term is a straight line. Right: what the diffuse term leaves over, against the angle "
+            "to the mirror direction: the highlight. Dots: medians of the fitted lights, bars: "
+            "middle 68 % of the pixels; lines: the fit.",
+            drawn_by("lobes_figure"),
+        ),
+        Picture(
+            "comparison",
+            "Error of the prediction, by model",
+            "Relative RMS of the predicted images: bars on lights that no fit has seen, black "
+            "lines on the fitted lights. Lower is better; a bar well above its line would be "
+            "over-fitting.",
+            drawn_by("comparison_figure"),
+        ),
+        Picture(
+            "residual_map",
+            "Where the model misses, averaged over all lights",
+            "Measured less predicted, in per cent of the predicted light that each pixel sent over "
+            "all images and channels. Structure here is not noise: light or shape that the model "
+            "does not have.",
+            drawn_by("residual_map_figure"),
+        ),
+    ]
+    return tuple(pictures)

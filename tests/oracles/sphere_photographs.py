@@ -1,0 +1,63 @@
+"""Photographs of a sphere under distant lights, in plain NumPy: textbook shading with arccos, then
+electrons, gain and rounding. Independent of the library."""
+
+import numpy as np
+
+from jaxvision.io import write_image
+
+
+def light_directions(count, *, widest=60.0, seed=0):
+    """Unit vectors toward lights within `widest` degrees of the view."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(np.cos(np.radians(widest)), 1, count)
+    azimuth = rng.uniform(0, 2 * np.pi, count)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+def sphere_normals(size, radius):
+    """Normals (size, size, 3) of a centred sphere, NaN outside of its outline."""
+    middle = (size - 1) / 2
+    row, column = np.mgrid[0:size, 0:size]
+    x, y = (column - middle) / radius, (middle - row) / radius
+    with np.errstate(invalid="ignore"):
+        z = np.sqrt(1 - x**2 - y**2)
+    return np.where(np.isnan(z)[..., None], np.nan, np.stack([x, y, z], axis=-1))
+
+
+def shade(normals, directions, model, diffuse, specular, shape):
+    """(lights, h, w): k_d n.l + k_s lobe where lit, 0 elsewhere and outside of the sphere."""
+    n_l = np.einsum("hwc,lc->lhw", normals, directions)
+    mirrored_z = 2 * n_l * normals[..., 2] - directions[:, None, None, 2]
+    angle = np.arccos(np.clip(mirrored_z, -1, 1))
+    lobe = {
+        "lambert": lambda: 0 * angle,
+        "phong": lambda: np.maximum(mirrored_z, 0) ** shape,
+        "gaussian-lobe": lambda: np.exp(-((shape * angle) ** 2)),
+    }[model]()
+    return np.nan_to_num(np.where(n_l > 0, diffuse * n_l + specular * lobe, 0))
+
+
+def expose(rng, signal, *, gain, read_noise, black, clip):
+    """Digital numbers of a linear signal (DN): Poisson electrons, read noise, rounding, clips."""
+    electrons = rng.poisson(signal / gain) + read_noise * rng.standard_normal(signal.shape)
+    return np.clip(np.round(black + gain * electrons), 0, clip)
+
+
+def write_rig(folder, frames, directions, intensity, *, radius, camera, held_out=None, extra=""):
+    """A folder of 16-bit PNGs with its rig.toml; frames: (lights, h, w[, 3])."""
+    size = frames.shape[1]
+    middle = (size - 1) / 2
+    lines = ["[camera]", *(f"{key} = {value}" for key, value in camera.items())]
+    lines += [f"[geometry]\nsphere = {{ centre = [{middle}, {middle}], radius = {radius} }}", extra]
+    for i, frame in enumerate(frames):
+        write_image(folder / f"{i:02d}.png", frame.astype(np.uint16))
+        lines += [
+            f'[[light]]\nfile = "{i:02d}.png"',
+            f"direction = {[float(x) for x in directions[i]]}",
+            f"intensity = {intensity}",
+        ]
+        if held_out is not None:
+            lines.append(f"held_out = {str(bool(held_out[i])).lower()}")
+    (folder / "rig.toml").write_text("\n".join(lines))
+    return folder

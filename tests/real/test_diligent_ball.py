@@ -1,0 +1,80 @@
+"""The DiLiGenT ball, a real sphere: a lobe predicts unseen lights better than Lambert, the misfit
+is noticed, and the intervals say so. No parameter of it is published: what is checked is the
+prediction of photographs."""
+
+import numpy as np
+import pytest
+from diligent import write_ball_rig
+
+from fitting.reflectance import calibrate_reflectance, reflectance_section
+from fitting.reflectance_calibration import mean_residual
+from fitting.reflectance_observation import read_reflectance_observation
+from fitting.results import find
+from fitting.rig import load_rig
+
+pytestmark = pytest.mark.real
+
+
+@pytest.fixture(scope="module")
+def ball(data_folder, tmp_path_factory):
+    return write_ball_rig(data_folder, tmp_path_factory.mktemp("ball"))
+
+
+@pytest.fixture(scope="module")
+def calibration(ball):
+    return calibrate_reflectance(read_reflectance_observation(load_rig(ball)), model="phong")
+
+
+def predicted_errors(calibration, model):
+    return np.array([s.predicted_error for s in calibration.scores if s.model == model])
+
+
+def test_rounded_light_directions_are_renormalised(ball, data_folder):
+    rig = load_rig(ball)
+    lengths = [np.linalg.norm(light.direction) for light in rig.light]
+    assert 1e-5 < np.abs(np.array(lengths) - 1).max() < 1e-4
+    seen = read_reflectance_observation(rig)
+    cosine = np.cos(seen.mirror_angle)
+    unit = np.array([light.direction for light in rig.light]) / np.array(lengths)[:, None]
+    expected = 2 * (unit @ seen.normals.T) * seen.normals[:, 2] - unit[:, 2:]
+    np.testing.assert_allclose(cosine, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", ["phong", "gaussian-lobe"])
+def test_a_lobe_predicts_held_out_lights_better_in_every_channel(calibration, model):
+    lambert, lobe = (predicted_errors(calibration, name) for name in ("lambert", model))
+    # About .115 .124 .170 against .081 .081 .093.
+    assert np.all(lambert > [0.10, 0.11, 0.15])
+    assert np.all(lobe < [0.09, 0.09, 0.10])
+
+
+def test_prediction_is_as_good_as_the_fit(calibration):
+    for score in calibration.scores:
+        assert score.predicted_error < 1.1 * score.fitted_error
+
+
+def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
+    for fit in calibration.reported:
+        assert fit.design_effect > 50
+        assert 0.03 < fit.spread.relative < 0.10
+    section = reflectance_section(calibration)
+    for channel in ("red", "green", "blue"):
+        specular = find(section.estimates, "specular", group=channel)
+        assert specular.standard_error > 0.05 * specular.value
+        assert find(section.estimates, "diffuse", group=channel).standard_error > 5
+    words = " ".join(section.findings)
+    assert "The highlight is coloured" in words
+    assert "outline of the object" in words
+    assert "Attached shadows are not black" in words
+
+
+def test_the_outline_is_darker_than_any_model_says(calibration):
+    residual, normals = mean_residual(calibration), calibration.observation.normals
+    assert np.nanmean(residual[normals[:, 2] < 0.4]) < -0.05
+    assert abs(np.nanmean(residual[normals[:, 2] > 0.6])) < 0.05
+
+
+@pytest.mark.slow
+def test_pictures_are_drawn(calibration):
+    for picture in reflectance_section(calibration).pictures:
+        assert all(axis.has_data() for axis in picture.draw().axes)

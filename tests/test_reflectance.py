@@ -1,0 +1,297 @@
+"""Reflectance from simulated photographs: right values, honest errors, and refusals in words.
+
+The photographs are NumPy's (`oracles.sphere_photographs`); optima are checked against scipy.
+"""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from oracles.sphere_photographs import (
+    expose,
+    light_directions,
+    shade,
+    sphere_normals,
+    write_rig,
+)
+from scipy.stats import binom
+
+from fitting.posterior import SamplingOptions
+from fitting.reflectance import calibrate_reflectance, reflectance_section
+from fitting.reflectance_calibration import open_parameters
+from fitting.reflectance_cells import group
+from fitting.reflectance_fit import fit_channel, select
+from fitting.reflectance_model import Form
+from fitting.reflectance_observation import read_reflectance_observation
+from fitting.reflectance_posterior import channel_posterior, composite, composite_log_density
+from fitting.report import as_json
+from fitting.results import find
+from fitting.rig import load_rig
+from jaxvision.errors import InputError
+
+SIZE, RADIUS, LIGHTS, WHITE = 28, 13.0, 16, 3000.0
+GAIN, READ, BLACK = 0.25, 6.0, 60.0
+CAMERA = {"bits": 12, "black_level": BLACK, "gain": GAIN, "read_noise": READ}
+DIRECTIONS = light_directions(LIGHTS)
+NORMALS = sphere_normals(SIZE, RADIUS)
+PHONG = (0.4, 0.45, 40.0)
+
+
+def photographs(rng, *, model="phong", truth=PHONG, white=WHITE, clip=4095.0, lights=None):
+    """Digital numbers (lights, h, w); `lights`: factors on each light's true intensity."""
+    signal = white * shade(NORMALS, DIRECTIONS, model, *truth)
+    if lights is not None:
+        signal = signal * lights[:, None, None]
+    return expose(rng, signal, gain=GAIN, read_noise=READ, black=BLACK, clip=clip)
+
+
+def observe(folder, frames, *, white=WHITE, camera=CAMERA, **options):
+    write_rig(folder, frames, DIRECTIONS, [white], radius=RADIUS, camera=camera, **options)
+    return read_reflectance_observation(load_rig(folder))
+
+
+def with_frames(observation, frames):
+    """The same rig, photographed again."""
+    return dataclasses.replace(
+        observation, dn=frames[None][:, :, observation.rows, observation.columns]
+    )
+
+
+def fit(observation, model="phong", **options):
+    form = Form(model, **options)
+    chosen = select(observation, held_out=False, form=form)
+    return fit_channel(observation, 0, form, chosen, cells(observation, chosen))
+
+
+def cells(observation, chosen):
+    return group(
+        chosen.light,
+        observation.cosine[chosen.light, chosen.pixel],
+        observation.mirror_angle[chosen.light, chosen.pixel],
+    )
+
+
+def deviations(found):
+    """Standard errors of the logarithms."""
+    return np.sqrt(np.diagonal(found.robustness.covariance))
+
+
+@pytest.fixture(scope="module")
+def observation(tmp_path_factory):
+    frames = photographs(np.random.default_rng(0))
+    return observe(tmp_path_factory.mktemp("sphere"), frames)
+
+
+@pytest.mark.parametrize(
+    ("model", "truth"),
+    [("lambert", (0.4, 0, 1)), ("phong", PHONG), ("gaussian-lobe", (0.3, 0.5, 6))],
+)
+def test_the_truth_is_found(observation, model, truth):
+    frames = photographs(np.random.default_rng(1), model=model, truth=truth)
+    found = fit(with_frames(observation, frames), model)
+    assert found.converged
+    wanted = np.array(truth[: len(found.space)])
+    np.testing.assert_allclose((np.log(found.natural / wanted)) / deviations(found), 0, atol=4)
+    assert np.all(deviations(found) < 0.01)
+    assert abs(found.chi_square - 1) < 5 * np.sqrt(2 / found.samples.dn.size)
+
+
+def test_the_optimum_is_scipys(observation):
+    found = fit(observation)
+    s = found.samples
+    cosine, mirror, dn, deviation = (np.asarray(x) for x in (s.cosine, s.mirror, s.dn, s.deviation))
+
+    def residuals(p):
+        lobe = np.exp(np.exp(p[2]) * mirror)
+        return (BLACK + WHITE * (np.exp(p[0]) * cosine + np.exp(p[1]) * lobe) - dn) / deviation
+
+    reference = scipy.optimize.least_squares(residuals, np.log([0.3, 0.3, 20]), xtol=1e-14)
+    np.testing.assert_allclose((found.vector - reference.x) / deviations(found), 0, atol=1e-3)
+
+
+def test_saturated_highlights_are_censored_not_believed(observation):
+    clip = BLACK + 0.6 * WHITE  # 1 % of the samples
+    frames = photographs(np.random.default_rng(2), clip=clip)
+    again = with_frames(observation, frames)
+    censored = fit(dataclasses.replace(again, clip=clip))
+    assert np.sum(censored.samples.saturated) > 50
+    z = np.log(censored.natural / PHONG) / deviations(censored)
+    np.testing.assert_allclose(z, 0, atol=4)
+    believed = fit(again)
+    assert believed.natural[1] < 0.9 * PHONG[1]
+
+
+def test_censored_optimum_is_scipys(observation):
+    clip = BLACK + 0.6 * WHITE
+    again = with_frames(observation, photographs(np.random.default_rng(2), clip=clip))
+    found = fit(dataclasses.replace(again, clip=clip))
+    s = found.samples
+    cosine, mirror, dn, deviation, saturated = (
+        np.asarray(x) for x in (s.cosine, s.mirror, s.dn, s.deviation, s.saturated)
+    )
+
+    def cost(p):
+        lobe = np.exp(np.exp(p[2]) * mirror)
+        predicted = BLACK + WHITE * (np.exp(p[0]) * cosine + np.exp(p[1]) * lobe)
+        z = (predicted - dn) / deviation
+        tail = scipy.special.log_ndtr((predicted - clip) / deviation)
+        return np.where(saturated, -tail, z * z / 2).sum()
+
+    reference = scipy.optimize.minimize(
+        cost, found.vector + 0.01, method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-8}
+    )
+    np.testing.assert_allclose((found.vector - reference.x) / deviations(found), 0, atol=2e-3)
+
+
+def test_intervals_cover_on_simulated_data(observation):
+    """95 % intervals in 100 repetitions of each of three parameters."""
+    repetitions = 100
+    covered = np.zeros(3, int)
+    for seed in range(repetitions):
+        frames = photographs(np.random.default_rng(1000 + seed))
+        found = fit(with_frames(observation, frames))
+        z = np.log(found.natural / PHONG) / deviations(found)
+        covered += np.abs(z) < 1.96
+    # Each count lies outside of this with probability 1e-3.
+    assert np.all(covered >= binom.ppf(5e-4, repetitions, 0.95))
+    assert np.all(covered <= binom.ppf(1 - 5e-4, repetitions, 0.95))
+
+
+def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
+    """Intensities wrong by 3 %: the robust error of k_d is the scatter over repetitions, the error
+    that takes pixels for independent is a small part of it."""
+    logs, robust, naive = [], [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        lights = np.exp(0.03 * rng.standard_normal(LIGHTS))
+        found = fit(with_frames(observation, photographs(rng, lights=lights)))
+        logs.append(found.vector[0])
+        robust.append(deviations(found)[0])
+        naive.append(np.sqrt(np.linalg.inv(found.information)[0, 0]))
+        assert found.robustness.by_light > 10
+    scatter = np.std(logs, ddof=1)
+    # The scatter of 40 has a relative error of 1 / sqrt(78) = 0.11.
+    assert abs(np.sqrt(np.mean(np.square(robust))) / scatter - 1) < 0.35
+    assert np.mean(naive) < scatter / 5
+
+
+def test_without_the_highlight_its_parameters_are_not_determined(observation):
+    far = observation.mirror_angle.min(axis=0) > np.radians(35)
+    kept = {
+        name: getattr(observation, name)[..., far]
+        for name in ("dn", "falloff", "cosine", "mirror_angle", "log_cos_mirror", "rows", "columns")
+    }
+    cut = dataclasses.replace(observation, normals=observation.normals[far], **kept)
+    calibration = calibrate_reflectance(cut, model="phong")
+    section = reflectance_section(calibration)
+    specular = find(section.estimates, "specular")
+    assert specular.value is None
+    assert specular.reason
+    assert any("specular" in sentence for sentence in section.findings)
+    diffuse = find(section.estimates, "diffuse")
+    assert abs(diffuse.value - PHONG[0]) < 4 * diffuse.standard_error
+    assert not calibration.posteriors
+
+
+def test_a_matt_sphere_has_no_highlight_to_report(observation):
+    frames = photographs(np.random.default_rng(3), model="lambert", truth=(0.4, 0.0, 1.0))
+    frames -= np.round(0.02 * WHITE * shade(NORMALS, DIRECTIONS, "phong", 0, 1, 20))
+    again = with_frames(observation, frames)
+    found = fit(again)
+    assert found.form.model == "lambert"
+    assert set(open_parameters(found, fit(again, "lambert"))) == {"specular", "exponent"}
+
+
+def test_ambient_light_is_read_off_the_shadows(observation):
+    frames = np.minimum(photographs(np.random.default_rng(4)) + 25, 4095)
+    found = fit(with_frames(observation, frames), ambient=True)
+    assert [p.name for p in found.space] == ["diffuse", "specular", "exponent", "ambient"]
+    z = np.log(found.natural / [*PHONG, 25.0]) / deviations(found)
+    np.testing.assert_allclose(z, 0, atol=4)
+
+
+def encoded(frames, gamma):
+    white = 4095 - BLACK
+    return np.round(BLACK + white * np.maximum((frames - BLACK) / white, 0) ** (1 / gamma))
+
+
+def test_gamma_known_or_free(observation):
+    frames = encoded(photographs(np.random.default_rng(5)), 2.2)
+    again = with_frames(observation, frames)
+    known = fit(dataclasses.replace(again, gamma=2.2))
+    z = np.log(known.natural / PHONG) / deviations(known)
+    np.testing.assert_allclose(z, 0, atol=4)
+    free = fit(again, free_gamma=True)
+    z = np.log(free.natural / [*PHONG, 2.2]) / deviations(free)
+    np.testing.assert_allclose(z, 0, atol=4)
+    # What is not known costs precision, as long as nothing else widens the errors.
+    costly, cheap = (np.diagonal(np.linalg.inv(f.information))[:3] for f in (free, known))
+    assert np.all(costly > cheap)
+
+
+def test_the_composite_density_has_the_robust_curvature(observation):
+    lights = np.exp(0.03 * np.random.default_rng(6).standard_normal(LIGHTS))
+    frames = photographs(np.random.default_rng(6), lights=lights)
+    found = fit(with_frames(observation, frames))
+    data = composite(found, cells(observation, found.selection))
+    curvature = -jax.hessian(composite_log_density)(data.mode, data)
+    # Cells replace pixels: their curvature agrees to a few per cent.
+    widths = np.sqrt(np.diagonal(np.linalg.inv(curvature)))
+    np.testing.assert_allclose(widths, deviations(found), rtol=0.05)
+    step = np.linalg.solve(curvature, jax.grad(composite_log_density)(data.mode, data))
+    assert np.all(np.abs(step) < 0.2 * deviations(found))
+
+
+def test_draws_agree_with_laplace(observation):
+    found = fit(observation)
+    grouping = cells(observation, found.selection)
+    laplace = channel_posterior(found, grouping, sampling=None)
+    options = SamplingOptions(walkers=24, steps=6000, seed=1)
+    drawn = channel_posterior(found, grouping, sampling=options)
+    assert (laplace.method, drawn.method) == ("Laplace", "emcee")
+    width = np.sqrt(np.diagonal(laplace.covariance))
+    np.testing.assert_allclose(
+        (np.log(np.median(drawn.samples, axis=0)) - laplace.unconstrained_mode) / width, 0, atol=0.3
+    )
+    np.testing.assert_allclose(np.sqrt(np.diagonal(drawn.covariance)), width, rtol=0.15)
+
+
+def test_held_out_images_do_not_touch_the_fit(observation):
+    frames = observation.dn.copy()
+    frames[:, observation.held_out] = BLACK + 500
+    changed = fit(dataclasses.replace(observation, dn=frames))
+    np.testing.assert_array_equal(changed.vector, fit(observation).vector)
+
+
+def test_the_section_names_the_right_model_and_draws(observation):
+    calibration = calibrate_reflectance(observation, model="gaussian-lobe")
+    section = reflectance_section(calibration)
+    assert [e.name for e in section.estimates] == ["diffuse", "specular", "concentration"]
+    errors = {score.model: score.predicted_error for score in calibration.scores}
+    assert errors["phong"] < 0.3 * errors["lambert"]
+    assert "held-out lights" in section.findings[0]
+    assert section.findings[0].count("Lambert") == 1
+    assert json.loads(as_json([section], seed=0, settings={}))["sections"][0]["kind"] == "brdf"
+    for picture in section.pictures:
+        figure = picture.draw()
+        assert all(axis.has_data() for axis in figure.axes)
+
+
+def test_bad_options_are_refused(observation):
+    with pytest.raises(InputError, match="minimum_cosine"):
+        calibrate_reflectance(observation, model="phong", minimum_cosine=1.0)
+    with pytest.raises(InputError, match="samples have"):
+        calibrate_reflectance(observation, model="phong", minimum_cosine=0.9999)
+
+
+@pytest.mark.slow
+def test_float32_is_kept(observation):
+    with jax.enable_x64(False):
+        found = fit(observation)
+        assert found.samples.dn.dtype == jnp.float32
+        z = np.log(found.natural / PHONG) / deviations(found)
+    np.testing.assert_allclose(z, 0, atol=4)
