@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.stats import norm
+from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 from jaxvision.io import replaced_on_success
@@ -175,7 +176,8 @@ def sample(
     while not run.long_enough() and run.steps < options.steps:
         sampler.reset()
         block = min(options.block, options.steps - run.steps)
-        state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+        with threadpool_limits(1, user_api="blas"):  # threads cost more than the move's matrices
+            state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
         run.append(sampler, state)
         if options.progress is not None:
             options.progress(run.steps, options.steps)
