@@ -48,6 +48,10 @@ class CodeBins:
     black: float
 
     @property
+    def full_scale(self) -> int:
+        return len(self.lookup) - 1
+
+    @property
     def centres(self) -> Float[np.ndarray, " bins"]:
         return (self.edges[1:] + self.edges[:-1]) / 2
 

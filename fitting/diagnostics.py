@@ -54,35 +54,35 @@ def identifiability(
     size = np.sqrt(diagonal)
     eigenvalues, directions = np.linalg.eigh(information / np.outer(size, size))
     worst = directions[:, 0]
-    determined = bool(eigenvalues[0] > UNDETERMINED)
-    if determined:
-        inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
-    else:
-        inflation = np.where(np.abs(worst) > 1e-3, np.inf, 1.0)
-    return Identifiability(
-        eigenvalues, worst, inflation, determined, _in_words(labels, worst, inflation, determined)
+    open_ = eigenvalues <= UNDETERMINED
+    if open_.any():
+        touched = (np.abs(directions[:, open_]) > 1e-3).any(axis=1)
+        inflation = np.where(touched, np.inf, 1.0)
+        words = tuple(_undetermined(labels, direction) for direction in directions[:, open_].T)
+        return Identifiability(eigenvalues, worst, inflation, False, words)
+    inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
+    return Identifiability(eigenvalues, worst, inflation, True, _confused(labels, worst, inflation))
+
+
+def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
+    return [name for name, share in zip(labels, direction, strict=True) if abs(share) > PARTNER]
+
+
+def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
+    return (
+        f"The data cannot tell {_listed(_partners(labels, direction))} apart: a change in one is "
+        "undone by the others, so fix one of them or add measurements that separate them."
     )
 
 
-def _in_words(
-    labels: tuple[str, ...],
-    worst: np.ndarray,
-    inflation: np.ndarray,
-    determined: bool,
-) -> tuple[str, ...]:
-    partners = [label for label, share in zip(labels, worst, strict=True) if abs(share) > PARTNER]
-    if not determined:
-        return (
-            f"The data cannot tell {_listed(partners)} apart: a change in one is undone by the "
-            "others, so fix one of them or add measurements that separate them.",
-        )
+def _confused(labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray) -> tuple[str, ...]:
     if inflation.max() < CONFUSED:
         return ()
     most = int(np.argmax(inflation))
-    others = [label for label in partners if label != labels[most]] or ["the other parameters"]
+    others = [name for name in _partners(labels, worst) if name != labels[most]]
     return (
         f"{labels[most]} is known {inflation[most]:.0f} times less well than it would be if "
-        f"{_listed(others)} were known: the data largely confuse them.",
+        f"{_listed(others or ['the others'])} were known: the data largely confuse them.",
     )
 
 

@@ -38,7 +38,7 @@ from .results import Estimate
 SHUTTER_PRIOR = float(np.log(0.01)), 1.5
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log", lower=0.05, upper=20.0)
 SHUTTER_ERROR = Parameter(
-    "shutter error",
+    "shutter_error",
     symbol="τ",
     unit="",
     transform="log",
@@ -240,7 +240,7 @@ def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
     )
     spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
     return Estimate(
-        "shutter error",
+        "shutter_error",
         "τ",
         "",
         float(middle),
@@ -258,7 +258,7 @@ def _from_draws(found: Posterior, label: str) -> tuple[Estimate, Estimate]:
 
 
 def _srgb(curve: ResponseCurve) -> np.ndarray:
-    encoded = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] + 0.5 - curve.bins.black)
+    encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
     return np.log(np.asarray(srgb_decode(jnp.asarray(encoded))))
 
 

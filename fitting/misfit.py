@@ -27,7 +27,7 @@ QUANTISATION = 1 / 12  # DN^2: rounding to integers
 BINS = 64
 EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectation
 CHANCE = 0.01  # probability of calling independent residuals clustered
-FEWEST_CLUSTERS = 8
+FEWEST_FREE = 3  # clusters beyond the parameters: Student's t has a variance from there
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ def _binned(
 @dataclass(frozen=True)
 class Robustness:
     """covariance: sandwich where clustering shows, else the inverse information. by_light,
-    by_pixel: design effects as measured, NaN with fewer than eight clusters. design_effect: of
-    the covariance, 1 where both are within chance."""
+    by_pixel: design effects as measured, NaN with fewer than three clusters more than parameters.
+    design_effect: of the covariance, 1 where both are within chance."""
 
     covariance: Float[np.ndarray, "parameters parameters"]
     by_light: float
@@ -138,8 +138,9 @@ def cluster_robust(
     """Covariance that allows for residuals shared within lights and within pixels.
 
     A kind of clustering enters only where its design effect exceeds what independent residuals
-    give in 99 of 100 cases, and never narrows an error. With few clusters J is itself uncertain:
-    the covariance is widened to Student's t of that many.
+    give in 99 of 100 cases, and never narrows an error. P fitted parameters take their part of what
+    the clusters show, so J counts clusters - P of them; with few, J is itself uncertain, and the
+    covariance is widened to the variance of Student's t.
     """
     count = len(information)
     root = np.linalg.cholesky(information)
@@ -149,15 +150,15 @@ def cluster_robust(
     for cluster in (light, pixel):
         sums = _cluster_sums(whitened, cluster)
         clusters = sums.shape[1]
-        if clusters < FEWEST_CLUSTERS:
+        freedom = clusters - count
+        if freedom < FEWEST_FREE:
             effects.append(np.nan)
             continue
-        covariance = sums @ sums.T * clusters / (clusters - 1)
+        covariance = sums @ sums.T * clusters / freedom
         effect = np.trace(covariance) / count
         effects.append(float(effect))
-        freedom = count * (clusters - 1)
-        if effect > chi2.ppf(1 - CHANCE, freedom) / freedom:
-            extra += covariance * (clusters - 1) / (clusters - 3) - np.eye(count)
+        if effect > chi2.ppf(1 - CHANCE, count * freedom) / (count * freedom):
+            extra += covariance * freedom / (freedom - 2) - np.eye(count)
     eigenvalues, directions = np.linalg.eigh(np.eye(count) + extra)
     eigenvalues = np.maximum(eigenvalues, 1.0)
     half = solve_triangular(root.T, directions, lower=False) * np.sqrt(eigenvalues)

@@ -79,8 +79,7 @@ def minimise(
             decrement=state.decrement,
             steps=state.steps + 1,
         )
-        move = _damped_step(here)
-        fall = -here.gradient @ move / 2
+        move, fall = _damped_step(here)
         return eqx.tree_at(
             lambda state: (state.proposal, state.decrement),
             here,
@@ -106,7 +105,7 @@ def minimise(
         information=end.information,
         decrement=end.decrement,
         steps=end.steps,
-        converged=end.decrement <= tolerance,
+        converged=(end.decrement <= tolerance) & (jnp.linalg.eigvalsh(end.information)[0] > 0),
     )
 
 
@@ -121,11 +120,14 @@ def _local(objective: Objective, vector: Array, args: Any) -> tuple[Array, Array
     return cost, gradient, information
 
 
-def _damped_step(state: _State) -> Array:
+def _damped_step(state: _State) -> tuple[Array, Array]:
     """Newton's step in the Hessian scaled to unit diagonal, its eigenvalues taken positive and
-    raised by `damping`: downhill from anywhere, away from saddles too (Dauphin et al. 2014)."""
+    raised by `damping`: downhill from anywhere, away from saddles too (Dauphin et al. 2014); and
+    the fall in cost that an undamped one promises."""
     size = jnp.sqrt(jnp.abs(jnp.diagonal(state.information)))
     size = jnp.where(size > 0, size, 1)
     curvature, axes = jnp.linalg.eigh(state.information / jnp.outer(size, size))
     along = axes.T @ (state.gradient / size)
-    return -axes @ (along / (jnp.abs(curvature) + state.damping)) / size
+    steepness = jnp.abs(curvature)
+    fall = jnp.sum(along**2 / jnp.maximum(steepness, jnp.finfo(along.dtype).eps)) / 2
+    return -axes @ (along / (steepness + state.damping)) / size, fall

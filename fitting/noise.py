@@ -45,7 +45,7 @@ def calibrate_noise(
     standard = eqx.filter_jit(evaluate)(measurement, within)
     data = noise_data(measurement, usable, needed_window(measurement, usable))
     linear, chosen = choose_model(measurement, within, data, standard.values)
-    args = (chosen.space, chosen.data)
+    args = (chosen.space, chosen.data, jnp.asarray(1 / chosen.inflation))
     mode, covariance = chosen.solution.vector, chosen.inflation * chosen.covariance
     if sampling is None:
         posterior = laplace(log_density, chosen.space, mode, args, covariance=covariance, seed=seed)

@@ -44,6 +44,7 @@ SHUTTER_OFFSET = Parameter("light_offset", symbol="δ", unit="s")
 LIGHT_SCATTER = Parameter("light_scatter", symbol="τ_H", unit="1", transform="log")
 VARIANCE_SCATTER = Parameter("variance_scatter", symbol="τ_V", unit="1", transform="log")
 BLACK_SCATTER = Parameter("black_scatter", symbol="τ₀", unit="DN", transform="log")
+SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")
 
 
 class NoiseData(eqx.Module):
@@ -183,7 +184,7 @@ def log_likelihood_terms(
 
     excess = data.variance / expected - 1
     deviance = excess - jnp.log1p(excess)
-    # Stirling's series normalises the Gamma density; its next term is below 1e-9 for 50 pixels.
+    # Stirling's series normalises the Gamma density; its next term is below 2e-7 for 50 pixels.
     log_gamma = -shape * deviance + jnp.log(shape) / 2 - 1 / (12 * shape)
     log_normal = -(deviation**2) / (2 * mean_variance) - jnp.log(mean_variance) / 2
     residuals = Residuals(
@@ -194,17 +195,25 @@ def log_likelihood_terms(
 
 
 def log_density(
-    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]
+    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
 ) -> Array:
-    """Log posterior density of an unconstrained vector, up to a constant; args = (space, data)."""
-    space, data = args
-    terms, _ = log_likelihood_terms(named(space, vector), data)
-    return jnp.sum(terms) + log_prior(space, vector)
+    """Log posterior density of an unconstrained vector, up to a constant; args = (space, data,
+    weight).
+
+    weight: on the log likelihood, the inverse of the factor by which misfit inflates a covariance.
+    Scatters have a flat prior themselves, not their logarithms: toward a scatter of 0 the
+    likelihood levels off, and a flat prior on the logarithm would leave the posterior improper.
+    """
+    space, data, weight = args
+    flat = sum(vector[i] for i, name in enumerate(names(space)) if name in SCATTERS)
+    return -weight * cost(vector, (space, data)) + flat + log_prior(space, vector)
 
 
 def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:
-    """Negative `log_density`."""
-    return -log_density(vector, args)
+    """Negative log likelihood, up to a constant; args = (space, data)."""
+    space, data = args
+    terms, _ = log_likelihood_terms(named(space, vector), data)
+    return -jnp.sum(terms)
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:

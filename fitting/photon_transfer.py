@@ -41,7 +41,7 @@ def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
     """Reduces all frames of a rig, one frame in memory at a time."""
     require(rig, "flat", "dark", purpose="photon transfer")
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
-    darks = sorted(rig.dark, key=lambda dark: dark.exposure)
+    darks = _pooled(rig.dark)
     light = [_light(rig, flat) for flat in flats]
     known = [value is not None for value in light]
     if any(known) and not all(known):
@@ -80,6 +80,14 @@ def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
         full_scale=rig.camera.clip_level,
         remarks=tuple(remarks),
     )
+
+
+def _pooled(darks: Sequence[Dark]) -> list[Dark]:
+    """Entries of one exposure as one, ascending."""
+    files: dict[float, tuple[str, ...]] = {}
+    for dark in darks:
+        files[dark.exposure] = files.get(dark.exposure, ()) + dark.files
+    return [Dark(files=files[exposure], exposure=exposure) for exposure in sorted(files)]
 
 
 def _light(rig: Rig, flat: Flat) -> float | None:

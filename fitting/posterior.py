@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -220,7 +221,9 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
         )
         for q in QUANTILES
     )
-    spread = posterior.samples.std(axis=0)
+    centre = jnp.asarray(posterior.unconstrained_mode)
+    slope = np.diagonal(np.asarray(jax.jacfwd(partial(to_natural, posterior.space))(centre)))
+    spread = np.abs(slope) * deviation
     return tuple(
         Estimate(
             p.name,

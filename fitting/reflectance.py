@@ -4,14 +4,16 @@ All three models are fitted to the same lights and compared on the others; the o
 reported in full, with what stands in the way of believing it.
 """
 
+import jax.numpy as jnp
 import numpy as np
 
+from .misfit import cluster_robust
 from .model_comparison import LABELS, comparison_table, verdict
 from .posterior import estimates
 from .reflectance_calibration import ReflectanceCalibration, calibrate_reflectance
 from .reflectance_findings import findings, misfit_table
 from .reflectance_fit import ChannelFit
-from .reflectance_model import parameter_space
+from .reflectance_model import parameter_space, scores
 from .results import Estimate, Picture, Section, gaussian_estimate, not_determined
 
 __all__ = ["ReflectanceCalibration", "calibrate_reflectance", "reflectance_section"]
@@ -60,10 +62,11 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
     """What is determined, given the best values of what is not; and the reasons for the rest."""
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
     errors = np.zeros(len(fit.space))
-    if fit.robustness is not None:
-        errors = np.sqrt(np.diagonal(fit.robustness.covariance))
-    elif known:
-        errors[known] = np.sqrt(np.diagonal(np.linalg.inv(fit.information[np.ix_(known, known)])))
+    if known:
+        gradients = np.asarray(scores(jnp.asarray(fit.vector), fit.samples), np.float64)[known]
+        among = fit.information[np.ix_(known, known)]
+        robust = cluster_robust(gradients, among, fit.selection.light, fit.selection.pixel)
+        errors[known] = np.sqrt(np.diagonal(robust.covariance))
     rows = [
         gaussian_estimate(
             fit.space[i].name,

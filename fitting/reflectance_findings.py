@@ -85,6 +85,12 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             "explains them: unequal pixels (PRNU), uneven light or a surface that is not the "
             "model's."
         )
+    if fit.robustness is not None and np.isnan(fit.robustness.by_light):
+        found.append(
+            f"{name}With {len(np.unique(fit.selection.light))} fitted lights it cannot be judged "
+            "how far the pixels of one image share an error (of its light, say); the intervals "
+            "assume that they do not and may be far too narrow, so use more lights."
+        )
     if fit.design_effect > 1:
         assert fit.robustness is not None
         found.append(

@@ -162,8 +162,8 @@ def fit_channel(
     selection, on which all but the last digits are found."""
     samples = make_samples(observation, channel, form, selection)
     sensor = None
-    if observation.gain is not None:
-        sensor = sensor_spread(observation.gain, observation.read_noise or 0.0)
+    if observation.gain is not None and observation.read_noise is not None:
+        sensor = sensor_spread(observation.gain, observation.read_noise)
     cells, start = project(average(samples, grouping))
     mirror = None if cells.mirror is None else samples.mirror
     samples = replace(samples, form=cells.form, mirror=mirror)

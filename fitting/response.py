@@ -117,7 +117,7 @@ def response_section(calibration: ResponseCalibration) -> Section:
     """The calibration as its reader sees it."""
     estimates: list[Estimate] = []
     for channel in calibration.channels:
-        estimates += [channel.gamma.gamma, _shutter_estimate(channel)]
+        estimates += _gamma_estimates(channel)
     for plane, reason in calibration.skipped:
         estimates.append(not_determined("gamma", "γ", "", reason, group=plane.label))
     return Section(
@@ -135,12 +135,21 @@ def response_section(calibration: ResponseCalibration) -> Section:
     )
 
 
-def _shutter_estimate(channel: ChannelResponse) -> Estimate:
+def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
+    """Gamma and the shutter error; neither where the response is no pure gamma, for the misfit
+    would pass for one or the other."""
     size, _ = largest_departure(channel.curve, channel.gamma.departure)
-    if size <= PURE:
-        return channel.gamma.shutter_error
-    reason = "the response is no pure gamma, so its misfit would count as shutter error"
-    return not_determined("shutter_error", "τ", "", reason, group=channel.plane.label)
+    if not size > PURE:
+        return [channel.gamma.gamma, channel.gamma.shutter_error]
+    reason = (
+        f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, misses the "
+        f"measured curve by up to {np.expm1(size):.0%} in exposure; use the curve"
+    )
+    label = channel.plane.label
+    return [
+        not_determined("gamma", "γ", "", reason, group=label),
+        not_determined("shutter_error", "τ", "", "it would hold the misfit of gamma", group=label),
+    ]
 
 
 def largest_departure(

@@ -34,7 +34,8 @@ class Camera(_Entry):
     bits: ADC bits of the digital numbers in the files (12-bit data may sit in 16-bit files).
     black_level: DN without light. saturation: DN from which a pixel counts as clipped (default:
     2^bits - 1). gamma: encoding exponent of the files, 1 = linear. gain: DN per electron.
-    read_noise: electrons rms. pattern: phase of a Bayer mosaic. pixel_pitch: metres.
+    read_noise: electrons rms; without both gain and read_noise a fit estimates its pixels' noise
+    from their residuals. pattern: phase of a Bayer mosaic. pixel_pitch: metres.
     wavelength: metres, of the monochromatic light of the flats.
     """
 

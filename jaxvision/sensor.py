@@ -82,7 +82,9 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
             drawn = jax.random.poisson(key, expected).astype(mean.dtype)
             return _with_gradient_of(drawn, mean)
         case GaussianShotNoise():
-            return mean + safe_sqrt(mean) * jax.random.normal(key, mean.shape, mean.dtype)
+            expected = jax.lax.stop_gradient(jnp.maximum(mean, 0))
+            noise = safe_sqrt(expected) * jax.random.normal(key, mean.shape, mean.dtype)
+            return _with_gradient_of(expected + noise, mean)
 
 
 def digitise(sensor: Sensor, electrons: Spectrum) -> Spectrum:
