@@ -108,7 +108,7 @@ class PairStatistics:
         return int(self.observations.sum()) - self.pixels
 
 
-def code_bins(bits: int, black: float, clip: float, count: int = MAX_BINS) -> CodeBins:
+def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) -> CodeBins:
     """One bin per code up to `count` codes; beyond, bins of equal width in sqrt(DN - black), which
     follow shot noise."""
     first, last = int(np.floor(black)) + 1, min(int(np.ceil(clip)), 2**bits - 1) - 1

@@ -280,7 +280,7 @@ def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
     return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
 
 
-def line(x: Array, y: Array, weights: Array | None = None) -> tuple[Array, Array]:
+def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
     """(intercept, slope) of the weighted least-squares line."""
     weights = jnp.ones_like(x) if weights is None else weights
     total = jnp.sum(weights)
@@ -310,7 +310,7 @@ def surprise(chi_square: Array, degrees: Array) -> Array:
 
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
     """(chi-square, degrees of freedom) of y about its own weighted line over x."""
-    intercept, slope = line(x, y, 1 / variances)
+    intercept, slope = line(x, y, weights=1 / variances)
     return (
         jnp.sum((y - intercept - slope * x) ** 2 / variances),
         jnp.asarray(x.size - 2, y.dtype),

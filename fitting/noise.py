@@ -43,7 +43,7 @@ def calibrate_noise(
     within = ranges(measurement)
     usable = linear_levels(measurement)
     standard = eqx.filter_jit(evaluate)(measurement, within)
-    data = noise_data(measurement, usable, needed_window(measurement, usable))
+    data = noise_data(measurement, usable, window=needed_window(measurement, usable))
     linear, chosen = choose_model(measurement, within, data, standard.values)
     args = (chosen.space, chosen.data, jnp.asarray(1 / chosen.inflation))
     mode, covariance = chosen.solution.vector, chosen.inflation * chosen.covariance

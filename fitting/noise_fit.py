@@ -96,7 +96,10 @@ class LikelihoodFit:
 
 
 def noise_data(
-    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], window: Window | None = None
+    measurement: PhotonTransfer,
+    usable: Int[np.ndarray, " usable"],
+    *,
+    window: Window | None = None,
 ) -> NoiseData:
     """Bright levels `usable` and all darks in one row."""
     bright, dark = measurement.bright, measurement.dark

@@ -132,7 +132,9 @@ def fit_response_curve(
     in_use = _exposures_in_use(pilot, bins)
     codes, pilot, log_t = codes[in_use], pilot[in_use], np.log(exposures[in_use])
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
-        means, noise, start = _pilot(pilot, log_t, bins, code_bins(bits, black, clip, PILOT_BINS))
+        means, noise, start = _pilot(
+            pilot, log_t, bins, code_bins(bits, black, clip, count=PILOT_BINS)
+        )
     offset_t = log_t + start.delta
     statistics = pair_statistics(codes, offset_t, bins, noise_rule(noise, means), means)
     if statistics.pixels < KEPT * len(linked):

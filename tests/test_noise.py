@@ -47,7 +47,7 @@ def both_methods(measurements):
 
     def one(measurement):
         standard = evaluate(measurement, within)
-        data = noise_data(measurement, usable, window)
+        data = noise_data(measurement, usable, window=window)
         solution = fit_space(space, data, standard.values)
         covariance = jnp.linalg.inv(solution.information)
         args = (space, data, jnp.ones(data.mean.shape, bool))
@@ -215,7 +215,7 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
 
     def fit(measurement):
         standard = sheet(statistics(measurement, None), measurement, within)
-        data = noise_data(measurement, usable, window)
+        data = noise_data(measurement, usable, window=window)
         return standard, fit_space(space, data, standard)
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *measured)
