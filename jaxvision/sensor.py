@@ -8,7 +8,8 @@ electrons are counted per pixel and exposure.
     variance var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12      (temporal)
     pattern  s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)                 (from pixel to pixel)
 
-Gradients pass through draws and rounding as through their expectations, and are 0 where clipped.
+Gradients pass through Poisson draws and rounding as through their expectations, through Gaussian
+draws along the draw itself (so that near 0 electrons they are noisy), and are 0 where clipped.
 """
 
 import jax
@@ -82,9 +83,8 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
             drawn = jax.random.poisson(key, expected).astype(mean.dtype)
             return _with_gradient_of(drawn, mean)
         case GaussianShotNoise():
-            expected = jax.lax.stop_gradient(jnp.maximum(mean, 0))
-            noise = safe_sqrt(expected) * jax.random.normal(key, mean.shape, mean.dtype)
-            return _with_gradient_of(expected + noise, mean)
+            expected = jnp.maximum(mean, 0)
+            return expected + safe_sqrt(expected) * jax.random.normal(key, mean.shape, mean.dtype)
 
 
 def digitise(sensor: Sensor, electrons: Spectrum) -> Spectrum:
