@@ -53,7 +53,7 @@ class Options:
             seed=self.seed,
             walkers=self.walkers,
             steps=self.steps,
-            block=min(500, self.steps),
+            block=min(100, self.steps),
             checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
             progress=progress,
         )
@@ -231,6 +231,8 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
     from .report import as_json, write_report
 
     with _failures_as_sentences(), reporting() as reporter:
+        if options.out is not None and options.out.exists() and not options.out.is_dir():
+            raise InputError(f"{options.out}: is a file; give --out a folder.")
         sections, images = calibrate(reporter)
         settings = {"input": path.name, **asdict(options)}
         if options.out is not None:
@@ -258,7 +260,8 @@ def _failures_as_sentences() -> Iterator[None]:
     except InputError as error:
         _leave(str(error), 2)
     except OSError as error:
-        _leave(f"{error.filename or 'a file'}: {error.strerror or error}.", 2)
+        where = error.filename or "a file"
+        _leave(f"{where}: {error.strerror or error}; choose another path or make room.", 2)
     except KeyboardInterrupt:
         _leave("interrupted; with --mcmc and --out the same command resumes.", 130)
 

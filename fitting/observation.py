@@ -19,7 +19,8 @@ def read_frame(path: Path, camera: Camera) -> np.ndarray:
     """One image's digital numbers; `InputError` for non-finite, negative or too large ones and for
     data whose depth contradicts the camera's `bits`."""
     stored = read_image(path)
-    if not np.issubdtype(stored.dtype, np.number) or stored.ndim not in (2, 3):
+    numeric = np.issubdtype(stored.dtype, np.integer) or np.issubdtype(stored.dtype, np.floating)
+    if not numeric or stored.ndim not in (2, 3) or stored.size == 0:
         raise InputError(
             f"{path}: holds {stored.dtype} of shape {stored.shape}, not an image; "
             "give (h, w) or (h, w, channels) numbers."

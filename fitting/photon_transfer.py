@@ -173,6 +173,13 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
         if bool(jnp.any(levels.variance < 0)):
             raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
+    if bool(jnp.any(bright.light < 0)):
+        raise InputError(f"{file}: a flat has negative light; correct its photons.")
+    if len(np.unique(np.asarray(bright.light))) < FEWEST_LEVELS:
+        raise InputError(
+            f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
+            "are needed, so vary the exposure or the light."
+        )
     if measurement.photons_known and float(bright.light.max()) <= 0:
         raise InputError(f"{file}: no flat has any photons; give the light of each level.")
     if bool(jnp.all(dark.variance == 0)):
@@ -189,6 +196,11 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
     signal = bright.mean - dark.mean[measurement.dark_of]
     if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
+    if (measurement.full_scale or 0) > 255 and float(bright.mean.max()) <= 255:
+        raise InputError(
+            f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
+            "light."
+        )
     usable = linear_levels(measurement)
     if len(usable) < FEWEST_LEVELS:
         raise InputError(

@@ -48,7 +48,7 @@ class SamplingOptions:
     seed: int = 0
     walkers: int = 64
     steps: int = 20_000
-    block: int = 500
+    block: int = 100
     checkpoint: Path | None = None
     progress: Progress | None = None
 
@@ -127,7 +127,13 @@ def laplace(
     covariance = inflation * np.asarray(covariance, np.float64)
     centre = np.asarray(mode, np.float64)
     rng = np.random.default_rng(seed)
-    vectors = rng.multivariate_normal(centre, covariance, size=draws, method="cholesky")
+    try:
+        vectors = rng.multivariate_normal(centre, covariance, size=draws, method="cholesky")
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "The best fit is no proper maximum, so it has no standard errors: the model does not "
+            "describe these data; check what the rig says of the camera and the images."
+        ) from error
     return Posterior(
         space=space,
         method="Laplace",

@@ -284,6 +284,14 @@ def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
             )
     for channel, dn in zip(observation.channels, observation.dn, strict=True):
         _refuse_clipped_or_dark(rig, observation, channel, dn[lit])
+    for i, name in enumerate(observation.files):
+        seen = np.stack([dn[i][lit[i]] for dn in observation.dn])
+        if (seen >= observation.clip).all() or (seen <= observation.black + 1).all():
+            state = "saturated" if (seen >= observation.clip).all() else "dark"
+            raise InputError(
+                f"{rig.folder}: every lit pixel of {name} is {state}; take that image again or "
+                "remove its [[light]] entry."
+            )
 
 
 def _refuse_clipped_or_dark(

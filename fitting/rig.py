@@ -184,7 +184,9 @@ def require(rig: Rig, *sections: str, purpose: str) -> None:
 
 
 def _first_mistake(error: ValidationError) -> str:
-    mistake = error.errors()[0]
+    mistakes = error.errors()
+    unknown = [mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"]
+    mistake = (unknown or mistakes)[0]  # a misspelt key also leaves another one missing
     parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in mistake["loc"]]
     where = "".join(parts).lstrip(".") or "the file"
     reason = mistake["msg"].removeprefix("Value error, ")

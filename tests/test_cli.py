@@ -173,3 +173,31 @@ def test_the_installed_command_shows_no_traceback(tmp_path):
 
 def test_json_of_nothing_is_still_json():
     assert json.loads(as_json([], seed=0, settings={}))["sections"] == []
+
+
+@pytest.mark.parametrize(("level", "state"), [(4095, "saturated"), (0, "dark")])
+def test_one_image_without_information_is_named(lab, tmp_path, level, state):
+    rig = rig_with(lab[0] / "brdf", tmp_path / "rig", same)
+    image = rig / "light_05.tif"
+    shape = read_image(image).shape
+    image.unlink()
+    write_image(image, np.full(shape, level, np.uint16))
+    status, _, stderr = run("brdf", rig)
+    assert status == 2
+    assert f"light_05.tif is {state}" in one_sentence(stderr)
+
+
+def test_eight_bit_numbers_in_sixteen_bit_files_are_refused(lab, tmp_path):
+    rig = rig_with(lab[0] / "noise", tmp_path / "rig", same)
+    for file in rig.glob("*.tif"):
+        pixels = read_image(file)
+        file.unlink()
+        write_image(file, pixels >> 4)
+    status, _, stderr = run("noise", rig)
+    assert status == 2
+    assert "no flat exceeds 255 DN" in one_sentence(stderr)
+
+
+def test_a_misspelt_key_is_named(tmp_path):
+    (tmp_path / "rig.toml").write_text("[camera]\nbitz = 12\n")
+    assert "camera.bitz is not a key" in one_sentence(run("noise", tmp_path)[2])

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from ..formatting import format_axis
 from ..posterior import Posterior
@@ -15,7 +16,7 @@ def corner_figure(posterior: Posterior) -> Figure:
 
     labels = [format_axis(p.symbol, p.unit) for p in posterior.space]
     size = 1.6 + 1.5 * len(labels)
-    return corner.corner(
+    figure = corner.corner(
         posterior.samples,
         labels=labels,
         quantiles=[0.16, 0.5, 0.84],
@@ -27,6 +28,11 @@ def corner_figure(posterior: Posterior) -> Figure:
         labelpad=0.12,
         fig=Figure(figsize=(size, size)),
     )
+    for axis in figure.axes:
+        for direction in (axis.xaxis, axis.yaxis):
+            if isinstance(direction.get_major_formatter(), ScalarFormatter):
+                direction.get_major_formatter().set_useOffset(False)
+    return figure
 
 
 def trace_figure(posterior: Posterior) -> Figure:
