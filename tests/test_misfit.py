@@ -9,7 +9,9 @@ COUNT = 40_000
 
 
 def draw(rng, signal, spread):
-    return np.sqrt(variance(spread, signal)) * rng.standard_normal(signal.size)
+    relative = spread.relative or 0.0
+    squared = spread.floor + spread.shot * signal + (relative * signal) ** 2 + 1 / 12
+    return np.sqrt(squared) * rng.standard_normal(signal.size)
 
 
 def test_variance_adds_what_it_says():
