@@ -1,7 +1,7 @@
 """One sweep over the public API, discovered, not listed: documented, keyword-only, `key` first;
 eager == jit, vmap == loop, gradients finite and equal to the directional finite difference.
 
-A new public function of numbers needs one line in `EXAMPLES`; without it the sweep fails.
+A new public function of numbers needs one line in `examples/`; without it the sweep fails.
 """
 
 import importlib
@@ -14,12 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from examples import every_example
 
 import fitting
 import jaxvision
-from jaxvision import as_vec
-from jaxvision import scene as s
-from jaxvision.geometry import Ray
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {"jaxvision.io", "jaxvision.accuracy", "jaxvision.effects"}
@@ -66,6 +64,7 @@ def records(package):
     }
 
 
+EXAMPLES = every_example()
 ALL = functions(jaxvision)
 TRACED = {name: f for name, f in ALL.items() if name.rpartition(".")[0] not in EAGER}
 BOTH = ALL | functions(fitting)
@@ -119,92 +118,8 @@ def test_everything_exported_exists_and_nothing_is_forgotten():
 
 # ------------------------------------------------ numbers
 
-RNG = np.random.default_rng(3)
 # Correctness needs no optimised code: this compiles three times faster.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-
-
-def unit(*v):
-    v = np.asarray(v, float)
-    return jnp.asarray(v / np.linalg.norm(v))
-
-
-N, WI, WO = unit(0.1, -0.2, 1), unit(0.5, 0.3, 0.9), unit(-0.4, -0.5, 0.8)
-KD, KS, KA = jnp.asarray([0.2, 0.1]), jnp.asarray([0.3, 0.2]), jnp.asarray([0.5, 0.6])
-X = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 3, 2)))
-ONE, TWO = jnp.asarray(0.7), jnp.asarray(2.3)
-POINT = jnp.asarray([0.2, 0.1, -0.3])
-PHONG = s.Phong(KD, KS, 9.0, ambient=KA)
-SPHERE, PLANE = s.Sphere([0.1, 0.2, 3], 1.0), s.Plane([0, 0, 5], [0.1, 0.1, -1])
-LAMP, SUN = s.PointLight([1, 2, -3], KS), s.DirectionalLight([0.3, 0.2, -1], KD)
-AMBIENT = s.AmbientLight([0.1, 0.2])
-SCENE = s.Scene([s.Surface(SPHERE, PHONG)], [LAMP], AMBIENT)
-RAY = Ray(jnp.zeros(3), unit(0.05, 0.02, 1))
-PINHOLE = s.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.05, resolution=(2, 3), f_number=4.0)
-SENSOR = s.Sensor(
-    photon_conversion=s.PhotonConversion([5e-7, 6e-7], 1e-11),
-    exposure_time=0.01,
-    quantum_efficiency=[0.5, 0.6],
-    prnu=0.01,
-    dark_current=100.0,
-    shot_noise=s.GaussianShotNoise(),
-    full_well=1e9,
-    dsnu=1.0,
-    read_noise=2.0,
-    gain=0.1,
-    offset=64.0,
-)
-DEVELOPMENT = s.Development(black_level=0.05, white_level=1.5, tone=s.SRGB())
-KEY, DIE = jax.random.split(jax.random.key(0))
-INDEX = jnp.asarray(1)
-
-EXAMPLES = {
-    "brdf.reflect": ((PHONG, N, WI, WO), {}),
-    "brdf.lambert.lambert_shading": ((N, WI, KD), {}),
-    "brdf.lambert.shading": ((s.Lambert(KD), N, WI, WO), {}),
-    "brdf.phong.phong_lobe": ((-X, TWO), {}),
-    "brdf.phong.phong_shading": ((N, WI, WO, KD, KS, TWO), {}),
-    "brdf.phong.shading": ((PHONG, N, WI, WO), {}),
-    "brdf.gaussian_lobe.gaussian_lobe": ((X, TWO), {}),
-    "brdf.gaussian_lobe.gaussian_lobe_shading": ((N, WI, WO, KD, KS, TWO), {}),
-    "brdf.gaussian_lobe.shading": ((s.GaussianLobe(KD, KS, TWO), N, WI, WO), {}),
-    "capture.radiance_along": ((SCENE, RAY), {}),
-    "capture.render": ((SCENE, PINHOLE), {}),
-    "capture.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),
-    "develop.develop": ((X, DEVELOPMENT), {}),
-    "develop.to_integers": ((X,), {}),
-    "geometry.mirror_direction": ((N, WI), {}),
-    "geometry.intersect_sphere": ((RAY, SPHERE), {}),
-    "geometry.intersect_plane": ((RAY, PLANE), {}),
-    "geometry.intersect": ((RAY, PLANE), {}),
-    "geometry.nearest_shape": ((RAY, [SPHERE, PLANE]), {}),
-    "geometry.hit_shape": ((RAY, [PLANE, SPHERE], INDEX), {}),
-    "lights.from_point_light": ((LAMP, POINT), {}),
-    "lights.from_directional_light": ((SUN, POINT), {}),
-    "lights.incident": ((LAMP, as_vec(POINT)), {}),
-    "optics.look_at": ((POINT, WI, WO), {}),
-    "optics.pixel_offset": ((PINHOLE, ONE, TWO), {}),
-    "optics.camera_ray": ((PINHOLE, ONE, TWO), {}),
-    "optics.cos_to_axis": ((PINHOLE, ONE, TWO), {}),
-    "optics.pixel_irradiance": ((PINHOLE, KD, ONE, TWO), {}),
-    "optics.pixel_grid": ((PINHOLE,), {}),
-    "optics.sensor_irradiance": ((PINHOLE, X), {}),
-    "point_ops.gain_bias": ((X, TWO, ONE), {}),
-    "point_ops.gamma_encode": ((X, TWO), {}),
-    "point_ops.gamma_decode": ((X, TWO), {}),
-    "point_ops.srgb_encode": ((X,), {}),
-    "point_ops.srgb_decode": ((X,), {}),
-    "sensor.photon_rate": ((X, KD, ONE), {}),
-    "sensor.mean_photoelectrons": ((SENSOR, X), {}),
-    "sensor.collect": ((KEY, SENSOR, X), {"die_key": DIE}),
-    "sensor.count": ((KEY, X, s.GaussianShotNoise()), {}),
-    "sensor.digitise": ((SENSOR, X), {}),
-    "sensor.raw_image": ((KEY, SENSOR, X), {"die_key": DIE}),
-    "sensor.expected_signal": ((SENSOR, X), {}),
-    "sensor.signal_variance": ((SENSOR, X), {}),
-    "sensor.pattern_variance": ((SENSOR, X), {}),
-    "shading.outgoing_radiance": ((PHONG, [LAMP, SUN], POINT, N, WO), {"ambient": AMBIENT}),
-}
 
 
 def is_float(leaf):

@@ -16,15 +16,18 @@ FLOORS = [
     {"_vector", "scene"},
     {"_numerics"},
     {"spectra", "geometry", "padding"},
+    {"hemisphere"},
     {"lights", "brdf", "filters"},
     {"shading", "point_ops"},
-    {"transport"},
+    {"transport", "colour_spaces"},
     {"histogram", "compositing", "optics", "sensor", "develop"},
+    {"matting"},
     {"capture", "effects", "accuracy"},
-    {"io", "plots"},
+    {"io"},
+    {"measured_files", "plots"},
     {"cli"},
 ]
-PHYSICS = set.union(*FLOORS[1:9])
+PHYSICS = set.union(*FLOORS[1:11])
 SOLVERS = {
     "parameters",
     "least_squares",
@@ -34,8 +37,17 @@ SOLVERS = {
     "diagnostics",
 }
 CALIBRATIONS = {"reflectance", "response", "noise", "joint"}
-NEVER_IN_JAXVISION = {"fitting", "optimistix", "lineax", "jaxopt", "emcee", "scipy", "xarray"}
-NEVER_ON_IMPORT = ["matplotlib", "OpenImageIO", "scipy", "optimistix", "jaxopt", "emcee", "xarray"]
+NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}
+NEVER_ON_IMPORT = [
+    "matplotlib",
+    "OpenImageIO",
+    "scipy",
+    "colour",
+    "optimistix",
+    "jaxopt",
+    "emcee",
+    "xarray",
+]
 
 
 class _Running(ast.NodeTransformer):
