@@ -1,12 +1,12 @@
-"""The `jaxvision-fit` command: noise, response and reflectance from a folder of images, and a demo
-that simulates such a folder first.
+"""The `jaxvision-fit` command: noise, response and reflectance from a folder of images, reflectance
+from files of measured BRDFs, and a demo that simulates such a folder first.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 """
 
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -30,8 +30,22 @@ class Model(StrEnum):
     """Reflectance models that `brdf` reports in full."""
 
     LAMBERT = "lambert"
+    OREN_NAYAR = "oren-nayar"
     PHONG = "phong"
+    NORMALISED_PHONG = "normalised-phong"
     GAUSSIAN_LOBE = "gaussian-lobe"
+    BLINN = "blinn"
+    NORMALISED_BLINN = "normalised-blinn"
+    TORRANCE_SPARROW = "torrance-sparrow"
+    TORRANCE_SPARROW_GGX = "torrance-sparrow-ggx"
+    TORRANCE_SPARROW_METAL = "torrance-sparrow-metal"
+
+
+class Objective(StrEnum):
+    """What a fit of measured reflectance minimises."""
+
+    COSINE = "cosine"
+    CUBE_ROOT = "cube-root"
 
 
 @dataclass(frozen=True)
@@ -155,17 +169,41 @@ def response(
 
 @app.command()
 def brdf(
-    path: RigPath,
-    model: Annotated[Model, typer.Option(help="Model to report in full.")] = Model.PHONG,
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A rig folder, or files of measured reflectance: .brdf (Cornell), .bsdf (RGL), "
+            ".binary (MERL).",
+            metavar="PATH...",
+        ),
+    ],
+    model: Annotated[
+        Model | None,
+        typer.Option(
+            help="Model to report in full (default: phong for a rig, the best for files)."
+        ),
+    ] = None,
+    index: Annotated[
+        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
+    ] = 1.5,
+    compare_all: Annotated[
+        bool, typer.Option("--compare-all", help="Rig: fit all models, not only the usual ones.")
+    ] = False,
     ambient: Annotated[
-        bool, typer.Option("--ambient", help="Fit a constant ambient light per channel.")
+        bool, typer.Option("--ambient", help="Rig: fit a constant ambient light per channel.")
     ] = False,
     gamma: Annotated[
-        bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
+        bool, typer.Option("--fit-gamma", help="Rig: fit the encoding exponent of the images.")
     ] = False,
     minimum_cosine: Annotated[
-        float, typer.Option(help="Leave out samples lit at a smaller n.l.", min=0.0)
+        float, typer.Option(help="Rig: leave out samples lit at a smaller n.l.", min=0.0)
     ] = 0.0,
+    objective: Annotated[
+        Objective | None,
+        typer.Option(
+            help="Files: least squares of f_r cos (cosine, the default) or its cube root."
+        ),
+    ] = None,
     out: Out = None,
     as_json: Json = False,
     mcmc: Mcmc = False,
@@ -173,21 +211,38 @@ def brdf(
     steps: Steps = STEPS,
     walkers: Walkers = WALKERS,
 ) -> None:
-    """Reflectance of a known shape under known lights, with models compared on held-out lights."""
+    """Reflectance from images of a known shape, or of measured BRDFs, models compared on held-out
+    lights or angles."""
+    from .measured_reflectance import is_measured_brdf
+
+    options = Options(out, as_json, mcmc, seed, steps, walkers)
+    if any(is_measured_brdf(path) for path in paths):
+        for_rigs = {
+            "--compare-all": compare_all,
+            "--ambient": ambient,
+            "--fit-gamma": gamma,
+            "--minimum-cosine": minimum_cosine,
+        }
+        _brdf_of_files(paths, options, model, index, objective or Objective.COSINE, for_rigs)
+        return
     from .reflectance import calibrate_reflectance, reflectance_section
     from .reflectance_observation import read_reflectance_observation
     from .rig import load_rig
 
-    options = Options(out, as_json, mcmc, seed, steps, walkers)
-
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+        if len(paths) > 1:
+            raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
+        if objective is not None:
+            raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
         with reporter.step("reading images"):
-            observation = read_reflectance_observation(load_rig(path))
+            observation = read_reflectance_observation(load_rig(paths[0]))
         with reporter.step("fitting reflectance") as progress:
             sampling = options.sampling("brdf", progress)
             calibration = calibrate_reflectance(
                 observation,
-                model=model.value,
+                model=(model or Model.PHONG).value,
+                compare_all=compare_all,
+                index=index,
                 sampling=sampling,
                 ambient=ambient,
                 fit_gamma=gamma,
@@ -195,7 +250,58 @@ def brdf(
             )
         return [reflectance_section(calibration)], {}
 
-    _run("Reflectance", path, options, calibrate)
+    _run("Reflectance", paths[0], options, calibrate)
+
+
+def _brdf_of_files(
+    paths: Sequence[Path],
+    options: Options,
+    model: Model | None,
+    index: float,
+    objective: Objective,
+    for_rigs: dict[str, bool | float],
+) -> None:
+    from .measured_reflectance import (
+        calibrate_brdf,
+        is_measured_brdf,
+        material_section,
+        materials_section,
+        read_measured_brdf,
+    )
+
+    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+        for path in paths:
+            if not is_measured_brdf(path):
+                raise InputError(
+                    f"{path}: no file of measured reflectance beside ones that are; give either "
+                    "such files (.brdf, .bsdf, .binary) or one rig folder."
+                )
+        given = [name for name, value in for_rigs.items() if value]
+        if given:
+            raise InputError(f"{paths[0]}: {given[0]} is for images; leave it out for files.")
+        with reporter.step("reading samples"):
+            materials = [read_measured_brdf(path) for path in paths]
+        names = [material.name for material in materials]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{name}: two files have this name; rename one of them.")
+        calibrations = []
+        for material in materials:
+            with reporter.step(f"fitting {material.name}") as progress:
+                calibrations.append(
+                    calibrate_brdf(
+                        material,
+                        model=None if model is None else model.value,
+                        objective=objective.value,
+                        index=index,
+                        sampling=options.sampling("brdf", progress),
+                        seed=options.seed,
+                    )
+                )
+        compared = [materials_section(calibrations)] if len(calibrations) > 1 else []
+        return [*compared, *(material_section(c) for c in calibrations)], {}
+
+    _run("Measured reflectance", paths[0], options, calibrate)
 
 
 @app.command()

@@ -90,14 +90,14 @@ def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
 def plain_table(content: Table) -> RichTable:
     """A results table as it stands, its caption under it."""
     table = RichTable(
-        title=content.title,
+        title=_escaped(content.title),
         title_justify="left",
         title_style="bold",
-        caption=content.caption or None,
+        caption=_escaped(content.caption) or None,
         caption_justify="left",
     )
     for column in content.columns:
-        table.add_column(column)
+        table.add_column(_escaped(column))
     for row in content.rows:
         table.add_row(*(_escaped(format_cell(cell)) for cell in row))
     return table

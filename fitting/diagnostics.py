@@ -42,7 +42,7 @@ def identifiability(
     if blind.any() or not np.isfinite(information).all():
         count = len(labels)
         lost = [label for label, unseen in zip(labels, blind, strict=True) if unseen]
-        what = _listed(lost) if lost else "any parameter"
+        what = listed(lost) if lost else "any parameter"
         direction = blind / max(1.0, np.sqrt(blind.sum()))
         return Identifiability(
             np.zeros(count),
@@ -70,7 +70,7 @@ def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
 
 def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
     return (
-        f"The data cannot tell {_listed(_partners(labels, direction))} apart: a change in one is "
+        f"The data cannot tell {listed(_partners(labels, direction))} apart: a change in one is "
         "undone by the others, so fix one of them or add measurements that separate them."
     )
 
@@ -82,9 +82,10 @@ def _confused(labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray)
     others = [name for name in _partners(labels, worst) if name != labels[most]]
     return (
         f"{labels[most]} is known {inflation[most]:.0f} times less well than it would be if "
-        f"{_listed(others or ['the others'])} were known: the data largely confuse them.",
+        f"{listed(others or ['the others'])} were known: the data largely confuse them.",
     )
 
 
-def _listed(words: list[str]) -> str:
+def listed(words: list[str]) -> str:
+    """`a, b and c`."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -17,22 +17,21 @@ import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
+from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.phong import Phong
 from jaxvision.capture import capture
 from jaxvision.develop import to_integers
 from jaxvision.io import replaced_on_success, write_image
+from jaxvision.lights import DirectionalLight, PointLight
 from jaxvision.optics import look_at
 from jaxvision.scene import (
     AmbientLight,
     Camera,
     Development,
-    DirectionalLight,
     Gamma,
-    Lambert,
     Orthographic,
-    Phong,
     Pinhole,
     Plane,
-    PointLight,
     PoissonShotNoise,
     Scene,
     Sensor,

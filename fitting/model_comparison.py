@@ -14,15 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .reflectance_fit import ChannelFit, Selection, make_samples
-from .reflectance_model import Model, predicted_dn
+from .reflectance_model import predicted_dn
+from .reflectance_models import LABELS, Model
 from .reflectance_observation import ReflectanceObservation
 from .results import Table
 
-LABELS: dict[Model, str] = {
-    "lambert": "Lambert",
-    "phong": "Phong",
-    "gaussian-lobe": "Gaussian lobe",
-}
 ALIKE = 0.005  # relative RMS within which models predict equally well
 DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very strong evidence
 

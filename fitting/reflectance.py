@@ -1,6 +1,6 @@
-"""Reflectance of a known shape under known lights: Lambert, Phong or Gaussian lobe, per channel.
+"""Reflectance of a known shape under known lights: one of `reflectance_models`, per channel.
 
-All three models are fitted to the same lights and compared on the others; the one asked for is
+Several models are fitted to the same lights and compared on the others; the one asked for is
 reported in full, with what stands in the way of believing it.
 """
 
@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .misfit import cluster_robust
-from .model_comparison import LABELS, comparison_table, verdict
+from .model_comparison import comparison_table, verdict
 from .posterior import estimates
 from .reflectance_calibration import ReflectanceCalibration, calibrate_reflectance
 from .reflectance_findings import findings, misfit_table
 from .reflectance_fit import ChannelFit
 from .reflectance_model import parameter_space, scores
+from .reflectance_models import CLEAR, LABELS
 from .results import Estimate, Picture, Section, gaussian_estimate, not_determined
 
 __all__ = ["ReflectanceCalibration", "calibrate_reflectance", "reflectance_section"]
@@ -44,8 +45,15 @@ def reflectance_section(calibration: ReflectanceCalibration) -> Section:
             "black level [DN]": observation.black,
             "clip level [DN]": observation.clip,
             "gamma": observation.gamma or 1.0,
+            **_facet_settings(calibration),
         },
     )
+
+
+def _facet_settings(calibration: ReflectanceCalibration) -> dict[str, float]:
+    if calibration.model not in CLEAR:
+        return {}
+    return {"index of refraction": calibration.reported[0].requested.index}
 
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
@@ -113,7 +121,8 @@ def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
             "Left: signal per unit of light, away from the highlight, against n.l: the diffuse "
             "term is a straight line. Right: what the diffuse term leaves over, against the angle "
             "to the mirror direction: the highlight. Dots: medians of the fitted lights, bars: "
-            "middle 68 % of the pixels; lines: the fit.",
+            "middle 68 % of the pixels; lines: the fit (medians of it where it does not depend on "
+            "that angle alone).",
             drawn_by("lobes_figure"),
         ),
         Picture(

@@ -1,4 +1,4 @@
-"""Fits of every reflectance model to the lights of a rig, and what they leave open."""
+"""Fits of reflectance models to the lights of a rig, and what they leave open."""
 
 from dataclasses import dataclass
 
@@ -12,11 +12,14 @@ from .model_comparison import ModelScore, compare
 from .posterior import Posterior, SamplingOptions
 from .reflectance_cells import group
 from .reflectance_fit import ChannelFit, Selection, fit_channel, predicted_image, select
-from .reflectance_model import MODELS, SHAPE, Form, Model, parameter_space
+from .reflectance_model import Form, parameter_space
+from .reflectance_models import INDEX, MODELS, Model, shape_of
 from .reflectance_observation import ReflectanceObservation
 from .reflectance_posterior import channel_posterior
 
 FEWEST_SAMPLES = 50
+HIGHEST_INDEX = 10.0  # of refraction: beyond any material
+USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe")
 OPEN = 1.0  # standard deviation of a log parameter from which it counts as not determined
 
 
@@ -45,13 +48,17 @@ def calibrate_reflectance(
     observation: ReflectanceObservation,
     *,
     model: Model,
+    compare_all: bool = False,
+    index: float = INDEX,
     sampling: SamplingOptions | None = None,
     ambient: bool = False,
     fit_gamma: bool = False,
     minimum_cosine: float = 0.0,
 ) -> ReflectanceCalibration:
-    """Fits every model to the lights that are not held out.
+    """Fits `model` and its usual rivals, or every model (`compare_all`), to the lights that are
+    not held out.
 
+    index: of refraction, of the clear facets of Torrance-Sparrow.
     sampling: draw from the posterior of `model`; None for Laplace. ambient: a constant per channel
     is added to the light, read off the attached shadows too. fit_gamma: the encoding exponent is
     free (a known `camera.gamma` is then ignored). minimum_cosine: samples at a smaller n.l are left
@@ -59,7 +66,13 @@ def calibrate_reflectance(
     """
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
-    forms: dict[Model, Form] = {name: Form(name, ambient, fit_gamma) for name in MODELS}
+    if not 1 < index < HIGHEST_INDEX:
+        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+    forms: dict[Model, Form] = {
+        name: Form(name, ambient, fit_gamma, index)
+        for name in MODELS
+        if compare_all or name in (*USUAL, model)
+    }
     fitted, held_out = (
         select(observation, held_out=kept, form=forms[model], minimum_cosine=minimum_cosine)
         for kept in (False, True)
@@ -118,8 +131,13 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     size = fit.samples.dn.size / fit.design_effect
     gain = 2 * (fit.log_likelihood - without_lobe.log_likelihood) / fit.design_effect
     if fit.form.model != "lambert" and gain < 2 * np.log(size):
-        unseen = "no highlight is seen: a fit without one does as well"
-        reasons |= dict.fromkeys(("specular", SHAPE[fit.form.model].name), unseen)
+        unseen = (
+            "no highlight is seen: a fit without one does as well"
+            if "specular" in present
+            else "the surface looks smooth: Lambert's model does as well"
+        )
+        lost = ("specular", shape_of(fit.form.model).name)
+        reasons |= dict.fromkeys((name for name in lost if name in present), unseen)
     if fit.robustness is None:
         for name, inflation in zip(present, fit.identifiability.inflation, strict=True):
             if not np.isfinite(inflation):

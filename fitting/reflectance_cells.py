@@ -7,6 +7,7 @@ mean is a correction known at any given parameters, so that there cells and pixe
 
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -63,7 +64,7 @@ def average(
     cells = replace(
         samples,
         cosine=mean(samples.cosine),
-        mirror=None if samples.mirror is None else mean(samples.mirror),
+        geometry=jax.tree.map(mean, samples.geometry),
         irradiance=mean(samples.irradiance),
         dn=mean(samples.dn),
         deviation=jnp.asarray(deviation, samples.dn.dtype),
@@ -83,7 +84,7 @@ def saturated_only(samples: Samples) -> Samples | None:
     return replace(
         samples,
         cosine=samples.cosine[chosen],
-        mirror=None if samples.mirror is None else samples.mirror[chosen],
+        geometry=jax.tree.map(lambda x: x[chosen], samples.geometry),
         irradiance=samples.irradiance[chosen],
         dn=samples.dn[chosen],
         deviation=samples.deviation[chosen],

@@ -5,6 +5,7 @@ import numpy as np
 from .posterior import convergence_in_words
 from .reflectance_calibration import ReflectanceCalibration, mean_residual
 from .reflectance_fit import ChannelFit
+from .reflectance_models import CLEAR, facet_sentence
 from .results import Table
 
 NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
@@ -21,6 +22,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     return (
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
+        *_facet_finding(calibration),
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
@@ -100,6 +102,12 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider."
         )
     return found
+
+
+def _facet_finding(calibration: ReflectanceCalibration) -> list[str]:
+    if calibration.model not in CLEAR:
+        return []
+    return [facet_sentence(calibration.reported[0].requested.index)]
 
 
 def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:

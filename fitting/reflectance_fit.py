@@ -33,7 +33,6 @@ from .newton import minimise
 from .parameters import ParameterSpace, to_natural
 from .reflectance_cells import Grouping, average
 from .reflectance_model import (
-    SHAPE,
     Form,
     Samples,
     decoded,
@@ -48,7 +47,8 @@ from .reflectance_model import (
     residuals,
     scores,
 )
-from .reflectance_observation import ReflectanceObservation
+from .reflectance_models import has_lobe, shape_of
+from .reflectance_observation import ReflectanceObservation, lobe_geometry
 from .varpro import fit_separable, non_negative_amplitudes
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
@@ -129,17 +129,12 @@ def make_samples(
     light, pixel = selection.light, selection.pixel
     dn = observation.dn[channel, light, pixel]
     clips = bool(observation.saturated[:, light, pixel].any())
-    mirror = {
-        "lambert": None,
-        "phong": observation.log_cos_mirror,
-        "gaussian-lobe": observation.mirror_angle,
-    }[form.model]
     irradiance = observation.intensity[channel, light] * observation.falloff[light, pixel]
     gamma = None if form.free_gamma else observation.gamma
     return Samples(
         form=form,
         cosine=jnp.asarray(np.maximum(observation.cosine[light, pixel], 0)),
-        mirror=None if mirror is None else jnp.asarray(mirror[light, pixel]),
+        geometry=lobe_geometry(observation, form.model, light, pixel),
         irradiance=jnp.asarray(irradiance),
         dn=jnp.asarray(dn),
         deviation=jnp.ones(len(dn)),
@@ -165,8 +160,8 @@ def fit_channel(
     if observation.gain is not None and observation.read_noise is not None:
         sensor = sensor_spread(observation.gain, observation.read_noise)
     cells, start = project(average(samples, grouping))
-    mirror = None if cells.mirror is None else samples.mirror
-    samples = replace(samples, form=cells.form, mirror=mirror)
+    geometry = None if cells.geometry is None else samples.geometry
+    samples = replace(samples, form=cells.form, geometry=geometry)
     first = minimise_residuals(residuals, start, cells).vector
     samples, spread = _weighted(first, samples, sensor)
     near = minimise_residuals(residuals, first, average(samples, grouping)).vector
@@ -236,7 +231,9 @@ def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Arr
     if samples.saturated is not None:
         weights = jnp.where(samples.saturated, 0, weights)
     constant = jnp.ones_like(linear) if form.ambient else jnp.zeros_like(linear)
-    fixed = jnp.stack([samples.irradiance * samples.cosine, constant])
+    # A rough diffuse surface is a single term: its amplitude is the searched column's.
+    body = samples.cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
+    fixed = jnp.stack([samples.irradiance * body, constant])
     if form.model == "lambert":
         gram, moment = (weights[None] * fixed) @ fixed.T, fixed @ (weights * linear)
         amplitudes, reduction = non_negative_amplitudes(gram, moment)
@@ -245,7 +242,7 @@ def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Arr
             jnp.append(amplitudes, jnp.zeros((), linear.dtype)),
             jnp.zeros((), linear.dtype),
         )
-    shape = SHAPE[form.model]
+    shape = shape_of(form.model)
     found = fit_separable(
         fixed,
         _lobe_column,
@@ -260,8 +257,8 @@ def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Arr
 
 
 def _lobe_column(log_shape: Array, samples: Samples) -> Array:
-    assert samples.mirror is not None
-    unit = lobe(samples.form.model, samples.mirror, jnp.exp(log_shape))
+    assert samples.geometry is not None
+    unit = lobe(samples.form, samples.geometry, jnp.exp(log_shape))
     return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
 
 
@@ -269,14 +266,18 @@ def _present_terms(
     samples: Samples, terms: Sequence[Array], gamma: float | None
 ) -> tuple[Samples, Array]:
     (diffuse, ambient, specular), log_shape = np.asarray(terms[0]), terms[1]
-    if specular == 0 and samples.form.model != "lambert":
-        samples = replace(samples, form=replace(samples.form, model="lambert"), mirror=None)
+    rough = samples.form.model != "lambert" and not has_lobe(samples.form.model)
+    if rough:
+        diffuse, specular = specular, 0.0
+    elif specular == 0 and samples.form.model != "lambert":
+        samples = replace(samples, form=replace(samples.form, model="lambert"), geometry=None)
     if ambient == 0 and samples.form.ambient:
         samples = replace(samples, form=replace(samples.form, ambient=False))
     form = samples.form
     smallest = SMALLEST_SHARE * max(diffuse, specular)
     vector = [np.log(max(diffuse, smallest))]
-    vector += [np.log(specular), float(log_shape)] if form.model != "lambert" else []
+    vector += [np.log(specular)] if has_lobe(form.model) else []
+    vector += [float(log_shape)] if form.model != "lambert" else []
     vector += [np.log(ambient)] if form.ambient else []
     vector += [np.log(gamma)] if gamma is not None else []
     return samples, jnp.asarray(vector, samples.dn.dtype)

@@ -3,17 +3,17 @@
     X   = E (k_d [n.l]+ + k_s lobe) + k_a                  linear signal, DN
     DN  = black + white (X / white)^(1 / gamma)            what the file holds
 
-in each channel by itself: Phong SHADING in the textbook sense, without a cosine on the specular
-term and without 1 / pi in k_d. E is the irradiance on a surface facing the light, in the rig's
-unit, so k_d and k_s are in DN per unit of E. `lobe` is Phong's or the Gaussian one of
-`jaxvision.brdf`. Parts that a `Form` does not name are neither parameters nor traced.
+in each channel by itself. E is the irradiance on a surface facing the light, in the rig's unit, so
+k_d and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance_models` with unit
+k_s: of Phong, Blinn and the Gaussian lobe as published, without a cosine, of all others f_r
+cos(theta_i). Oren-Nayar has k_d lobe in place of both terms. Parts that a `Form` does not name are
+neither parameters nor traced.
 
 A pixel at or above the clip level says only that its value lies there: it is censored (Tobin,
 Econometrica 26, 1958), contributing log Phi((predicted - clip) / deviation).
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import equinox as eqx
 import jax
@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxvision._numerics import safe_sqrt
+from jaxvision._vector import Vec
 from jaxvision.brdf.gaussian_lobe import gaussian_lobe
 from jaxvision.brdf.phong import phong_lobe
 from jaxvision.point_ops import gamma_decode, gamma_encode
 
 from .parameters import Parameter, ParameterSpace, to_natural
-
-Model = Literal["lambert", "phong", "gaussian-lobe"]
-MODELS: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe")
+from .reflectance_models import INDEX, REFLECTANCES, Model, has_lobe, shape_of, unit_shading
 
 COEFFICIENT_UNIT = "DN per unit light"
 DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
@@ -36,33 +36,27 @@ DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a varia
 
 @dataclass(frozen=True)
 class Form:
-    """Which terms a fit has: the model, and whether an ambient term and gamma are free."""
+    """Which terms a fit has: the model, and whether an ambient term and gamma are free. index: of
+    refraction, of clear facets."""
 
     model: Model
     ambient: bool = False
     free_gamma: bool = False
-
-
-SHAPE = {
-    "phong": Parameter(
-        "exponent", symbol="n", unit="1", transform="log", lower=0.5, upper=20_000.0
-    ),
-    "gaussian-lobe": Parameter(
-        "concentration", symbol="c", unit="1/rad", transform="log", lower=0.5, upper=100.0
-    ),
-}
+    index: float = INDEX
 
 
 def parameter_space(form: Form) -> ParameterSpace:
-    """diffuse; specular and exponent or concentration; ambient; gamma: as far as the form has
-    them. All positive, hence in logarithms."""
+    """diffuse; specular; the lobe's shape; ambient; gamma: as far as the form has them. All
+    positive, hence in logarithms."""
 
     def amplitude(name: str, symbol: str, unit: str) -> Parameter:
         return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
 
     space = [amplitude("diffuse", "k_d", COEFFICIENT_UNIT)]
+    if has_lobe(form.model):
+        space.append(amplitude("specular", "k_s", COEFFICIENT_UNIT))
     if form.model != "lambert":
-        space += [amplitude("specular", "k_s", COEFFICIENT_UNIT), SHAPE[form.model]]
+        space.append(shape_of(form.model))
     if form.ambient:
         space.append(amplitude("ambient", "k_a", "DN"))
     if form.free_gamma:
@@ -72,19 +66,30 @@ def parameter_space(form: Form) -> ParameterSpace:
     return tuple(space)
 
 
+class Invariants(eqx.Module):
+    """The three numbers that an isotropic BRDF depends on, (samples,) each: the cosines of light
+    and viewer to the normal, and the log cosine of the lobe's own angle, to the mirror direction or
+    between normal and half vector. Unlike directions they may be averaged over like pixels."""
+
+    cos_i: Float[Array, " samples"]
+    cos_o: Float[Array, " samples"]
+    log_cos: Float[Array, " samples"]
+
+
 class Samples(eqx.Module):
     """Lit pixels of one channel, or cells of like pixels.
 
-    cosine: [n.l]+. mirror: what the lobe takes, the log cosine of the mirror angle (Phong) or the
-    angle in rad (Gaussian); None for Lambert. irradiance: E. dn, deviation: DN; a cell of equal
-    pixels is one sample of smaller deviation. saturated: None where nothing clips. gamma: known
-    encoding, None for linear files or where it is free. offset: DN added to a cell's prediction,
-    what its pixels' mean differs from their mean geometry's.
+    cosine: [n.l]+. geometry: what the lobe takes, the log cosine of the angle to the mirror
+    direction (Phong) or between normal and half vector (Blinn), the mirror angle in rad (Gaussian),
+    all that matters for the others; None for Lambert. irradiance: E. dn, deviation: DN; a cell of
+    equal pixels is one sample of smaller deviation. saturated: None where nothing clips. gamma:
+    known encoding, None for linear files or where it is free. offset: DN added to a cell's
+    prediction, what its pixels' mean differs from their mean geometry's.
     """
 
     form: Form = eqx.field(static=True)
     cosine: Float[Array, " samples"]
-    mirror: Float[Array, " samples"] | None
+    geometry: Float[Array, " samples"] | Invariants | None
     irradiance: Float[Array, " samples"]
     dn: Float[Array, " samples"]
     deviation: Float[Array, " samples"]
@@ -96,22 +101,52 @@ class Samples(eqx.Module):
     offset: Float[Array, " samples"] | None = None
 
 
-def lobe(model: Model, mirror: Float[Array, "..."], shape: Float[Array, "..."]) -> Array:
-    """The unit lobe of the model; `shape`: Phong's exponent or the Gaussian's concentration."""
-    return phong_lobe(mirror, shape) if model == "phong" else gaussian_lobe(mirror, shape)
+def lobe(
+    form: Form, geometry: Float[Array, " samples"] | Invariants, shape: Float[Array, ""]
+) -> Float[Array, " samples"]:
+    """The shading of unit amplitude: (samples,)."""
+    if isinstance(geometry, Invariants):
+        return unit_shading(form.model, shape, *_directions(form.model, geometry), form.index)
+    if form.model == "gaussian-lobe":
+        return gaussian_lobe(geometry, shape)
+    return phong_lobe(geometry, shape)
+
+
+def _directions(model: Model, seen: Invariants) -> tuple[Vec, Vec]:
+    """(wi, wo) with these invariants: normal +z, viewer in the xz plane, light on the side of +y.
+
+    The part of wi.wo across the normal follows from the angle to the mirror direction,
+    cos_i cos_o - cos, or from the half vector's, as |wi + wo| = (cos_i + cos_o) / cos.
+    """
+    cos_i, cos_o, cos = seen.cos_i, seen.cos_o, jnp.exp(seen.log_cos)
+    if REFLECTANCES[model].axis == "mirror":
+        across = cos_i * cos_o - cos
+    else:
+        across = jnp.square((cos_i + cos_o) / cos) / 2 - 1 - cos_i * cos_o
+    sin_i, sin_o = (safe_sqrt((1 - c) * (1 + c)) for c in (cos_i, cos_o))
+    tilted = sin_i * sin_o > 0
+    cos_phi = jnp.where(tilted, across / jnp.where(tilted, sin_i * sin_o, 1), 1)
+    cos_phi = jnp.clip(cos_phi, -1, 1)
+    sin_phi = safe_sqrt((1 - cos_phi) * (1 + cos_phi))
+    wi = Vec(sin_i * cos_phi, sin_i * sin_phi, cos_i)
+    return wi, Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
 
 
 def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Array:
     """X, DN above black as a linear camera would give them: (samples,)."""
     form, natural = samples.form, iter(to_natural(parameter_space(samples.form), vector))
-    reflected = next(natural) * samples.cosine
-    if form.model != "lambert":
-        specular, shape = next(natural), next(natural)
-        assert samples.mirror is not None
+    diffuse = next(natural)
+    if form.model == "lambert":
+        reflected = diffuse * samples.cosine
+    else:
+        specular = next(natural) if has_lobe(form.model) else None
+        assert samples.geometry is not None
         # Attached shadows have no highlight either.
-        reflected = reflected + jnp.where(
-            samples.cosine > 0, specular * lobe(form.model, samples.mirror, shape), 0
-        )
+        unit = jnp.where(samples.cosine > 0, lobe(form, samples.geometry, next(natural)), 0)
+        if specular is None:
+            reflected = diffuse * unit
+        else:
+            reflected = diffuse * samples.cosine + specular * unit
     signal = samples.irradiance * reflected
     return signal + next(natural) if form.ambient else signal
 

@@ -10,16 +10,22 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision._numerics import angle_between, dot, log_cos_between, norm, normalize
+from jaxvision._vector import Vec, as_vec
+from jaxvision.brdf.blinn import log_cos_half
 from jaxvision.errors import InputError
 from jaxvision.geometry import mirror_direction
+from jaxvision.hemisphere import local_frame, to_local
 from jaxvision.io import read_image
 
 from .observation import read_frame, read_mask
+from .reflectance_model import Invariants
+from .reflectance_models import REFLECTANCES, Model
 from .rig import Geometry, Light, Rig, SphereGeometry, require
 
+VIEW = (0.0, 0.0, 1.0)
 PURPOSE = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
@@ -33,7 +39,8 @@ class ReflectanceObservation:
 
     dn: stored digital numbers. intensity: of each light as the rig gives it; falloff: what the
     distance leaves of it at a pixel (1 for distant lights; m^-2 for point lights), so that
-    intensity x falloff is the irradiance on a surface facing the light. cosine: n.l, negative in
+    intensity x falloff is the irradiance on a surface facing the light. wi: unit, toward the
+    light. cosine: n.l, negative in
     attached shadows. mirror_angle: between view and mirror direction, rad; log_cos_mirror: log of
     its cosine. black, clip: DN. white: DN of full scale above black. gamma, gain (DN per electron),
     read_noise (electrons): None where unknown. rows, columns: of the pixels in images of `shape`.
@@ -44,6 +51,7 @@ class ReflectanceObservation:
     dn: Float[np.ndarray, "channels lights pixels"]
     intensity: Float[np.ndarray, "channels lights"]
     falloff: Float[np.ndarray, "lights pixels"]
+    wi: Float[np.ndarray, "lights pixels 3"]
     cosine: Float[np.ndarray, "lights pixels"]
     mirror_angle: Float[np.ndarray, "lights pixels"]
     log_cos_mirror: Float[np.ndarray, "lights pixels"]
@@ -92,6 +100,7 @@ def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
         dn=frames[:, :, rows, columns],
         intensity=_intensities(rig, len(frames)),
         falloff=falloff,
+        wi=wi,
         cosine=cosine,
         mirror_angle=mirror_angle,
         log_cos_mirror=log_cos_mirror,
@@ -225,7 +234,7 @@ def _radius_in_metres(rig: Rig, light: Light) -> float:
 @jax.jit
 def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, ...]:
     mirrored = mirror_direction(normals, wi)
-    view = jnp.broadcast_to(jnp.array([0, 0, 1], normals.dtype), normals.shape)
+    view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
     return dot(normals, wi), log_cos_between(mirrored, view), angle_between(mirrored, view)
 
 
@@ -233,6 +242,42 @@ def _angles(normals: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, ...]:
     """n.l, log of the mirror angle's cosine, and the mirror angle, each (lights, pixels)."""
     per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
+
+
+def lobe_geometry(
+    observation: ReflectanceObservation,
+    model: Model,
+    light: Int[np.ndarray, " samples"],
+    pixel: Int[np.ndarray, " samples"],
+) -> Array | Invariants | None:
+    """What the lobe of a model takes, for chosen lights and pixels."""
+    match model:
+        case "lambert":
+            return None
+        case "phong":
+            return jnp.asarray(observation.log_cos_mirror[light, pixel])
+        case "gaussian-lobe":
+            return jnp.asarray(observation.mirror_angle[light, pixel])
+    if REFLECTANCES[model].axis == "mirror":
+        log_cos = jnp.asarray(observation.log_cos_mirror[light, pixel])
+    else:
+        log_cos = _log_cos_half(
+            jnp.asarray(observation.normals[pixel]), jnp.asarray(observation.wi[light, pixel])
+        )
+    if model == "blinn":
+        return log_cos
+    return Invariants(
+        cos_i=jnp.asarray(observation.cosine[light, pixel]),
+        cos_o=jnp.asarray(observation.normals[pixel, 2]),
+        log_cos=log_cos,
+    )
+
+
+@jax.jit
+def _log_cos_half(normals: jax.Array, wi: jax.Array) -> jax.Array:
+    view = Vec(*(jnp.full(normals.shape[:1], x, normals.dtype) for x in VIEW))
+    frame = local_frame(as_vec(normals))
+    return log_cos_half(as_vec(to_local(frame, as_vec(wi))), as_vec(to_local(frame, view)))
 
 
 def _intensities(rig: Rig, channels: int) -> Float[np.ndarray, "channels lights"]:

@@ -46,15 +46,18 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
         cells=average(fit.samples, grouping, exact_at=mode),
         saturated=saturated_only(fit.samples),
         mode=mode,
-        stretch=jnp.asarray(_stretch(fit.information, fit.robustness.covariance), mode.dtype),
+        stretch=jnp.asarray(
+            curvature_stretch(fit.information, fit.robustness.covariance), mode.dtype
+        ),
     )
 
 
-def _stretch(
+def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """C with C^T information C = covariance^-1; the identity where they already agree."""
+    """C with C^T information C = covariance^-1: moves in C (vector - mode) that the information
+    calls one deviation are so by the covariance; the identity where they already agree."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -3,14 +3,27 @@
 from ._types import as_dtype
 from ._vector import Vec, as_array, as_vec
 from .brdf import reflect
-from .brdf.gaussian_lobe import gaussian_lobe, gaussian_lobe_shading
-from .brdf.lambert import lambert_shading
-from .brdf.phong import phong_lobe, phong_shading
+from .brdf.gaussian_lobe import GaussianLobe, gaussian_lobe, gaussian_lobe_shading
+from .brdf.lambert import Lambert, lambert_shading
+from .brdf.phong import Phong, phong_lobe, phong_shading
 from .capture import Capture, capture, radiance_along, render
 from .develop import develop, to_integers
 from .errors import InputError
 from .geometry import Hit, Ray, hit_shape, intersect, mirror_direction, nearest_shape
-from .lights import Incident, incident
+from .lights import (
+    DirectionalLight,
+    EnvironmentMap,
+    Incident,
+    LightFieldLight,
+    MonteCarlo,
+    PointLight,
+    Quadrature,
+    RectangleLight,
+    Window,
+    environment_map,
+    incident,
+    incident_samples,
+)
 from .optics import camera_ray, look_at, sensor_irradiance
 from .point_ops import gain_bias, gamma_decode, gamma_encode, srgb_decode, srgb_encode
 from .scene import (
@@ -18,17 +31,12 @@ from .scene import (
     AmbientLight,
     Camera,
     Development,
-    DirectionalLight,
     Gamma,
-    GaussianLobe,
     GaussianShotNoise,
-    Lambert,
     Orthographic,
-    Phong,
     PhotonConversion,
     Pinhole,
     Plane,
-    PointLight,
     PoissonShotNoise,
     Scene,
     Sensor,
@@ -56,6 +64,7 @@ __all__ = [
     "Capture",
     "Development",
     "DirectionalLight",
+    "EnvironmentMap",
     "Gamma",
     "GaussianLobe",
     "GaussianShotNoise",
@@ -63,6 +72,8 @@ __all__ = [
     "Incident",
     "InputError",
     "Lambert",
+    "LightFieldLight",
+    "MonteCarlo",
     "Orthographic",
     "Phong",
     "PhotonConversion",
@@ -70,12 +81,15 @@ __all__ = [
     "Plane",
     "PointLight",
     "PoissonShotNoise",
+    "Quadrature",
     "Ray",
+    "RectangleLight",
     "Scene",
     "Sensor",
     "Sphere",
     "Surface",
     "Vec",
+    "Window",
     "as_array",
     "as_dtype",
     "as_vec",
@@ -84,6 +98,7 @@ __all__ = [
     "collect",
     "develop",
     "digitise",
+    "environment_map",
     "expected_signal",
     "gain_bias",
     "gamma_decode",
@@ -92,6 +107,7 @@ __all__ = [
     "gaussian_lobe_shading",
     "hit_shape",
     "incident",
+    "incident_samples",
     "intersect",
     "lambert_shading",
     "look_at",

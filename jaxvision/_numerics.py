@@ -13,7 +13,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from ._types import Scalars
-from ._vector import Vec3, as_vec, scaled
+from ._vector import Vec, Vec3, as_vec, scaled
 
 
 def smallest_divisor(dtype: DTypeLike) -> float:
@@ -70,6 +70,59 @@ def normalize(v: Vec3) -> Vec3:
     return scaled(sized, 1 / jnp.sqrt(jnp.where(square > 0, square, 1)))
 
 
+# Rational approximation of (arctan(t) - t) / t^3 in t^2 for |t| <= 0.66, good to 1e-16: Moshier,
+# Cephes Mathematical Library, atan.c.
+_ARCTAN_ABOVE = (
+    -8.750608600031904122785e-1,
+    -1.615753718733365076637e1,
+    -7.500855792314704667340e1,
+    -1.228866684490136173410e2,
+    -6.485021904942025371773e1,
+)
+_ARCTAN_BELOW = (
+    1.0,
+    2.485846490142306297962e1,
+    1.650270098316988542046e2,
+    4.328810604912902668951e2,
+    4.853903996359136964868e2,
+    1.945506571482613964425e2,
+)
+
+
+@jax.custom_jvp
+def arctan2(y: Scalars, x: Scalars) -> Scalars:
+    """Angle of (x, y) for y >= 0, in [0, pi] rad; 0, with gradient 0, at the origin.
+
+    Within two units in the last place like XLA's own, which the CPU calls one number at a time:
+    this vectorises and is 12 to 30 times faster there.
+    """
+    ahead = jnp.abs(x)
+    low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
+    wide = low > 0.66 * high  # arctan(r) = pi / 4 + arctan((r - 1) / (r + 1))
+    divisor = jnp.where(wide, low + high, high)
+    t = jnp.where(wide, low - high, low) / jnp.where(divisor > 0, divisor, 1)
+    z = t * t
+    above, below = jnp.full_like(z, _ARCTAN_ABOVE[0]), jnp.full_like(z, _ARCTAN_BELOW[0])
+    for coefficient in _ARCTAN_ABOVE[1:]:
+        above = above * z + coefficient
+    for coefficient in _ARCTAN_BELOW[1:]:
+        below = below * z + coefficient
+    angle = t + t * z * (above / below)
+    angle = jnp.where(wide, np.pi / 4 + angle, angle)
+    angle = jnp.where(y > ahead, np.pi / 2 - angle, angle)
+    return jnp.where(x < 0, np.pi - angle, angle)
+
+
+@arctan2.defjvp
+def _arctan2_jvp(primals, tangents):
+    (y, x), (dy, dx) = primals, tangents
+    _, scale = _to_unit_size(Vec(x, y, jnp.zeros_like(x)))
+    sine, cosine = y / scale, x / scale
+    square = sine * sine + cosine * cosine
+    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0) / scale
+    return arctan2(y, x), (cosine * dy - sine * dx) * inverse
+
+
 def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     """Angle in [0, pi] between unit vectors, in radians.
 
@@ -79,7 +132,7 @@ def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     """
     apart, together = norm(u - v), norm(u + v)
     defined = jnp.maximum(apart, together) > smallest_divisor(apart.dtype)
-    return 2 * jnp.arctan2(jnp.where(defined, apart, 0), jnp.where(defined, together, 1))
+    return 2 * arctan2(jnp.where(defined, apart, 0), jnp.where(defined, together, 1))
 
 
 def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:

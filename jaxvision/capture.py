@@ -10,10 +10,12 @@ import jax.numpy as jnp
 from ._types import Colour, Image, Key, group_by_structure, take
 from .develop import develop
 from .geometry import Ray, hit_shape, nearest_shape
+from .lights import LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for
+from .lights.light_field import light_field_ray
 from .optics import camera_ray, pixel_grid, sensor_irradiance
 from .scene import Camera, Scene, View
 from .sensor import raw_image
-from .shading import outgoing_radiance
+from .shading import DEFAULT_RULE, outgoing_radiance
 
 
 class Capture(eqx.Module):
@@ -29,43 +31,91 @@ class Capture(eqx.Module):
     picture: Image | None
 
 
-def radiance_along(scene: Scene, ray: Ray) -> Colour:
-    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1; black
-    where the ray meets nothing. Materials of one kind are shaded by one piece of code."""
+def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:
+    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
+
+    The nearest surface or extended light is seen; a ray that meets neither sees the environments,
+    or black. `rule`: how finely extended lights are taken apart where they light a surface.
+    Materials of one kind are shaded by one piece of code.
+    """
     shapes = [surface.shape for surface in scene.surfaces]
     index = nearest_shape(ray, shapes)
     hit = hit_shape(ray, shapes, index)
     point = ray.origin + jnp.where(index >= 0, hit.distance, 0) * ray.direction
-    radiance = jnp.zeros_like(scene.surfaces[0].material.diffuse)
+    radiance = jnp.zeros((), ray.origin.x.dtype)
     for members, group in group_by_structure([surface.material for surface in scene.surfaces]):
         material, among = take(members, group, index)
         shaded = outgoing_radiance(
-            material, scene.lights, point, hit.normal, -ray.direction, ambient=scene.ambient
+            material,
+            scene.lights,
+            point,
+            hit.normal,
+            -ray.direction,
+            ambient=scene.ambient,
+            rule=rule,
         )
         radiance = jnp.where(among, shaded, radiance)
-    return radiance
+    if not any(can_be_seen(light) for light in scene.lights):
+        return radiance
+    light = nearest_seen(scene.lights, ray)
+    return jnp.where((light.distance < hit.distance) | (index < 0), light.radiance, radiance)
 
 
-def render(scene: Scene, view: View) -> Image:
+def render(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE) -> Image:
     """The picture in radiance, one ray through each pixel's centre: (h, w, bands) in
-    W m^-2 sr^-1."""
-
-    def pixel(row, column):
-        return radiance_along(scene, camera_ray(view, row, column))
-
+    W m^-2 sr^-1. `rule`: how finely extended lights are taken apart; `MonteCarlo` draws for each
+    pixel anew."""
     rows, columns = pixel_grid(view)
-    return jax.vmap(lambda row: jax.vmap(lambda column: pixel(row, column))(columns))(rows)
+    height, width = view.resolution
+
+    def pixel(row, column, number):
+        return radiance_along(scene, camera_ray(view, row, column), rule=rule_for(rule, number))
+
+    numbers = jnp.arange(height * width).reshape(height, width)
+    over_columns = jax.vmap(pixel, in_axes=(None, 0, 0))
+    return jax.vmap(over_columns, in_axes=(0, None, 0))(rows, columns, numbers)
+
+
+def render_light_field(
+    scene: Scene,
+    aperture: Window,
+    focal: Window,
+    *,
+    resolution: tuple[int, int, int, int],
+    rule: Rule = DEFAULT_RULE,
+) -> LightFieldLight:
+    """What leaves a scene through a window, recorded: radiance in W m^-2 sr^-1 along each line
+    from a place of the aperture to one of the parallel focal window, corners in m.
+
+    The scene is what lies behind the aperture. `resolution`: samples (s, t, u, v), the outermost
+    on the windows' rims; one sample of an axis lies at its start.
+    """
+    axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
+    places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
+
+    def sample(place, number):
+        ray = light_field_ray(aperture, focal, place)
+        return radiance_along(scene, ray, rule=rule_for(rule, number))
+
+    radiance = jax.vmap(sample)(places, jnp.arange(len(places)))
+    return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)
 
 
 def capture(
-    key: Key | None, scene: Scene, camera: Camera, *, die_key: Key | None = None
+    key: Key | None,
+    scene: Scene,
+    camera: Camera,
+    *,
+    die_key: Key | None = None,
+    rule: Rule = DEFAULT_RULE,
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
     `key` draws what changes from frame to frame, `die_key` what stays with this camera (DSNU,
     PRNU); either may be None where the sensor has nothing to draw from it, else `ValueError`.
+    `rule`: how finely extended lights are taken apart.
     """
-    radiance = render(scene, camera.view)
+    radiance = render(scene, camera.view, rule=rule)
     irradiance = sensor_irradiance(camera.view, radiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)

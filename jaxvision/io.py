@@ -76,6 +76,35 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     return pixels[..., 0] if spec.nchannels == 1 else pixels
 
 
+def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
+    """A latitude-longitude picture of radiance from an EXR or HDR file: (h, w, bands) float32, for
+    `environment_map`; an alpha channel is left out.
+
+    `InputError` for a file that `read_image` refuses, for integer samples (a display picture holds
+    no radiance), for a picture that is not twice as wide as high, and for values that are negative
+    or not finite.
+    """
+    picture = read_image(path)
+    if not np.issubdtype(picture.dtype, np.floating):
+        raise InputError(
+            f"{path}: {picture.dtype} samples hold no radiance; an environment is an EXR or HDR."
+        )
+    picture = np.atleast_3d(picture).astype(np.float32)
+    picture = picture[..., :3] if picture.shape[2] == 4 else picture
+    height, width, _ = picture.shape
+    if width != 2 * height:
+        raise InputError(
+            f"{path}: {height} rows of {width} are no latitude-longitude picture, which is twice "
+            "as wide as high; convert it from its other projection first."
+        )
+    wrong = int((~(np.isfinite(picture) & (picture >= 0))).sum())
+    if wrong:
+        raise InputError(
+            f"{path}: {wrong} of its values are negative or not finite; repair them first."
+        )
+    return picture
+
+
 def write_image(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     """Writes (h, w) or (h, w, channels) pixels; the suffix chooses the format.
 

@@ -15,33 +15,9 @@ from ._types import Colour, Scalar, as_float, as_optional_float, check_shape
 # ---------------------------------------------------------------- light
 
 
-class PointLight(eqx.Module):
-    """An isotropic point source.
-
-    `position`: (3,) m. `intensity`: (bands,) W sr^-1.
-    """
-
-    position: Float[Array, "3"] = eqx.field(converter=as_float)
-    intensity: Colour = eqx.field(converter=as_float)
-
-    def __check_init__(self) -> None:
-        check_shape("PointLight.position", self.position, (3,))
-        check_shape("PointLight.intensity", self.intensity, ("bands",))
-
-
-class DirectionalLight(eqx.Module):
-    """A source at infinity.
-
-    `direction`: (3,) unit vector from the scene toward the light (its length is ignored).
-    `irradiance`: (bands,) W m^-2 on a surface that faces it.
-    """
-
-    direction: Float[Array, "3"] = eqx.field(converter=as_float)
-    irradiance: Colour = eqx.field(converter=as_float)
-
-    def __check_init__(self) -> None:
-        check_shape("DirectionalLight.direction", self.direction, (3,))
-        check_shape("DirectionalLight.irradiance", self.irradiance, ("bands",))
+class Light(eqx.Module):
+    """What shines: the base of every kind of light, whose record and equations share a file in
+    `lights/`."""
 
 
 class AmbientLight(eqx.Module):
@@ -55,8 +31,6 @@ class AmbientLight(eqx.Module):
     def __check_init__(self) -> None:
         check_shape("AmbientLight.radiance", self.radiance, ("bands",))
 
-
-Light = PointLight | DirectionalLight
 
 # ---------------------------------------------------------------- surface
 
@@ -89,60 +63,9 @@ class Plane(eqx.Module):
 Shape = Sphere | Plane
 
 
-class Lambert(eqx.Module):
-    """Ideal diffuse reflection.
-
-    `diffuse`: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi.
-    `ambient`: (bands,) k_a, no unit: the reflected part of the ambient radiance, or None.
-    """
-
-    diffuse: Colour = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_shape("Lambert.diffuse", self.diffuse, ("bands",))
-        check_shape("Lambert.ambient", self.ambient, self.diffuse.shape)
-
-
-class Phong(eqx.Module):
-    """Diffuse part plus k_s cos(theta_s) ** exponent about the mirror direction.
-
-    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1. `exponent`: () >= 0, no unit.
-    `ambient`: (bands,) k_a, no unit, or None.
-    """
-
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_shape("Phong.diffuse", self.diffuse, ("bands",))
-        check_shape("Phong.specular", self.specular, self.diffuse.shape)
-        check_shape("Phong.exponent", self.exponent, ())
-        check_shape("Phong.ambient", self.ambient, self.diffuse.shape)
-
-
-class GaussianLobe(eqx.Module):
-    """Diffuse part plus k_s exp(-(concentration theta_s)^2) about the mirror direction.
-
-    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1. `concentration`: () c_s in rad^-1.
-    `ambient`: (bands,) k_a, no unit, or None.
-    """
-
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    concentration: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_shape("GaussianLobe.diffuse", self.diffuse, ("bands",))
-        check_shape("GaussianLobe.specular", self.specular, self.diffuse.shape)
-        check_shape("GaussianLobe.concentration", self.concentration, ())
-        check_shape("GaussianLobe.ambient", self.ambient, self.diffuse.shape)
-
-
-Material = Lambert | Phong | GaussianLobe
+class Material(eqx.Module):
+    """What a surface is made of: the base of every family of BRDFs, whose record and equations
+    share a file in `brdf/`."""
 
 
 class Surface(eqx.Module):
@@ -153,7 +76,8 @@ class Surface(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """Surfaces and the lights on them. All spectra share one number of bands."""
+    """Surfaces and the lights on them. All spectra share one number of bands, which is checked
+    here for the k_d of materials and for lights."""
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=tuple)
     lights: tuple[Light, ...] = eqx.field(converter=tuple)
@@ -162,14 +86,19 @@ class Scene(eqx.Module):
     def __check_init__(self) -> None:
         if not self.surfaces:
             raise ValueError("Scene.surfaces must hold at least one surface, got none.")
-        bands = self.surfaces[0].material.diffuse.shape
-        for i, surface in enumerate(self.surfaces):
-            check_shape(f"Scene.surfaces[{i}].material.diffuse", surface.material.diffuse, bands)
+        spectra = {
+            f"Scene.surfaces[{i}].material.diffuse": getattr(surface.material, "diffuse", None)
+            for i, surface in enumerate(self.surfaces)
+        }
         for i, light in enumerate(self.lights):
-            power = light.intensity if isinstance(light, PointLight) else light.irradiance
-            check_shape(f"Scene.lights[{i}]: its spectrum", power, bands)
-        if self.ambient is not None:
-            check_shape("Scene.ambient.radiance", self.ambient.radiance, bands)
+            for field in ("intensity", "irradiance", "radiance"):
+                spectra[f"Scene.lights[{i}].{field}: its spectrum"] = getattr(light, field, None)
+        spectra["Scene.ambient.radiance"] = getattr(self.ambient, "radiance", None)
+        bands = {name: x.shape[-1:] for name, x in spectra.items() if x is not None}
+        for name, got in bands.items():
+            first = next(iter(bands.values()))
+            if got != first:
+                raise ValueError(f"{name} must have {first[0]} bands, got {got[0]}.")
 
 
 # ---------------------------------------------------------------- camera

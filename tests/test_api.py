@@ -20,7 +20,15 @@ import fitting
 import jaxvision
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
-EAGER = {"jaxvision.io", "jaxvision.accuracy", "jaxvision.effects"}
+EAGER = {
+    "jaxvision.io",
+    "jaxvision.accuracy",
+    "jaxvision.effects",
+    "jaxvision.colour_data",
+    "jaxvision.measured_files",
+    "jaxvision.filters.scipy_operators",
+    "jaxvision.lights.orders",
+}
 UNIT = (
     r"\b(DN|W m\^-2|W sr\^-1|sr\^-1|m|m\^2|metres|photons|electrons|e-|rad|radians|rad\^-1|"
     r"unit|pixels|relative|codes)\b"

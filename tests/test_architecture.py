@@ -15,7 +15,7 @@ FLOORS = [
     {"errors", "_types"},
     {"_vector", "scene"},
     {"_numerics"},
-    {"spectra", "geometry", "padding"},
+    {"spectra", "colour_data", "geometry", "padding"},
     {"hemisphere"},
     {"lights", "brdf", "filters"},
     {"shading", "point_ops"},

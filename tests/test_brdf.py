@@ -11,10 +11,9 @@ from oracles import exact
 from jaxvision import as_dtype
 from jaxvision._numerics import log_of_zero
 from jaxvision.brdf import reflect
-from jaxvision.brdf.gaussian_lobe import gaussian_lobe, gaussian_lobe_shading
-from jaxvision.brdf.lambert import lambert_shading
-from jaxvision.brdf.phong import phong_lobe, phong_shading
-from jaxvision.scene import GaussianLobe, Lambert, Phong
+from jaxvision.brdf.gaussian_lobe import GaussianLobe, gaussian_lobe, gaussian_lobe_shading
+from jaxvision.brdf.lambert import Lambert, lambert_shading
+from jaxvision.brdf.phong import Phong, phong_lobe, phong_shading
 
 RNG = np.random.default_rng(11)
 Z = jnp.asarray([0.0, 0.0, 1.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracles import loops
 
-from jaxvision import as_dtype
+from jaxvision import DirectionalLight, GaussianLobe, Lambert, Phong, PointLight, as_dtype
 from jaxvision import scene as s
 from jaxvision.capture import capture, render
 from jaxvision.optics import look_at
@@ -23,16 +23,14 @@ PINHOLE = s.Pinhole([0, -4, 1.5], ROTATION, 0.05, 0.004, resolution=(10, 12))
 PARALLEL = s.Orthographic([0, -4, 1.5], ROTATION, 0.25, resolution=(10, 12))
 KD, KS, KA = [0.2, 0.15, 0.1], [0.1, 0.2, 0.3], [0.5, 0.6, 0.7]
 SURFACES = [
-    s.Surface(s.Plane([0, 0, 0], [0, 0, 1]), s.Lambert(KD, ambient=KA)),
-    s.Surface(s.Sphere([-0.9, 0, 0.6], 0.6), s.Phong(KD, KS, 15.0)),
-    s.Surface(s.Sphere([0.9, 0, 0.5], 0.5), s.Phong(KS, KD, 40.0)),
-    s.Surface(s.Sphere([0, 1, 0.8], 0.8), s.GaussianLobe(KA, KS, 4.0, ambient=KD)),
+    s.Surface(s.Plane([0, 0, 0], [0, 0, 1]), Lambert(KD, ambient=KA)),
+    s.Surface(s.Sphere([-0.9, 0, 0.6], 0.6), Phong(KD, KS, 15.0)),
+    s.Surface(s.Sphere([0.9, 0, 0.5], 0.5), Phong(KS, KD, 40.0)),
+    s.Surface(s.Sphere([0, 1, 0.8], 0.8), GaussianLobe(KA, KS, 4.0, ambient=KD)),
 ]
-LIGHTS = [s.PointLight([2, -2, 4], [9.0, 8.0, 7.0]), s.DirectionalLight([-1, -1, 1], [0.5] * 3)]
+LIGHTS = [PointLight([2, -2, 4], [9.0, 8.0, 7.0]), DirectionalLight([-1, -1, 1], [0.5] * 3)]
 SCENE = s.Scene(SURFACES, LIGHTS, s.AmbientLight([0.1, 0.2, 0.3]))
-LAMBERT_ONLY = s.Scene(
-    [s.Surface(surface.shape, s.Lambert(KD)) for surface in SURFACES], LIGHTS[:1]
-)
+LAMBERT_ONLY = s.Scene([s.Surface(surface.shape, Lambert(KD)) for surface in SURFACES], LIGHTS[:1])
 
 
 def plain_scene():
@@ -96,7 +94,7 @@ def test_float32_picture_is_close_and_stays_float32():
 
 def test_stages_fit_together():
     """1 W m^-2 sr^-1 through f/2 is pi / 16 W m^-2 on the axis; then by hand to DN and to sRGB."""
-    wall = s.Surface(s.Plane([0, 0, 2], [0, 0, -1]), s.Lambert([0.0], ambient=[1.0]))
+    wall = s.Surface(s.Plane([0, 0, 2], [0, 0, -1]), Lambert([0.0], ambient=[1.0]))
     scene = s.Scene([wall], [], s.AmbientLight([1.0]))
     view = s.Pinhole([0, 0, 0], np.eye(3), 1, 1e-9, resolution=(1, 1), f_number=2)
     sensor = s.Sensor(exposure_time=10.0, gain=800.0, offset=64.0, bits=12)
@@ -141,7 +139,7 @@ def test_gradients_of_the_picture_are_finite_and_right():
     assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     # the picture is linear in the ground's kd: the gradient is the finite difference
     kd = jnp.asarray(KD)
-    black = s.Surface(SURFACES[0].shape, s.Lambert(0 * kd, ambient=KA))
+    black = s.Surface(SURFACES[0].shape, Lambert(0 * kd, ambient=KA))
     without = replace(SCENE, surfaces=(black, *SURFACES[1:]))
     difference = draw(SCENE, PINHOLE).sum() - draw(without, PINHOLE).sum()
     slope = gradient.surfaces[0].material.diffuse @ kd
@@ -199,6 +197,6 @@ def test_one_compilation_serves_lights_and_materials():
         return render(scene, PINHOLE)
 
     for exponent in (5.0, 500.0, np.float64(2)):
-        ball = s.Surface(s.Sphere([0, 0, 1], exponent / 500), s.Phong(KD, KS, exponent))
+        ball = s.Surface(s.Sphere([0, 0, 1], exponent / 500), Phong(KD, KS, exponent))
         shoot(s.Scene([ball], LIGHTS))
     assert len(traced) == 1

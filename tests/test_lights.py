@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from jaxvision import as_dtype
-from jaxvision.lights import incident
-from jaxvision.scene import DirectionalLight, PointLight
+from jaxvision.lights import DirectionalLight, PointLight, incident
 
 
 def test_point_light_falls_with_the_square_of_the_distance():

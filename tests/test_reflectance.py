@@ -88,7 +88,17 @@ def observation(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("model", "truth"),
-    [("lambert", (0.4, 0, 1)), ("phong", PHONG), ("gaussian-lobe", (0.3, 0.5, 6))],
+    [
+        ("lambert", (0.4, 0, 1)),
+        ("phong", PHONG),
+        ("gaussian-lobe", (0.3, 0.5, 6)),
+        ("blinn", (0.4, 0.45, 90.0)),
+        pytest.param("normalised-phong", (0.4, 0.15, 20.0), marks=pytest.mark.slow),
+        ("torrance-sparrow", (0.4, 1.5, 0.25)),
+        pytest.param("torrance-sparrow-ggx", (0.4, 4.0, 0.25), marks=pytest.mark.slow),
+        pytest.param("normalised-blinn", (0.4, 0.15, 80.0), marks=pytest.mark.slow),
+        pytest.param("torrance-sparrow-metal", (0.4, 0.3, 0.3), marks=pytest.mark.slow),
+    ],
 )
 def test_the_truth_is_found(observation, model, truth):
     frames = photographs(np.random.default_rng(1), model=model, truth=truth)
@@ -100,10 +110,33 @@ def test_the_truth_is_found(observation, model, truth):
     assert abs(found.chi_square - 1) < 5 * np.sqrt(2 / found.samples.dn.size)
 
 
+@pytest.mark.slow
+def test_the_roughness_of_a_diffuse_surface_is_found(observation):
+    frames = photographs(np.random.default_rng(7), model="oren-nayar", truth=(0.6, 0, 0.5))
+    found = fit(with_frames(observation, frames), "oren-nayar")
+    assert [p.name for p in found.space] == ["diffuse", "roughness"]
+    z = np.log(found.natural / (0.6, 0.5)) / deviations(found)
+    np.testing.assert_allclose(z, 0, atol=4)
+    assert np.all(deviations(found) < 0.03)
+
+
+@pytest.mark.slow
+def test_facets_of_another_index_change_k_s_and_hardly_the_fit(observation):
+    """k_s and the reflectance along the normal enter as a product."""
+    frames = photographs(np.random.default_rng(8), model="torrance-sparrow", truth=(0.4, 1.5, 0.25))
+    again = with_frames(observation, frames)
+    right, wrong = (fit(again, "torrance-sparrow", index=index) for index in (1.5, 1.8))
+    expected = 1.5 * (0.5 / 2.5) ** 2 / (0.8 / 2.8) ** 2
+    np.testing.assert_allclose(wrong.natural[1], expected, rtol=0.05)
+    assert wrong.chi_square < 1.02 * right.chi_square
+
+
 def test_the_optimum_is_scipys(observation):
     found = fit(observation)
     s = found.samples
-    cosine, mirror, dn, deviation = (np.asarray(x) for x in (s.cosine, s.mirror, s.dn, s.deviation))
+    cosine, mirror, dn, deviation = (
+        np.asarray(x) for x in (s.cosine, s.geometry, s.dn, s.deviation)
+    )
 
     def residuals(p):
         lobe = np.exp(np.exp(p[2]) * mirror)
@@ -131,7 +164,7 @@ def test_censored_optimum_is_scipys(observation):
     found = fit(dataclasses.replace(again, clip=clip))
     s = found.samples
     cosine, mirror, dn, deviation, saturated = (
-        np.asarray(x) for x in (s.cosine, s.mirror, s.dn, s.deviation, s.saturated)
+        np.asarray(x) for x in (s.cosine, s.geometry, s.dn, s.deviation, s.saturated)
     )
 
     def cost(p):
@@ -187,7 +220,9 @@ def test_without_the_highlight_its_parameters_are_not_determined(observation):
         name: getattr(observation, name)[..., far]
         for name in ("dn", "falloff", "cosine", "mirror_angle", "log_cos_mirror", "rows", "columns")
     }
-    cut = dataclasses.replace(observation, normals=observation.normals[far], **kept)
+    cut = dataclasses.replace(
+        observation, normals=observation.normals[far], wi=observation.wi[:, far], **kept
+    )
     calibration = calibrate_reflectance(cut, model="phong")
     section = reflectance_section(calibration)
     specular = find(section.estimates, "specular")

@@ -13,7 +13,9 @@ from jaxvision._types import (
     group_by_structure,
     take,
 )
-from jaxvision.scene import Lambert, Phong, Sphere
+from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.phong import Phong
+from jaxvision.scene import Sphere
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])

@@ -8,10 +8,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from ..model_comparison import LABELS
 from ..reflectance_calibration import ReflectanceCalibration, mean_residual
 from ..reflectance_fit import ChannelFit, Selection, make_samples, predicted_image
 from ..reflectance_model import decoded, encoding_gamma, lobe
+from ..reflectance_models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..reflectance_observation import ReflectanceObservation
 
 COLOURS = {"red": "tab:red", "green": "tab:green", "blue": "tab:blue", "grey": "0.25"}
@@ -158,18 +158,29 @@ def _draw_terms(
     values, cosine, angle, unit = _per_unit_light(calibration, fit)
     colour, marker = COLOURS[fit.channel], MARKERS[fit.channel]
     natural = dict(zip((p.name for p in fit.space), fit.natural, strict=True))
-    away = unit < OFF_HIGHLIGHT
+    shown = has_lobe(fit.form.model)
+    rough = fit.samples.geometry is not None and not shown
+    body = natural["diffuse"] * (unit if rough else np.maximum(cosine, 0))
+    glossy = unit / unit.max() if shown else np.zeros_like(unit)
+    away = glossy < OFF_HIGHLIGHT
     edges = np.linspace(0, 1, 26)
     _draw_medians(diffuse, cosine[away], values[away], edges, colour, marker)
-    diffuse.plot([0, 1], [0, natural["diffuse"]], color=colour, label=fit.channel)
-    left = values - natural["diffuse"] * np.maximum(cosine, 0)
-    reach = _lobe_reach(angle, unit)
+    if rough:
+        _draw_medians(diffuse, cosine, body, edges, colour, label=fit.channel)
+    else:
+        diffuse.plot([0, 1], [0, natural["diffuse"]], color=colour, label=fit.channel)
+    reach = _lobe_reach(angle, glossy)
     edges = reach * np.linspace(0, 1, 31) ** 1.3
-    _draw_medians(specular, np.degrees(angle), left, np.degrees(edges), colour, marker)
-    if "specular" in natural:
+    _draw_medians(specular, np.degrees(angle), values - body, np.degrees(edges), colour, marker)
+    if not shown:
+        return
+    highlight = natural["specular"] * unit
+    if REFLECTANCES[fit.form.model].axis == "mirror":
         order = np.argsort(angle)
         near = order[angle[order] <= reach][:: max(1, len(order) // 20_000)]
-        specular.plot(np.degrees(angle[near]), natural["specular"] * unit[near], color=colour)
+        specular.plot(np.degrees(angle[near]), highlight[near], color=colour)
+    else:
+        _draw_medians(specular, np.degrees(angle), highlight, np.degrees(edges), colour)
 
 
 def _per_unit_light(
@@ -187,8 +198,9 @@ def _per_unit_light(
     linear = np.asarray(decoded(samples.dn, samples.black, samples.white, gamma))
     ambient = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}.get("ambient", 0.0)
     unit = np.zeros(len(linear))
-    if samples.mirror is not None:
-        unit = np.asarray(lobe(fit.form.model, samples.mirror, jnp.exp(vector[2])))
+    if samples.geometry is not None:
+        place = [p.name for p in fit.space].index(shape_of(fit.form.model).name)
+        unit = np.asarray(lobe(fit.form, samples.geometry, jnp.exp(vector[place])))
     angle = observation.mirror_angle[selection.light, selection.pixel]
     lit = np.asarray(samples.cosine) > 0
     trusted = lit & (observation.dn[channel, selection.light, selection.pixel] < observation.clip)
@@ -203,8 +215,16 @@ def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
 
 
 def _draw_medians(
-    axis: Axes, x: np.ndarray, y: np.ndarray, edges: np.ndarray, colour: str, marker: str
+    axis: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    edges: np.ndarray,
+    colour: str,
+    marker: str | None = None,
+    *,
+    label: str | None = None,
 ) -> None:
+    """Medians in bins: markers with bars over the middle 68 %, or without a marker a line."""
     place = np.digitize(x, edges) - 1
     rows = [
         (np.median(x[chosen]), *np.quantile(y[chosen], [0.16, 0.5, 0.84]))
@@ -214,6 +234,9 @@ def _draw_medians(
     if not rows:
         return
     middle, low, median, high = np.array(rows).T
+    if marker is None:
+        axis.plot(middle, median, color=colour, label=label)
+        return
     axis.errorbar(
         middle, median, [median - low, high - median], fmt=marker, ms=3, lw=0.8, color=colour
     )

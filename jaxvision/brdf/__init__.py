@@ -1,27 +1,112 @@
-"""How surfaces reflect, one file per family.
+"""How surfaces reflect, one file per family, and the functions that serve every family.
 
-A family's file defines `shading(material, normal, wi, wo)` for its record; the table below is
-where it is registered, and the only other place a new family touches.
+A family's file holds its record and its equations and registers them; nothing else needs to know.
+`register` does the same for a record of the user's own. In the local frame the normal is +z;
+`wi` points toward the light, `wo` toward the viewer, both unit; all of this is for one point, and
+the caller vmaps. A spectrum is (bands,), or (1,) where it is neutral and broadcasts.
+
+    evaluate   f_r in sr^-1, 0 where either direction lies below the surface
+    sample     a direction `wi` from three uniform numbers, near where f_r is large
+    pdf        its density in sr^-1, over the whole sphere: what a lobe sends below the surface
+               carries no light
+    albedo     integral of f_r cos(theta_i) over wi
+    shading    what multiplies the irradiance of a surface that FACES the light, f_r cos(theta_i)
+
+A mirror is a delta function, which no density describes: see `brdf.mirror`.
 """
 
-from collections.abc import Callable
+from jaxtyping import Array, Float
 
-from .._types import Colour
-from .._vector import Vector
-from ..scene import GaussianLobe, Lambert, Material, Phong
-from . import gaussian_lobe, lambert, phong
+from .._types import Colour, Scalar
+from .._vector import Vec, Vector, as_array, as_vec
+from ..hemisphere import local_frame, to_local
+from ..scene import Material
+from . import (
+    blinn,
+    dichromatic,
+    gaussian_lobe,
+    half_difference,
+    lambert,
+    measured,
+    mirror,
+    oren_nayar,
+    phong,
+    rgl,
+    torrance_sparrow,
+)
+from ._registry import family, register
 
-_SHADING: dict[type, Callable[..., Colour]] = {
-    Lambert: lambert.shading,
-    Phong: phong.shading,
-    GaussianLobe: gaussian_lobe.shading,
-}
+__all__ = [
+    "albedo",
+    "blinn",
+    "dichromatic",
+    "evaluate",
+    "gaussian_lobe",
+    "half_difference",
+    "lambert",
+    "measured",
+    "mirror",
+    "oren_nayar",
+    "pdf",
+    "phong",
+    "reflect",
+    "register",
+    "rgl",
+    "sample",
+    "shading",
+    "torrance_sparrow",
+]
 
 
-def reflect(material: Material, normal: Vector, wi: Vector, wo: Vector) -> Colour:
+def evaluate(material: Material, wi: Vector, wo: Vector) -> Colour:
+    """f_r(wi, wo), the BRDF of any material: (bands,) in sr^-1.
+
+    `wi` (toward the light), `wo` (toward the viewer): (3,) unit, local; 0 where wi.z <= 0 or
+    wo.z <= 0.
+    """
+    return family(material).evaluate(material, as_vec(wi), as_vec(wo))
+
+
+def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
+    """A unit direction toward the light, distributed as `pdf` says, of the kind of `wo`.
+
+    `wo`: (3,) unit, local, wo.z > 0. `u`: (3,) uniform in [0, 1).
+    """
+    wi = family(material).sample(material, as_vec(wo), u)
+    return wi if isinstance(wo, Vec) else as_array(wi)
+
+
+def pdf(material: Material, wi: Vector, wo: Vector) -> Scalar:
+    """Density of `sample` at `wi`: () in sr^-1 over the whole sphere; `wi`, `wo`: (3,) unit,
+    local."""
+    return family(material).pdf(material, as_vec(wi), as_vec(wo))
+
+
+def albedo(material: Material, wo: Vector) -> Colour:
+    """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi: (bands,), no unit.
+
+    What a viewer at `wo`, (3,) unit, local, wo.z > 0, sees of light that comes alike from
+    everywhere; of a reciprocal BRDF also the part that is reflected of light from `wo`.
+    """
+    return family(material).albedo(material, as_vec(wo))
+
+
+def shading(material: Material, wi: Vector, wo: Vector) -> Colour:
     """Radiance toward `wo` per unit of irradiance on a surface facing `wi`: (bands,) in sr^-1.
 
-    The cosine of incidence is inside. `normal`, `wi` (toward the light), `wo` (toward the viewer):
-    (3,) unit, pointing away from the surface; light from below it (n.wi <= 0) gives 0.
+    The cosine of incidence is inside. `wi`, `wo`: (3,) unit, local.
     """
-    return _SHADING[type(material)](material, normal, wi, wo)
+    return family(material).shading(material, as_vec(wi), as_vec(wo))
+
+
+def reflect(
+    material: Material, normal: Vector, wi: Vector, wo: Vector, *, tangent: Vector | None = None
+) -> Colour:
+    """`shading` in world coordinates: (bands,) in sr^-1.
+
+    `normal`, `wi` (toward the light), `wo` (toward the viewer): (3,) unit, pointing away from the
+    surface; light from below it (n.wi <= 0) gives 0. `tangent`: (3,), where the first axis of an
+    anisotropic material points; without it that axis is arbitrary.
+    """
+    frame = local_frame(normal, tangent=tangent)
+    return shading(material, to_local(frame, wi), to_local(frame, wo))

@@ -1,16 +1,80 @@
 """Gaussian lobe: an ideal diffuse part plus a Gaussian of the angle to the mirror direction.
 
-Shading in the sense of `phong`: no cosine of incidence on the specular term, unnormalised, no
-Fresnel, no masking. The BRDF with the same picture is k_d + k_s lobe / [n.l]+.
+The textbook's Torrance-Sparrow term: mirror angle theta_s, unnormalised, no Fresnel, no masking
+(the full model is `torrance_sparrow`). Two records share the lobe exp(-(c_s theta_s)^2):
+
+    record             specular term of f_r       ... of the shading, f_r cos(theta_i)
+    GaussianLobe       k_s lobe / cos(theta_i)    k_s lobe                SHADING, as in `phong`
+    GaussianLobeBRDF   k_s lobe                   k_s lobe cos(theta_i)   the same lobe as a BRDF
+
+GaussianLobe is neither reciprocal nor bounded, GaussianLobeBRDF is reciprocal; a narrow one
+(c_s >> 1) keeps energy where pi k_d + pi k_s / c_s^2 <= 1. Local frame, normal = +z; angles in
+radians.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from .._numerics import angle_between, dot
-from .._types import Colour, Scalar, Scalars
-from .._vector import Vector
+from .._numerics import angle_between, dot, smallest_divisor
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
+from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
-from ..scene import GaussianLobe
+from ..scene import Material
+from ._lobe import (
+    about,
+    choose,
+    diffuse_share,
+    divisor,
+    lit_and_seen,
+    lobe_integrals,
+    mirrored,
+    mixed_pdf,
+)
+from ._registry import register
+
+
+class GaussianLobe(Material):
+    """SHADING k_d cos+ + k_s exp(-(concentration theta_s)^2), no cosine on the specular term.
+
+    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
+    `concentration`: () c_s in rad^-1. `ambient`: (bands,) k_a, no unit, or None; the array of k_d
+    itself where both share one.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    concentration: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("GaussianLobe.diffuse", self.diffuse, ("bands",))
+        check_shape("GaussianLobe.specular", self.specular, self.diffuse.shape, (1,))
+        check_shape("GaussianLobe.concentration", self.concentration, ())
+        check_shape("GaussianLobe.ambient", self.ambient, self.diffuse.shape)
+
+
+class GaussianLobeBRDF(Material):
+    """The BRDF k_d + k_s exp(-(concentration theta_s)^2), fields as in `GaussianLobe`.
+
+    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
+    `concentration`: () c_s in rad^-1. `ambient`: (bands,) k_a, no unit, or None.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    concentration: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("GaussianLobeBRDF.diffuse", self.diffuse, ("bands",))
+        check_shape("GaussianLobeBRDF.specular", self.specular, self.diffuse.shape, (1,))
+        check_shape("GaussianLobeBRDF.concentration", self.concentration, ())
+        check_shape("GaussianLobeBRDF.ambient", self.ambient, self.diffuse.shape)
+
+
+AnyGaussianLobe = GaussianLobe | GaussianLobeBRDF
 
 
 def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
@@ -43,8 +107,72 @@ def gaussian_lobe_shading(
     return jnp.where(cos_i > 0, diffuse * cos_i + specular * lobe, 0)
 
 
-def shading(material: GaussianLobe, normal: Vector, wi: Vector, wo: Vector) -> Colour:
-    """`gaussian_lobe_shading` of the record, (bands,) in sr^-1."""
-    return gaussian_lobe_shading(
-        normal, wi, wo, material.diffuse, material.specular, material.concentration
+# ---------------------------------------------------------------- the family
+
+
+def evaluate(material: AnyGaussianLobe, wi: Vector, wo: Vector) -> Colour:
+    """f_r of the table above, (bands,) in sr^-1."""
+    lobe = gaussian_lobe(angle_between(mirrored(wi), as_vec(wo)), material.concentration)
+    if isinstance(material, GaussianLobe):
+        lobe = lobe / divisor(as_vec(wi).z)
+    return jnp.where(lit_and_seen(wi, wo), material.diffuse + material.specular * lobe, 0)
+
+
+def shading(material: GaussianLobe, wi: Vector, wo: Vector) -> Colour:
+    """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
+    light = as_vec(wi)
+    lobe = gaussian_lobe(angle_between(mirrored(light), as_vec(wo)), material.concentration)
+    shaded = material.diffuse * light.z + material.specular * lobe
+    return jnp.where(lit_and_seen(wi, wo), shaded, 0)
+
+
+def _kappa(material: AnyGaussianLobe) -> Scalar:
+    """Of the von Mises-Fisher density exp(-(c_s chord)^2), which lies over the lobe everywhere."""
+    kappa = 2 * jnp.square(material.concentration)
+    return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
+
+
+def sample(material: AnyGaussianLobe, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """A unit direction from the cosine about the normal or a von Mises-Fisher lobe about the
+    mirror direction, 1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
+    kappa = _kappa(material)
+    one_minus_cos = jnp.clip(-jnp.log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
+    lobe = about(mirrored(wo), one_minus_cos, 2 * jnp.pi * u[1])
+    return choose(_diffuse_part(material), u, lobe)
+
+
+def pdf(material: AnyGaussianLobe, wi: Vector, wo: Vector) -> Scalar:
+    """Density of `sample` in sr^-1."""
+    kappa = _kappa(material)
+    chord = as_vec(wi) - mirrored(wo)
+    lobe = jnp.exp(-kappa / 2 * dot(chord, chord))
+    return mixed_pdf(
+        _diffuse_part(material), wi, -kappa / (2 * jnp.pi * jnp.expm1(-2 * kappa)) * lobe
     )
+
+
+def _diffuse_part(material: AnyGaussianLobe) -> Scalar:
+    kappa = _kappa(material)
+    size = -2 * jnp.pi * jnp.expm1(-2 * kappa) / kappa
+    return diffuse_share(jnp.pi * material.diffuse, size * material.specular)
+
+
+def albedo(material: AnyGaussianLobe, wo: Vector) -> Colour:
+    """pi k_d + k_s times the lobe's integral above the horizon, (bands,), no unit."""
+    plain, with_cosine = gaussian_integrals(as_vec(wo).z, material.concentration)
+    lobe = plain if isinstance(material, GaussianLobe) else with_cosine
+    return jnp.pi * material.diffuse + material.specular * lobe
+
+
+def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
+    """Integrals above the horizon of exp(-(c_s alpha)^2), and of it times cos(theta_i), in sr;
+    alpha is the angle to an axis at polar cosine `cos_axis` in [0, 1]. Quadrature over 6 widths of
+    the lobe, to 1e-10."""
+    width = 6 / divisor(jnp.abs(concentration))
+    return lobe_integrals(
+        lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
+    )
+
+
+register(GaussianLobe, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+register(GaussianLobeBRDF, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

@@ -1,11 +1,30 @@
-"""Lambert: the same radiance in every direction."""
+"""Lambert: the same radiance in every direction. Local frame, normal = +z."""
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from .._numerics import dot
-from .._types import Colour
+from .._types import Colour, as_float, as_optional_float, check_shape
 from .._vector import Vector
-from ..scene import Lambert
+from ..scene import Material
+from ._lobe import lit_and_seen
+from ._registry import register
+
+
+class Lambert(Material):
+    """Ideal diffuse reflection.
+
+    `diffuse`: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi.
+    `ambient`: (bands,) k_a, no unit: the reflected part of the ambient radiance, or None. k_a of
+    the same surface is rho; the textbook's habit is one number for k_a and k_d.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("Lambert.diffuse", self.diffuse, ("bands",))
+        check_shape("Lambert.ambient", self.ambient, self.diffuse.shape)
 
 
 def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
@@ -17,7 +36,15 @@ def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
     return diffuse * jnp.maximum(dot(normal, wi), 0)
 
 
-def shading(material: Lambert, normal: Vector, wi: Vector, wo: Vector) -> Colour:
-    """`lambert_shading` of the record, (bands,) in sr^-1."""
+def evaluate(material: Lambert, wi: Vector, wo: Vector) -> Colour:
+    """f_r = k_d, (bands,) in sr^-1."""
+    return jnp.where(lit_and_seen(wi, wo), material.diffuse, 0)
+
+
+def albedo(material: Lambert, wo: Vector) -> Colour:
+    """pi k_d, (bands,), no unit, from every direction."""
     del wo
-    return lambert_shading(normal, wi, material.diffuse)
+    return jnp.pi * material.diffuse
+
+
+register(Lambert, evaluate=evaluate, albedo=albedo)

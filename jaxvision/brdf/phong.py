@@ -1,17 +1,104 @@
 """Phong: an ideal diffuse part plus a power of the cosine to the mirror direction.
 
-This is Phong SHADING: no cosine of incidence on the specular term, no 1 / pi in k_d, unnormalised,
-neither reciprocal nor bounded by 1. The BRDF that gives the same picture inside the rendering
-equation is k_d + k_s lobe / [n.l]+.
+Three records share the lobe [cos theta_s]+^n and differ in what stands before it:
+
+    record             specular term of f_r         ... of the shading, f_r cos(theta_i)
+    Phong              k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING
+    PhongBRDF          k_s lobe                     k_s lobe cos(theta_i)   the textbook's lobe as
+                                                                            a BRDF
+    NormalisedPhong    k_s (n + 2) / (2 pi) lobe    that times cos(theta_i)
+
+So from shading to BRDF, divide the specular term by the cosine of incidence; k_d, which is
+albedo / pi, is the same in all three. Phong is neither reciprocal nor bounded: at a grazing light
+it reflects more than it receives. PhongBRDF is reciprocal, and loses no energy to nowhere only
+where pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems, "Using the Modified
+Phong Reflectance Model for Physically Based Rendering", 1994) is reciprocal, and its albedo is at
+most pi k_d + k_s, reached along the normal. Local frame, normal = +z; angles in radians.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from .._numerics import dot, log_cos_between, log_of_zero
-from .._types import Colour, Scalar, Scalars
-from .._vector import Vector
+from .._numerics import dot, log_cos_between, log_of_zero, safe_log
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
+from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
-from ..scene import Phong
+from ..scene import Material
+from ._lobe import (
+    about,
+    choose,
+    diffuse_share,
+    divisor,
+    lit_and_seen,
+    lobe_integrals,
+    mirrored,
+    mixed_pdf,
+)
+from ._registry import register
+
+
+class Phong(Material):
+    """Phong SHADING: k_d cos+ + k_s cos(theta_s) ** exponent, no cosine on the specular term.
+
+    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
+    `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None; the array of k_d
+    itself where both share one.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    exponent: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("Phong.diffuse", self.diffuse, ("bands",))
+        check_shape("Phong.specular", self.specular, self.diffuse.shape, (1,))
+        check_shape("Phong.exponent", self.exponent, ())
+        check_shape("Phong.ambient", self.ambient, self.diffuse.shape)
+
+
+class PhongBRDF(Material):
+    """The BRDF k_d + k_s cos(theta_s) ** exponent, fields as in `Phong`.
+
+    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
+    `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    exponent: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("PhongBRDF.diffuse", self.diffuse, ("bands",))
+        check_shape("PhongBRDF.specular", self.specular, self.diffuse.shape, (1,))
+        check_shape("PhongBRDF.exponent", self.exponent, ())
+        check_shape("PhongBRDF.ambient", self.ambient, self.diffuse.shape)
+
+
+class NormalisedPhong(Material):
+    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, which keeps energy.
+
+    `diffuse`: (bands,) k_d in sr^-1. `specular`: (bands,) or neutral (1,), k_s, no unit: the
+    lobe's albedo along the normal. `exponent`: () n >= 0, no unit. `ambient`: (bands,) k_a, no
+    unit, or None.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    exponent: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("NormalisedPhong.diffuse", self.diffuse, ("bands",))
+        check_shape("NormalisedPhong.specular", self.specular, self.diffuse.shape, (1,))
+        check_shape("NormalisedPhong.exponent", self.exponent, ())
+        check_shape("NormalisedPhong.ambient", self.ambient, self.diffuse.shape)
+
+
+AnyPhong = Phong | PhongBRDF | NormalisedPhong
 
 
 def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
@@ -40,6 +127,92 @@ def phong_shading(
     return jnp.where(cos_i > 0, diffuse * cos_i + specular * lobe, 0)
 
 
-def shading(material: Phong, normal: Vector, wi: Vector, wo: Vector) -> Colour:
-    """`phong_shading` of the record, (bands,) in sr^-1."""
-    return phong_shading(normal, wi, wo, material.diffuse, material.specular, material.exponent)
+# ---------------------------------------------------------------- the family
+
+
+def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
+    """f_r of the table above, (bands,) in sr^-1."""
+    lobe = phong_lobe(log_cos_between(mirrored(wi), as_vec(wo)), material.exponent)
+    match material:
+        case Phong():
+            lobe = lobe / divisor(as_vec(wi).z)
+        case NormalisedPhong():
+            lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe
+    return jnp.where(lit_and_seen(wi, wo), material.diffuse + material.specular * lobe, 0)
+
+
+def shading(material: Phong, wi: Vector, wo: Vector) -> Colour:
+    """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
+    light = as_vec(wi)
+    lobe = phong_lobe(log_cos_between(mirrored(light), as_vec(wo)), material.exponent)
+    shaded = material.diffuse * light.z + material.specular * lobe
+    return jnp.where(lit_and_seen(wi, wo), shaded, 0)
+
+
+def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
+    """A unit direction of density `power_pdf` about `axis`: cos(alpha) = (1 - u_0)^(1 / (n + 1))
+    from two uniform numbers in [0, 1)."""
+    return about(axis, -jnp.expm1(jnp.log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
+
+
+def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
+    """(n + 1) / (2 pi) [cos alpha]+^n in sr^-1, alpha being the angle between `axis` and `w`."""
+    lobe = phong_lobe(log_cos_between(as_vec(axis), as_vec(w)), exponent)
+    return (exponent + 1) / (2 * jnp.pi) * lobe
+
+
+def sample(material: AnyPhong, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """A unit direction from the cosine about the normal or the lobe about the mirror direction."""
+    lobe = power_direction(mirrored(wo), material.exponent, u[:2])
+    return choose(_diffuse_part(material), u, lobe)
+
+
+def pdf(material: AnyPhong, wi: Vector, wo: Vector) -> Scalar:
+    """Density of `sample` in sr^-1."""
+    lobe = power_pdf(mirrored(wo), wi, material.exponent)
+    return mixed_pdf(_diffuse_part(material), wi, lobe)
+
+
+def _diffuse_part(material: AnyPhong) -> Scalar:
+    n = material.exponent
+    match material:
+        case Phong():
+            lobe = 2 * jnp.pi / (n + 1)
+        case PhongBRDF():
+            lobe = 2 * jnp.pi / (n + 2)
+        case NormalisedPhong():
+            lobe = jnp.ones_like(n)
+    return diffuse_share(jnp.pi * material.diffuse, lobe * material.specular)
+
+
+def albedo(material: AnyPhong, wo: Vector) -> Colour:
+    """pi k_d + k_s times the lobe's integral above the horizon, (bands,), no unit."""
+    plain, with_cosine = power_integrals(as_vec(wo).z, material.exponent)
+    match material:
+        case Phong():
+            lobe = plain
+        case PhongBRDF():
+            lobe = with_cosine
+        case NormalisedPhong():
+            lobe = (material.exponent + 2) / (2 * jnp.pi) * with_cosine
+    return jnp.pi * material.diffuse + material.specular * lobe
+
+
+def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
+    """Integrals above the horizon of [cos alpha]+^n, and of it times cos(theta_i), in sr; alpha is
+    the angle to an axis at polar cosine `cos_axis` in [0, 1].
+
+    2 pi / (n + 1) and 2 pi cos_axis / (n + 2) where the horizon cuts nothing off. Quadrature over
+    8.5 widths of the lobe, to 1e-10.
+    """
+
+    def lobe(alpha: Scalars) -> Scalars:
+        return phong_lobe(safe_log(jnp.cos(alpha)), exponent)
+
+    width = 8.5 / jnp.sqrt(exponent + 1)
+    return lobe_integrals(lobe, cos_axis, width=width, end=np.pi / 2)
+
+
+register(Phong, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+for _record in (PhongBRDF, NormalisedPhong):
+    register(_record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

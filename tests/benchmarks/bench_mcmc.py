@@ -60,7 +60,7 @@ def jax_log_density(*, cells):
     samples = Samples(
         form=Form("phong"),
         cosine=jnp.asarray(cosine),
-        mirror=jnp.log(cos_mirror),
+        geometry=jnp.log(cos_mirror),
         irradiance=jnp.full_like(cosine, WHITE),
         dn=jnp.asarray(dn),
         deviation=jnp.full_like(cosine, DEVIATION),

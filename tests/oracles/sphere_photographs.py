@@ -5,6 +5,10 @@ import numpy as np
 
 from jaxvision.io import write_image
 
+from . import brdfs
+
+INDEX = 1.5  # of refraction, of clear facets
+
 
 def light_directions(count, *, widest=60.0, seed=0):
     """Unit vectors toward lights within `widest` degrees of the view."""
@@ -30,12 +34,46 @@ def shade(normals, directions, model, diffuse, specular, shape):
     n_l = np.einsum("hwc,lc->lhw", normals, directions)
     mirrored_z = 2 * n_l * normals[..., 2] - directions[:, None, None, 2]
     angle = np.arccos(np.clip(mirrored_z, -1, 1))
+    if model not in ("lambert", "phong", "gaussian-lobe", "blinn"):
+        return np.nan_to_num(
+            _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape)
+        )
+    half = directions + np.array([0, 0, 1])
+    half = half / np.linalg.norm(half, axis=1, keepdims=True)
     lobe = {
+        "blinn": lambda: np.maximum(np.einsum("hwc,lc->lhw", normals, half), 0) ** shape,
         "lambert": lambda: 0 * angle,
         "phong": lambda: np.maximum(mirrored_z, 0) ** shape,
         "gaussian-lobe": lambda: np.exp(-((shape * angle) ** 2)),
     }[model]()
     return np.nan_to_num(np.where(n_l > 0, diffuse * n_l + specular * lobe, 0))
+
+
+def _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape):
+    """f_r cos(theta_i) pixel by pixel, each turned so that its normal is +z, by `oracles.brdfs`."""
+    k = {"kd": diffuse, "ks": specular}
+    facets = {"alpha": (shape, shape), **k}
+    reflect = {
+        "normalised-phong": lambda i, o: brdfs.phong(i, o, n=shape, kind="normalised", **k),
+        "normalised-blinn": lambda i, o: brdfs.blinn(i, o, n=shape, kind="normalised", **k),
+        "oren-nayar": lambda i, o: brdfs.oren_nayar(i, o, kd=diffuse, sigma=shape, full=False),
+        "torrance-sparrow": lambda i, o: brdfs.torrance_sparrow(
+            i, o, eta=[INDEX], k=[0.0], distribution="beckmann", **facets
+        ),
+        "torrance-sparrow-ggx": lambda i, o: brdfs.torrance_sparrow(
+            i, o, eta=[INDEX], k=[0.0], **facets
+        ),
+        "torrance-sparrow-metal": lambda i, o: brdfs.torrance_sparrow(i, o, **facets),
+    }[model]
+    shaded = np.zeros_like(n_l)
+    for light, row, column in np.argwhere(n_l > 0):
+        normal = normals[row, column]
+        aside = np.cross(normal, [0.6, 0.64, 0.48])
+        turned = np.stack([aside, np.cross(normal, aside)])
+        turned = np.vstack([turned / np.linalg.norm(aside), normal])
+        local = turned @ directions[light], turned @ [0.0, 0.0, 1.0]
+        shaded[light, row, column] = np.squeeze(reflect(*local)) * local[0][2]
+    return shaded
 
 
 def expose(rng, signal, *, gain, read_noise, black, clip):

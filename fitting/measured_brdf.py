@@ -1,0 +1,217 @@
+"""Measured reflectance as samples to fit: pairs of directions, values, and who was lit from where.
+
+Cornell files hold scattered samples and are taken as they are, each counting alike. The tables of
+MERL and RGL are read off on a grid that follows the highlight: light at 10, 20 ... 80 degrees from
+the normal; half vectors at 28 elevations theta_h = (pi / 2) x^2, x evenly spaced, and every 15
+degrees of azimuth; viewers up to 80 degrees from the normal, each sample counting by its solid
+angle d omega_o = 4 (wi.h) d omega_h. A grid even in the viewer's angles would step over narrow
+lobes, and its errors would depend on where it hits them. Where a table depends on the light's
+azimuth too, four of them are taken.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxvision._vector import Vec, as_vec
+from jaxvision.brdf import evaluate
+from jaxvision.brdf.measured import BRDFSamples, sample_directions
+from jaxvision.brdf.rgl import RGL
+from jaxvision.errors import InputError
+from jaxvision.measured_files import read_measured
+from jaxvision.scene import Material
+
+SUFFIXES = (".brdf", ".bsdf", ".binary")
+NANOMETRES = 1e9
+LIGHT_ELEVATIONS = np.radians(np.arange(10, 90, 10.0))
+LIGHT_AZIMUTHS = np.radians([0.0, 45.0, 90.0, 135.0])  # of anisotropic materials
+HALF_ELEVATIONS = 28
+HALF_AZIMUTHS = 24  # of a turn; half of it is enough for what looks alike in a mirror
+LOWEST_VIEWER = np.cos(np.radians(80.0))
+SAME_INCIDENCE = np.radians(1.0)  # of elevation: samples closer than this share an incidence
+FEWEST_INCIDENCES = 4  # three to fit and one to test on
+FEWEST_SAMPLES = 20
+HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
+
+
+@dataclass(frozen=True)
+class MeasuredBRDF:
+    """Samples of one material.
+
+    wi, wo: (n,) components, unit, local. values: f_r in sr^-1. weights: what a sample counts,
+    their mean being 1. incidence: of each sample, the index into `incidences`, the elevations of
+    the light in rad. azimuth: of the viewer from the light's, rad in [0, pi]. bands: names.
+    wavelengths: nm, or None for RGB. findings: what a reader must know of these data.
+    """
+
+    name: str
+    wi: Vec
+    wo: Vec
+    values: Float[np.ndarray, "n bands"]
+    weights: Float[np.ndarray, " n"]
+    incidence: Int[np.ndarray, " n"]
+    incidences: Float[np.ndarray, " incidences"]
+    elevation: Float[np.ndarray, " n"]
+    azimuth: Float[np.ndarray, " n"]
+    bands: tuple[str, ...]
+    wavelengths: Float[np.ndarray, " bands"] | None
+    findings: tuple[str, ...]
+
+    @property
+    def cosine(self) -> Float[np.ndarray, " n"]:
+        return np.asarray(self.wi.z)
+
+
+def is_measured_brdf(path: Path) -> bool:
+    """Whether a path is a file of measured reflectance, by its suffix."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read_measured_brdf(path: Path) -> MeasuredBRDF:
+    """Reads a Cornell, RGL or MERL file; `InputError` for what cannot be fitted."""
+    measured = read_measured(path)
+    findings: tuple[str, ...] = ()
+    if isinstance(measured, BRDFSamples):
+        samples, weights = measured, np.ones(len(measured.theta_i))
+        findings += ("Samples are scattered over the viewing directions and count alike.",)
+    else:
+        anisotropic = isinstance(measured, RGL) and len(measured.phi) > 2
+        samples, weights = _on_grid(measured, anisotropic=anisotropic)
+        findings += (
+            "The file's table was read off at light from 10° to 80° in steps of 10° and at half "
+            "vectors that crowd about the normal, where lobes are; samples count by the solid "
+            "angle of the viewer.",
+        )
+        if anisotropic:
+            findings += (
+                "The material is anisotropic and every model here is isotropic: the fit is what "
+                "they make of four azimuths of the light together.",
+            )
+    return from_samples(path.stem, samples, weights=weights, findings=findings, source=str(path))
+
+
+def _on_grid(
+    material: Material, *, anisotropic: bool
+) -> tuple[BRDFSamples, Float[np.ndarray, " n"]]:
+    """Samples of a table on the grid above, and their solid angles up to a factor."""
+    x = (np.arange(HALF_ELEVATIONS) + 0.5) / HALF_ELEVATIONS
+    turn = 2 * np.pi / HALF_AZIMUTHS * np.arange(HALF_AZIMUTHS)
+    azimuths = turn if anisotropic else turn[: HALF_AZIMUTHS // 2 + 1]
+    lights = LIGHT_AZIMUTHS if anisotropic else np.zeros(1)
+    theta_i, phi_i, x, phi_h = (
+        axis.ravel() for axis in np.meshgrid(LIGHT_ELEVATIONS, lights, x, azimuths, indexing="ij")
+    )
+    theta_h = np.pi / 2 * x**2
+    wi = _direction(theta_i, phi_i)
+    h = _direction(theta_h, phi_i + phi_h)
+    cosine = np.sum(wi * h, axis=-1)
+    wo = 2 * cosine[:, None] * h - wi
+    # Half a turn stands for the other half too, but for its ends, which both halves share.
+    ends = np.isclose(np.sin(phi_h), 0) & (not anisotropic)
+    solid_angle = cosine * np.sin(theta_h) * x * np.where(ends, 0.5, 1.0)
+    seen = (wo[:, 2] > LOWEST_VIEWER) & (cosine > 0)
+    wi, wo = wi[seen], wo[seen]
+    dtype = jnp.result_type(*jax.tree.leaves(material))
+    pairs = (as_vec(jnp.asarray(w, dtype)) for w in (wi, wo))
+    values = jax.jit(jax.vmap(evaluate, (None, 0, 0)))(material, *pairs)
+    samples = BRDFSamples(
+        jnp.asarray(theta_i[seen]),
+        jnp.asarray(phi_i[seen]),
+        jnp.asarray(np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2])),
+        jnp.asarray(np.arctan2(wo[:, 1], wo[:, 0])),
+        values,
+        getattr(material, "wavelengths", None),
+    )
+    return samples, solid_angle[seen]
+
+
+def _direction(theta: np.ndarray, phi: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def from_samples(
+    name: str,
+    samples: BRDFSamples,
+    *,
+    weights: Float[np.ndarray, " n"],
+    findings: tuple[str, ...] = (),
+    source: str = "samples",
+) -> MeasuredBRDF:
+    """Checks samples and sorts them by incidence; those with a direction in the horizon are left
+    out, and negative values are kept as measured, being noise about zero."""
+    theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
+    values = np.asarray(samples.values, np.float64)
+    seen = (theta_i < HORIZON) & (theta_o < HORIZON) & np.isfinite(values).all(axis=1)
+    if seen.sum() < FEWEST_SAMPLES:
+        raise InputError(
+            f"{source}: {int(seen.sum())} of {len(seen)} samples are finite and above the "
+            f"horizon; a fit needs at least {FEWEST_SAMPLES}."
+        )
+    if not values[seen].max() > 0:
+        raise InputError(f"{source}: no value is positive; the file holds no reflectance.")
+    if (values[seen].mean(axis=0) <= 0).any():
+        raise InputError(
+            f"{source}: the mean of a band is not positive, so nothing is reflected there; take "
+            "another file or remove the band."
+        )
+    incidence, incidences = _incidences(theta_i[seen])
+    if len(incidences) < FEWEST_INCIDENCES:
+        raise InputError(
+            f"{source}: the light stands at {len(incidences)} elevation"
+            f"{'s' if len(incidences) > 1 else ''}; at least {FEWEST_INCIDENCES} are needed to fit "
+            "lobes and to test them on an angle that no fit has seen."
+        )
+    negative = float(np.mean(values[seen] < 0))
+    if negative:
+        findings += (
+            f"{negative:.1%} of the values are negative, noise about zero; the cosine-weighted fit "
+            "takes them as they are, the cube root as zero.",
+        )
+    wi, wo = sample_directions(samples)
+    chosen = np.flatnonzero(seen)
+    weights = weights[chosen]
+    turn = np.asarray(samples.phi_o - samples.phi_i, np.float64)[chosen]
+    metres = samples.wavelengths
+    nanometres = None if metres is None else np.asarray(metres, np.float64) * NANOMETRES
+    return MeasuredBRDF(
+        name=name,
+        wi=_chosen(wi, chosen),
+        wo=_chosen(wo, chosen),
+        values=values[chosen],
+        weights=weights / weights.mean(),
+        incidence=incidence,
+        incidences=incidences,
+        elevation=theta_o[chosen],
+        azimuth=np.abs((turn + np.pi) % (2 * np.pi) - np.pi),
+        bands=_band_names(values.shape[1], nanometres),
+        wavelengths=nanometres,
+        findings=findings,
+    )
+
+
+def _incidences(
+    theta_i: Float[np.ndarray, " n"],
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " incidences"]]:
+    """Elevations of the light, those within a degree of each other taken together."""
+    order = np.argsort(theta_i, kind="stable")
+    steps = np.diff(theta_i[order], prepend=theta_i[order[0]]) > SAME_INCIDENCE
+    incidence = np.empty(len(theta_i), int)
+    incidence[order] = np.cumsum(steps)
+    return incidence, np.bincount(incidence, theta_i) / np.bincount(incidence)
+
+
+def _chosen(v: Vec, chosen: np.ndarray) -> Vec:
+    return Vec(*(jnp.asarray(np.asarray(x, np.float64)[chosen]) for x in (v.x, v.y, v.z)))
+
+
+def _band_names(count: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
+    if wavelengths is not None:
+        return tuple(f"{x:.0f} nm" for x in wavelengths)
+    if count == 3:
+        return ("red", "green", "blue")
+    return ("grey",) if count == 1 else tuple(f"band {i + 1}" for i in range(count))

@@ -1,0 +1,81 @@
+"""Where a number falls among the nodes of an axis, and tables mixed over such places.
+
+A place is a list of (index, weight): the nodes around the number and what each contributes. Nodes
+increase; a place on an axis of one node is that node.
+"""
+
+from itertools import product
+from math import prod
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._types import Scalar
+
+Place = list[tuple[Int[Array, ""], Scalar]]
+
+
+def _only(x: Scalar) -> Place:
+    return [(jnp.zeros((), jnp.int32), jnp.ones_like(x))]
+
+
+def among(
+    nodes: Float[Array, " n"], x: Scalar, *, outside: Literal["clamp", "extrapolate"] = "clamp"
+) -> Place:
+    """The place of `x` among nodes, linear between two; beyond the outermost their value, or the
+    line through the last two."""
+    if nodes.shape[0] == 1:
+        return _only(x)
+    i = jnp.clip(jnp.sum(nodes <= x, dtype=jnp.int32) - 1, 0, nodes.shape[0] - 2)
+    low, high = nodes[i], nodes[i + 1]
+    w = (x - low) / (high - low)
+    w = w if outside == "extrapolate" else jnp.clip(w, 0, 1)
+    return [(i, 1 - w), (i + 1, w)]
+
+
+def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
+    """The place of an angle (rad) among nodes that span less than a turn; the last joins the
+    first."""
+    if nodes.shape[0] == 1:
+        return _only(angle)
+    turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
+    closed = jnp.concatenate([nodes, nodes[:1] + 2 * jnp.pi])
+    (i, wi), (j, wj) = among(closed, turned)
+    return [(i, wi), (j % nodes.shape[0], wj)]
+
+
+def in_unit(position: Scalar, count: int) -> Place:
+    """The place of a position in [0, 1] among `count` equally spaced nodes, 0 and 1 included."""
+    if count == 1:
+        return _only(position)
+    scaled = jnp.clip(position, 0, 1) * (count - 1)
+    i = jnp.clip(jnp.floor(scaled).astype(jnp.int32), 0, count - 2)
+    w = scaled - i.astype(scaled.dtype)
+    return [(i, 1 - w), (i + 1, w)]
+
+
+def in_bins(position: Scalar, count: int, *, periodic: bool = False) -> Place:
+    """The place of a position in [0, 1] among the middles of `count` equal bins."""
+    scaled = position * count - np.asarray(0.5, position.dtype)
+    low = jnp.floor(scaled)
+    w, i = scaled - low, low.astype(jnp.int32)
+    if periodic:
+        return [(i % count, 1 - w), ((i + 1) % count, w)]
+    return [(jnp.clip(i, 0, count - 1), 1 - w), (jnp.clip(i + 1, 0, count - 1), w)]
+
+
+def in_bin(position: Scalar, count: int) -> Place:
+    """The bin that holds a position in [0, 1]."""
+    i = jnp.clip(jnp.floor(position * count).astype(jnp.int32), 0, count - 1)
+    return [(i, jnp.ones_like(position))]
+
+
+def multilinear(table: Float[Array, "..."], *places: Place) -> Float[Array, "..."]:
+    """The table at one place on each of its leading axes; what axes remain stay."""
+    value = jnp.zeros(table.shape[len(places) :], table.dtype)
+    for corner in product(*places):
+        entry = table.at[tuple(index for index, _ in corner)].get(mode="promise_in_bounds")
+        value = value + prod(weight for _, weight in corner) * entry
+    return value

@@ -1,0 +1,108 @@
+"""What families built of a diffuse part and a lobe about one axis share. Local frame."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics import safe_sqrt, smallest_divisor
+from .._types import Scalar, Scalars
+from .._vector import Vec, Vector, as_vec
+from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
+
+
+def mirrored(w: Vector) -> Vec:
+    """`w` mirrored about the normal: (-x, -y, z)."""
+    v = as_vec(w)
+    return Vec(-v.x, -v.y, v.z)
+
+
+def lit_and_seen(wi: Vector, wo: Vector) -> Array:
+    """Whether both directions lie above the surface."""
+    return (as_vec(wi).z > 0) & (as_vec(wo).z > 0)
+
+
+def divisor(cosine: Scalar) -> Scalar:
+    """A cosine to divide by, kept above `smallest_divisor`."""
+    return jnp.maximum(cosine, smallest_divisor(cosine.dtype))
+
+
+def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " specular"]) -> Scalar:
+    """The part of samples that the diffuse albedo deserves beside the specular one; a half where
+    both are 0."""
+    body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
+    both = body + lobe
+    return jnp.where(both > 0, body / jnp.where(both > 0, both, 1), 0.5)
+
+
+def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
+    """The lobe's direction, or where u_2 falls into the diffuse part one of density cos / pi."""
+    body, diffuse = cosine_direction(u[:2]), u[2] < diffuse_part
+    return Vec(
+        jnp.where(diffuse, body.x, lobe.x),
+        jnp.where(diffuse, body.y, lobe.y),
+        jnp.where(diffuse, body.z, lobe.z),
+    )
+
+
+def mixed_pdf(diffuse_part: Scalar, wi: Vector, lobe_pdf: Scalar) -> Scalar:
+    """Density of `choose`."""
+    return diffuse_part * cosine_pdf(wi) + (1 - diffuse_part) * lobe_pdf
+
+
+def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
+    """The direction at polar angle and azimuth about `axis`."""
+    return as_vec(to_world(local_frame(axis), direction_at(one_minus_cos, phi)))
+
+
+# ---------------------------------------------------------------- what the horizon leaves
+
+_NODES = 48
+
+
+def circles(
+    cos_axis: Scalar, *, width: Scalar, end: float
+) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
+    """Nodes for integrals over cones about an axis, of which the horizon cuts off a part.
+
+    The axis has polar angle theta, its cosine in [0, 1]. Circles at alpha < pi / 2 - theta about
+    it lie above the horizon whole; of those up to pi / 2 + theta there remains |phi| < phi_m with
+    cos(phi_m) = -cot(alpha) cot(theta). Returned are (alpha, weight) of the whole circles, the
+    same of the cut ones, and p = cos(alpha) cos(theta), q = sqrt(sin^2 sin^2 - p^2) of the cut
+    ones, so that phi_m = atan2(q, -p) and q = sin(phi_m) sin(alpha) sin(theta). Nothing is
+    integrated beyond `width` from where a part starts, nor beyond `end`; 48 Gauss-Legendre nodes
+    each, the cut circles eased by sin^2 toward both ends, where phi_m goes as a square root.
+    """
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    t, dt = (node + 1) / 2, weight / 2
+    ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
+    t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))
+    c = jnp.clip(cos_axis, 0, 1)
+    s = safe_sqrt((1 - c) * (1 + c))
+    start = jnp.arctan2(c, s)  # pi / 2 - theta
+    whole = jnp.minimum(start, width)
+    cut = jnp.minimum(jnp.minimum(jnp.pi - 2 * start, end - start), width)
+    alpha = start + cut * ease
+    p = jnp.cos(alpha) * c
+    q = safe_sqrt(jnp.sin(cut * ease) * jnp.sin(start + alpha))
+    return (whole * t, whole * dt), (alpha, cut * d_ease), (p, q)
+
+
+def lobe_integrals(
+    lobe: Callable[[Scalars], Scalars], cos_axis: Scalar, *, width: Scalar, end: float
+) -> tuple[Scalar, Scalar]:
+    """Integrals above the horizon of lobe(alpha), and of it times cos(theta_i), in sr:
+
+        int lobe sin(alpha) 2 phi_m dalpha
+        int lobe sin(alpha) 2 (phi_m p + q) dalpha
+
+    with phi_m, p and q of `circles` about an axis at theta.
+    """
+    (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_axis, width=width, end=end)
+    whole = inner_weight * 2 * jnp.sin(inner) * lobe(inner)
+    cut = outer_weight * 2 * jnp.sin(outer) * lobe(outer)
+    phi_m = jnp.arctan2(q, -p)
+    plain = jnp.pi * whole.sum() + (cut * phi_m).sum()
+    cosine = jnp.pi * cos_axis * (whole * jnp.cos(inner)).sum() + (cut * (phi_m * p + q)).sum()
+    return plain, cosine

@@ -1,0 +1,123 @@
+"""Sampling a tabulated material in proportion to what it reflects.
+
+For some directions `wo` the reflected luminance is tabulated over the square of half vectors and
+warped onto (`_warp`); between them the densities are mixed. One draw in eight follows the cosine
+instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi f_r whatever the table misses. Local
+frame; angles in radians, densities in sr^-1.
+"""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import normalize, smallest_divisor
+from .._types import Colour, Scalar
+from .._vector import Vec, Vector, as_vec
+from ..hemisphere import cosine_direction, cosine_pdf
+from ._half_vector import (
+    azimuth,
+    elevation,
+    half_to_square,
+    reflected,
+    spherical,
+    square_to_half,
+    stretch,
+)
+from ._lobe import choose, mixed_pdf
+from ._registry import family, integrate_shading
+from ._warp import Slices, Square, Warp, slices, tabulated_warp, unwarp, warp
+
+COSINE_PART = 0.125
+ALBEDO_ORDER = 64
+
+
+class LobeSampler(eqx.Module):
+    """`lobe`: the warp of uniform numbers onto half vectors, for nodes (phi, theta) of `wo`; one
+    node of phi: the material is isotropic and half vectors count from the azimuth of `wo`."""
+
+    lobe: Warp
+
+
+@partial(jax.jit, static_argnames=("rows", "columns"))
+def tabulated_lobe(
+    material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
+) -> LobeSampler:
+    """Tabulates the mean over bands of the material's shading, times the solid angle of the
+    square, at rows x columns half vectors for every `wo` at (phi, theta) rad."""
+    shading = family(material).shading
+    y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
+
+    def reflected_part(phi_o: Scalar, theta_o: Scalar, y: Scalar, x: Scalar) -> Scalar:
+        wo = spherical(theta_o, phi_o)
+        h = square_to_half((x, y), phi_o if phi.shape[0] == 1 else jnp.zeros_like(phi_o))
+        return jnp.mean(shading(material, reflected(wo, h), wo)) * stretch(x, h, wo)
+
+    table = reflected_part
+    for axis in (3, 2, 1, 0):
+        table = jax.vmap(table, [0 if i == axis else None for i in range(4)])
+    return LobeSampler(tabulated_warp(phi, theta, jnp.maximum(table(phi, theta, y, x), 0)))
+
+
+def _seen_from(sampler: LobeSampler, wo: Vec) -> tuple[Slices, Scalar]:
+    phi = azimuth(wo)
+    origin = phi if sampler.lobe.phi.shape[0] == 1 else jnp.zeros_like(phi)
+    return slices(sampler.lobe, phi, elevation(wo)), origin
+
+
+def _lobe_direction(sampler: LobeSampler, wo: Vec, u: Square) -> Vec:
+    at, origin = _seen_from(sampler, wo)
+    place, _ = warp(sampler.lobe, at, u)
+    return reflected(wo, square_to_half(place, origin))
+
+
+def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
+    at, origin = _seen_from(sampler, wo)
+    h = as_vec(normalize(wi + wo))
+    place = half_to_square(h, origin)
+    _, density = unwarp(sampler.lobe, at, place)
+    area = stretch(place[0], h, wo)
+    usable = (h.z > 0) & (area > smallest_divisor(area.dtype))
+    return jnp.where(usable, density / jnp.where(usable, area, 1), 0)
+
+
+def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """`wi` drawn from the material's `sampler`, or from the cosine where that is None. `u`: (3,)
+    uniform in [0, 1)."""
+    if material.sampler is None:
+        return cosine_direction(u[:2])
+    part = jnp.asarray(COSINE_PART, u.dtype)
+    return choose(part, u, _lobe_direction(material.sampler, as_vec(wo), (u[0], u[1])))
+
+
+def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+    """The density of `sample`, sr^-1, over the whole sphere."""
+    if material.sampler is None:
+        return cosine_pdf(wi)
+    lobe = _lobe_pdf(material.sampler, as_vec(wi), as_vec(wo))
+    return mixed_pdf(jnp.asarray(COSINE_PART, lobe.dtype), wi, lobe)
+
+
+def albedo(material: Any, wo: Vector) -> Colour:
+    """Directional albedo, (bands,), no unit: with a sampler the midpoint rule on its two squares,
+    so that narrow lobes are resolved; else the default product quadrature."""
+    shading = family(material).shading
+    sampler, wo = material.sampler, as_vec(wo)
+    if sampler is None:
+        return integrate_shading(shading, material, wo)
+
+    nodes = (jnp.arange(ALBEDO_ORDER, dtype=wo.z.dtype) + 0.5) / ALBEDO_ORDER
+    u = jnp.stack(jnp.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2)
+    lobe = jax.vmap(lambda u: _lobe_direction(sampler, wo, (u[0], u[1])))(u)
+    directions = jax.tree.map(lambda *parts: jnp.stack(parts), lobe, jax.vmap(cosine_direction)(u))
+
+    def weight(wi: Vec) -> Colour:
+        density = pdf(material, wi, wo)
+        positive = density > 0
+        return jnp.where(positive, shading(material, wi, wo) / jnp.where(positive, density, 1), 0)
+
+    from_lobe, from_cosine = jnp.mean(jax.vmap(jax.vmap(weight))(directions), axis=1)
+    return (1 - COSINE_PART) * from_lobe + COSINE_PART * from_cosine

@@ -1,0 +1,103 @@
+"""The table of BRDF families: what each record's file registers, and what it gets by default.
+
+A family works in the local frame: normal = +z, `wi` toward the light, `wo` toward the viewer.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, Scalar
+from .._vector import Vec, Vector, as_vec
+from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
+
+POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
+
+
+class Family(NamedTuple):
+    """The five functions of one family; `brdf/__init__` says what each returns."""
+
+    evaluate: Callable[[Any, Vector, Vector], Colour]
+    sample: Callable[[Any, Vector, Float[Array, "3"]], Vector]
+    pdf: Callable[[Any, Vector, Vector], Scalar]
+    albedo: Callable[[Any, Vector], Colour]
+    shading: Callable[[Any, Vector, Vector], Colour]
+
+
+_FAMILIES: dict[type, Family] = {}
+
+
+def register(
+    record: type,
+    *,
+    evaluate: Callable[[Any, Vector, Vector], Colour],
+    sample: Callable[[Any, Vector, Float[Array, "3"]], Vector] | None = None,
+    pdf: Callable[[Any, Vector, Vector], Scalar] | None = None,
+    albedo: Callable[[Any, Vector], Colour] | None = None,
+    shading: Callable[[Any, Vector, Vector], Colour] | None = None,
+) -> None:
+    """Makes a record of material known to everything that reflects light.
+
+    Only `evaluate(material, wi, wo)`, the BRDF (bands,) in sr^-1, is needed; it and the others
+    are handed directions as `Vec`, in the local frame. Without `sample` and
+    `pdf`, which come together, else `ValueError`, directions follow the cosine; without `albedo`
+    it is a product quadrature of 32 x 64 directions, good for broad lobes; without `shading` it is
+    the BRDF times the cosine of incidence.
+    """
+    if (sample is None) != (pdf is None):
+        given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
+        raise ValueError(f"{record.__name__}: got {given} without {missing}; they come together.")
+
+    def shaded(material: Any, wi: Vector, wo: Vector) -> Colour:
+        return evaluate(material, wi, wo) * jnp.maximum(as_vec(wi).z, 0)
+
+    def integrated(material: Any, wo: Vector) -> Colour:
+        return integrate_shading(shaded if shading is None else shading, material, wo)
+
+    _FAMILIES[record] = Family(
+        evaluate,
+        sample_cosine if sample is None else sample,
+        pdf_cosine if pdf is None else pdf,
+        integrated if albedo is None else albedo,
+        shaded if shading is None else shading,
+    )
+
+
+def family(material: Any) -> Family:
+    """The functions of a material's family; `TypeError` if its record was never registered."""
+    kind = type(material)
+    if kind not in _FAMILIES:
+        raise TypeError(
+            f"{kind.__name__} is no known material: call jaxvision.brdf.register for it first."
+        )
+    return _FAMILIES[kind]
+
+
+def sample_cosine(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """Directions of density cos(theta) / pi, whatever the material."""
+    del material, wo
+    return cosine_direction(u[:2])
+
+
+def pdf_cosine(material: Any, wi: Vector, wo: Vector) -> Scalar:
+    """cos+(theta) / pi in sr^-1."""
+    del material, wo
+    return cosine_pdf(wi)
+
+
+def integrate_shading(
+    shading: Callable[[Any, Vec, Vec], Colour],
+    material: Any,
+    wo: Vector,
+    *,
+    polar: int = POLAR,
+    azimuths: int = AZIMUTHS,
+) -> Colour:
+    """The integral of a family's shading over the directions of light, by product quadrature."""
+    viewer = as_vec(wo)
+    nodes, weights = (jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths))
+    values = jax.vmap(lambda wi: shading(material, wi, viewer))(as_vec(nodes))
+    return (weights[:, None] * values).sum(axis=0)

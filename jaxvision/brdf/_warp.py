@@ -1,0 +1,135 @@
+"""Warps of the unit square onto a tabulated density, with their inverse.
+
+The density is given at equally spaced nodes, rows (y) by columns (x), bilinear between them, and
+depends on a direction (phi, theta), given at nodes and linear between. Rows are drawn from the
+marginal, columns from the conditional, both by solving the quadratic of a linear density, so that
+`warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An Adaptive Parameterization for
+Efficient Material Acquisition and Rendering", 2018, section 4.2.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._numerics import safe_sqrt
+from .._types import Scalar
+from ._interpolation import among, in_unit
+
+Slices = list[tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]]
+Square = tuple[Scalar, Scalar]
+
+
+class Warp(eqx.Module):
+    """`phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction; outside them it is
+    clamped. `density`: (p, t, rows, columns), each slice of integral 1. `conditional`: its
+    integral along x up to each node. `marginal`: (p, t, rows) the integral up to each row."""
+
+    phi: Float[Array, " p"]
+    theta: Float[Array, " t"]
+    density: Float[Array, "p t rows columns"]
+    conditional: Float[Array, "p t rows columns"]
+    marginal: Float[Array, "p t rows"]
+
+
+def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
+    """The integral over [0, x_j] of the piecewise linear function, nodes equally spaced on
+    [0, 1]."""
+    cells = (values[..., 1:] + values[..., :-1]) / (2 * (values.shape[-1] - 1))
+    return jnp.concatenate([jnp.zeros_like(values[..., :1]), jnp.cumsum(cells, axis=-1)], axis=-1)
+
+
+@jax.jit
+def tabulated_warp(
+    phi: Float[Array, " p"], theta: Float[Array, " t"], density: Float[Array, "p t rows columns"]
+) -> Warp:
+    """The warp onto a density >= 0, normalised here; a slice that is 0 everywhere is uniform."""
+    total = _running_integral(_running_integral(density)[..., -1])[..., -1][..., None, None]
+    density = jnp.where(total > 0, density / jnp.where(total > 0, total, 1), 1)
+    conditional = _running_integral(density)
+    return Warp(phi, theta, density, conditional, _running_integral(conditional[..., -1]))
+
+
+def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
+    """The tabulated directions around (phi, theta) and their weights, which sum to 1: four, or
+    two where one of the axes has a single node."""
+    return [((p, t), wp * wt) for p, wp in among(w.phi, phi) for t, wt in among(w.theta, theta)]
+
+
+def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:
+    """The entry `index` of a table (p, t, ...), mixed over the slices."""
+    return sum(
+        weight * table.at[(*slot, *index)].get(mode="promise_in_bounds") for slot, weight in at
+    )  # pyright: ignore[reportReturnType]
+
+
+def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position: Square) -> Array:
+    """The table (p, t, rows, columns, ...) at a position (x, y) of the unit square: (...)."""
+    x, y = in_unit(position[0], table.shape[3]), in_unit(position[1], table.shape[2])
+    return sum(wy * wx * mixed(table, at, row, column) for row, wy in y for column, wx in x)  # pyright: ignore[reportReturnType]
+
+
+def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
+    """The largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection.
+
+    A loop, not unrolled: each step would be computed anew inside every step that follows it.
+    """
+
+    def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = (low + high) // 2
+        below = cdf(middle) <= target
+        return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+    ends = jnp.zeros((), jnp.int32), jnp.full((), count - 1, jnp.int32)
+    low, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, ends)
+    return low
+
+
+def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
+    """x in [0, 1] with c0 x + (c1 - c0) x^2 / 2 = area, in the form that does not cancel."""
+    denominator = c0 + safe_sqrt(c0 * c0 + 2 * area * (c1 - c0))
+    positive = denominator > 0
+    return jnp.clip(jnp.where(positive, 2 * area / jnp.where(positive, denominator, 1), 0), 0, 1)
+
+
+def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
+    """(position, density there) of uniform numbers (x, y) in [0, 1]^2."""
+    ux, uy = u
+    rows, columns = w.density.shape[2:]
+    row = _last_below(rows, lambda i: mixed(w.marginal, at, i), uy)
+    r0 = mixed(w.conditional, at, row, columns - 1)
+    r1 = mixed(w.conditional, at, row + 1, columns - 1)
+    y = _invert_linear(r0, r1, (uy - mixed(w.marginal, at, row)) * (rows - 1))
+
+    def along(table: Array, i: Int[Array, ""]) -> Scalar:
+        return (1 - y) * mixed(table, at, row, i) + y * mixed(table, at, row + 1, i)
+
+    target = ux * ((1 - y) * r0 + y * r1)
+    column = _last_below(columns, lambda i: along(w.conditional, i), target)
+    c0, c1 = along(w.density, column), along(w.density, column + 1)
+    x = _invert_linear(c0, c1, (target - along(w.conditional, column)) * (columns - 1))
+    place = ((column.astype(x.dtype) + x) / (columns - 1), (row.astype(y.dtype) + y) / (rows - 1))
+    return place, (1 - x) * c0 + x * c1
+
+
+def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
+    """The inverse of `warp`: (uniform numbers, density) of a position."""
+    rows, columns = w.density.shape[2:]
+    (column, _), (_, x) = in_unit(position[0], columns)
+    (row, _), (_, y) = in_unit(position[1], rows)
+
+    def along(table: Array, i: Int[Array, ""]) -> Scalar:
+        return (1 - y) * mixed(table, at, row, i) + y * mixed(table, at, row + 1, i)
+
+    c0, c1 = along(w.density, column), along(w.density, column + 1)
+    part = along(w.conditional, column) + x * (c0 + x * (c1 - c0) / 2) / (columns - 1)
+    r0 = mixed(w.conditional, at, row, columns - 1)
+    r1 = mixed(w.conditional, at, row + 1, columns - 1)
+    whole = (1 - y) * r0 + y * r1
+    positive = whole > 0
+    ux = jnp.where(positive, part / jnp.where(positive, whole, 1), 0)
+    uy = mixed(w.marginal, at, row) + y * (r0 + y * (r1 - r0) / 2) / (rows - 1)
+    return (ux, uy), (1 - x) * c0 + x * c1

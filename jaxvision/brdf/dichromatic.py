@@ -1,0 +1,104 @@
+"""Shafer's dichromatic reflection: two terms, each a geometry factor times a spectrum.
+
+    f_r(wi, wo; lambda) = m_b(wi, wo) c_b(lambda) + m_i(wi, wo) c_i(lambda)
+
+The body term is light that entered the material and took its colour, the interface term light
+that did not. The geometry factors are any two neutral materials (one band): Lambert and a
+microfacet lobe, say. `dichromatic_separation` goes the other way, from a picture to the two terms.
+Local frame, normal = +z; f_r in sr^-1. Source: Shafer, "Using Color to Separate Reflection
+Components", Color Research and Application 10(4) (1985).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, Scalar, as_float, check_shape
+from .._vector import Vec, Vector, as_vec
+from ..scene import Material
+from ._lobe import diffuse_share
+from ._registry import family, register
+
+Body = Float[Array, " body"]
+Interface = Float[Array, " interface"]
+
+
+class Dichromatic(Material):
+    """`body`, `interface`: materials of one band, the geometry factors m_b and m_i in sr^-1.
+    `body_spectrum`, `interface_spectrum`: (bands,) or neutral (1,), c_b and c_i, no unit."""
+
+    body: Material
+    interface: Material
+    body_spectrum: Colour = eqx.field(converter=as_float)
+    interface_spectrum: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Dichromatic.body_spectrum", self.body_spectrum, ("bands",))
+        check_shape(
+            "Dichromatic.interface_spectrum",
+            self.interface_spectrum,
+            self.body_spectrum.shape,
+            (1,),
+        )
+
+
+def evaluate(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
+    """f_r, (bands,) in sr^-1."""
+    return _two_terms(
+        material,
+        family(material.body).evaluate(material.body, wi, wo),
+        family(material.interface).evaluate(material.interface, wi, wo),
+    )
+
+
+def shading(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
+    """The two materials' own shadings times their spectra, (bands,) in sr^-1."""
+    return _two_terms(
+        material,
+        family(material.body).shading(material.body, wi, wo),
+        family(material.interface).shading(material.interface, wi, wo),
+    )
+
+
+def albedo(material: Dichromatic, wo: Vector) -> Colour:
+    """The two materials' albedos times their spectra, (bands,), no unit."""
+    return _two_terms(
+        material,
+        family(material.body).albedo(material.body, wo),
+        family(material.interface).albedo(material.interface, wo),
+    )
+
+
+def _two_terms(material: Dichromatic, m_b: Body, m_i: Interface) -> Colour:
+    for name, m in (("body", m_b), ("interface", m_i)):
+        if m.shape != (1,):
+            raise ValueError(f"Dichromatic.{name} must reflect in one band, got {m.shape[0]}.")
+    return material.body_spectrum * m_b + material.interface_spectrum * m_i
+
+
+def _body_part(material: Dichromatic) -> Scalar:
+    """The part of samples for the body, by the spectra alone."""
+    return diffuse_share(material.body_spectrum, material.interface_spectrum)
+
+
+def sample(material: Dichromatic, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """A unit direction from the body's or the interface's own sampler, as u_2 decides; what is
+    left of u_2 goes on to it."""
+    part = _body_part(material)
+    from_body = u[2] < part
+    left_body = u[2] / jnp.where(part > 0, part, 1)
+    left_interface = (u[2] - part) / jnp.where(part < 1, 1 - part, 1)
+    body = family(material.body).sample(material.body, wo, u.at[2].set(left_body))
+    lobe = family(material.interface).sample(material.interface, wo, u.at[2].set(left_interface))
+    return jax.tree.map(lambda b, i: jnp.where(from_body, b, i), as_vec(body), as_vec(lobe))
+
+
+def pdf(material: Dichromatic, wi: Vector, wo: Vector) -> Scalar:
+    """Density of `sample` in sr^-1."""
+    part = _body_part(material)
+    body = family(material.body).pdf(material.body, wi, wo)
+    return part * body + (1 - part) * family(material.interface).pdf(material.interface, wi, wo)
+
+
+register(Dichromatic, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)

@@ -1,0 +1,174 @@
+"""A picture of ONE material taken apart into Shafer's two terms, body and interface.
+
+Each pixel is m_b c_b + m_i c_i: the colours lie in a plane through black, the dichromatic plane,
+spanned by the body's colour c_b and the illuminant's c_i; m_b and m_i >= 0 are the coordinates.
+
+    illuminant known, body not   c_b is the edge of the cloud farthest from c_i: `body_colour`
+    illuminant unknown           two materials or more: where their planes meet, `plane_normal`
+                                 and `illuminant_from_planes`
+
+It fails, and `Separation` says so in numbers, where
+  * body and illuminant are alike (a neutral or metallic body, `angle` near 0): the noise of both
+    factors grows as 1 / sin(angle), `noise_gain`, and along one line nothing can be told apart;
+  * the illuminant's colour is wrong, there are several materials, light of another colour or
+    bounces between surfaces: pixels leave the plane, `residual` above the noise. A wrong
+    illuminant INSIDE the plane mixes the terms and leaves no trace, unless pixels then lie
+    outside the wedge of the two colours;
+  * no pixel is free of the interface term: then `body_colour` is tinted and m_i too low
+    by a multiple of m_b.
+Dark and saturated pixels belong masked, in `valid`. Colours are linear, relative; (..., bands),
+bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade,
+"The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._numerics import safe_sqrt, smallest_divisor
+from .._types import Colour, Scalar, check_shape
+
+Pixels = Float[Array, "... channels"]
+Mask = Bool[Array, "..."]
+Factors = Float[Array, "..."]
+
+
+class Separation(eqx.Module):
+    """The two terms of a picture, and how far to trust them.
+
+    `body`, `interface`: (...) >= 0, the geometry factors m_b and m_i, in the picture's unit, of
+    unit-length colours. `residual`: (...) distance of each pixel from the fit, in the picture's
+    unit. `body_colour`, `illuminant`: (bands,) of length 1. `angle`: () between the two, radians.
+    `noise_gain`: () standard deviation of m_b (and of m_i) over that of one band, independent
+    noise alike in all bands, where both factors are positive: 1 / sin(angle).
+    """
+
+    body: Factors
+    interface: Factors
+    residual: Factors
+    body_colour: Colour
+    illuminant: Colour
+    angle: Scalar
+    noise_gain: Scalar
+
+
+def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
+    """Where every band lies below `saturated` and the brightest above `dark`, all relative."""
+    return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
+
+
+def separate(
+    image: Pixels,
+    illuminant: Colour,
+    *,
+    body: Colour | None = None,
+    valid: Mask | None = None,
+    quantile: float = 0.02,
+) -> Separation:
+    """The two non-negative factors of each pixel of (..., bands), by least squares.
+
+    `illuminant`: (bands,) relative colour of the light, as the camera sees a white surface.
+    `body`: (bands,) relative colour of the material, or None: `body_colour` finds it from the
+    pixels in `valid`, (...), default all, with its `quantile`. All pixels are separated. With two
+    terms the non-negative optimum has a closed form: the free one where both factors are
+    positive, else the better of the two alone.
+    """
+    check_shape("illuminant", illuminant, (image.shape[-1],))
+    check_shape("body", body, (image.shape[-1],))
+    c_i = _unit(illuminant)
+    c_b = body_colour(image, illuminant, valid=valid, quantile=quantile) if body is None else body
+    c_b = _unit(c_b)
+    cos = (c_b * c_i).sum()
+    aside = c_b - cos * c_i
+    sine = _length(aside)
+    distinct = sine > jnp.finfo(image.dtype).eps
+    on_b, on_i = image @ c_b, image @ c_i
+    below = jnp.square(jnp.where(distinct, sine, 1))
+    m_b, m_i = (on_b - cos * on_i) / below, (on_i - cos * on_b) / below
+    inside = distinct & (m_b > 0) & (m_i > 0)
+    alone_b, alone_i = jnp.maximum(on_b, 0), jnp.maximum(on_i, 0)
+    body_wins = alone_b >= alone_i
+    m_b = jnp.where(inside, m_b, jnp.where(body_wins, alone_b, 0))
+    m_i = jnp.where(inside, m_i, jnp.where(body_wins, 0, alone_i))
+    left = image - m_b[..., None] * _as_row(c_b, image) - m_i[..., None] * _as_row(c_i, image)
+    return Separation(
+        body=m_b,
+        interface=m_i,
+        residual=_length(left),
+        body_colour=c_b,
+        illuminant=c_i,
+        angle=jnp.arctan2(sine, cos),
+        noise_gain=1 / jnp.maximum(sine, jnp.finfo(image.dtype).eps),
+    )
+
+
+def body_colour(
+    image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
+) -> Colour:
+    """The material's colour, (bands,) of length 1, from a picture (..., bands) that shows it
+    somewhere without highlight, under light of a known colour, relative.
+
+    Without its part along the illuminant each pixel is m_b times one direction, the main one of
+    the `valid` pixels; how much of the illuminant the body itself holds is the smallest ratio of
+    the two parts, taken at a `quantile` of the pixels weighted by m_b, so that noise and a few
+    outliers do not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
+    """
+    c_i = _unit(illuminant)
+    weight = jnp.ones(image.shape[:-1], image.dtype)
+    weight = weight if valid is None else jnp.where(valid, weight, 0)
+    along = image @ c_i
+    across = image - along[..., None] * _as_row(c_i, image)
+    # The mean is the main direction: all pixels lie on one side of the illuminant.
+    total = (weight[..., None] * across).reshape(-1, image.shape[-1]).sum(axis=0)
+    length = _length(total)
+    tinted = length > jnp.finfo(image.dtype).eps * jnp.abs(weight * along).sum()
+    side = total / jnp.where(tinted, length, 1)
+    m = jnp.maximum((across @ side) * weight, 0).reshape(-1)
+    positive = m > smallest_divisor(m.dtype)
+    ratio = jnp.where(positive, along.reshape(-1) / jnp.where(positive, m, 1), jnp.inf)
+    order = jnp.argsort(ratio)
+    share = jnp.cumsum(m[order])
+    chosen = order[jnp.searchsorted(share, quantile * share[-1])]
+    return jnp.where(tinted, _unit(side + jnp.where(positive, ratio, 0)[chosen] * c_i), c_i)
+
+
+def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
+    """The dichromatic plane of one material: its unit normal (bands,), and the root mean squares
+    (bands,) of the pixels along their main axes, ascending, in the picture's unit.
+
+    Of a plane the first is at the noise and the second above it; where the second is at the noise
+    too, the colours lie on a line and the normal means nothing. `image`: (..., 3), `valid`:
+    (...), default all. For three bands, else `ValueError`.
+    """
+    check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
+    pixels = image.reshape(-1, 3)
+    weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)
+    moments = (weight[:, None] * pixels).T @ pixels / jnp.maximum(weight.sum(), 1)
+    sizes, axes = jnp.linalg.eigh(moments)
+    return axes[:, 0], safe_sqrt(sizes)
+
+
+def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
+    """The colour that all planes share, (3,) of length 1 and sum > 0, relative, and how well the
+    planes fix it: () in [0, 1], 0 where they are one and the same.
+
+    `normals`: (planes, 3) unit, of two materials or more under one light. Source: Lee (1986), by
+    least squares: the direction of smallest sum of (normal . c)^2.
+    """
+    moments = normals.T @ normals
+    sizes, axes = jnp.linalg.eigh(moments)
+    colour = axes[:, 0]
+    total = jnp.maximum(sizes[2], smallest_divisor(sizes.dtype))
+    return jnp.where(colour.sum() < 0, -colour, colour), safe_sqrt(sizes[1] / total)
+
+
+def _as_row(colour: Colour, image: Pixels) -> Pixels:
+    return colour.reshape((1,) * (image.ndim - 1) + colour.shape)
+
+
+def _length(v: Pixels) -> Factors:
+    return safe_sqrt((v * v).sum(axis=-1))
+
+
+def _unit(colour: Colour) -> Colour:
+    return colour / jnp.maximum(_length(colour), smallest_divisor(colour.dtype))

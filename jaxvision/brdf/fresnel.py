@@ -1,0 +1,112 @@
+"""Fresnel reflectance of a smooth interface for unpolarised light, (bands,), no unit, in [0, 1].
+
+`cos_theta` is the cosine between the ray and the interface's normal; below 0 counts as 0, above 1
+as 1. Indices of refraction are relative to the side the light comes from. Rearranged so that
+nothing cancels, near equal indices and at grazing angles too; at an angle of 90 degrees every
+interface reflects all.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._numerics import safe_sqrt, smallest_divisor
+from .._types import Colour, Scalar, as_float, check_shape
+
+
+class Dielectric(eqx.Module):
+    """A clear material. `eta`: (bands,) or (1,), real relative index n_t / n_i > 0; below 1 it
+    reflects totally beyond the critical angle."""
+
+    eta: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Dielectric.eta", self.eta, ("bands",))
+
+
+class Conductor(eqx.Module):
+    """A metal. `eta`, `k`: (bands,) or (1,), the relative complex index eta + i k."""
+
+    eta: Colour = eqx.field(converter=as_float)
+    k: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Conductor.eta", self.eta, ("bands",))
+        check_shape("Conductor.k", self.k, self.eta.shape)
+
+
+class Schlick(eqx.Module):
+    """Schlick's approximation. `f0`: (bands,) or (1,), reflectance along the normal."""
+
+    f0: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Schlick.f0", self.f0, ("bands",))
+
+
+Interface = Dielectric | Conductor | Schlick
+
+
+def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
+    """Reflectance of any interface: (bands,), no unit. `cos_theta`: ()."""
+    match interface:
+        case Dielectric():
+            return fresnel_dielectric(cos_theta, interface.eta)
+        case Conductor():
+            return fresnel_conductor(cos_theta, interface.eta, interface.k)
+        case Schlick():
+            return fresnel_schlick(cos_theta, interface.f0)
+
+
+def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
+    """(r_s^2 + r_p^2) / 2 with g^2 = eta^2 - 1 + c^2 and
+
+        r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
+        r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
+
+    1 where g^2 <= 0 (total reflection). `eta`: (bands,). Source: Cook & Torrance, ACM TOG 1(1)
+    (1982); the right-hand forms are the same fractions, their numerators made rational.
+    """
+    c = jnp.clip(cos_theta, 0, 1)
+    contrast = (eta - 1) * (eta + 1)
+    g_squared = contrast + c * c
+    passes = g_squared > 0
+    g = safe_sqrt(g_squared)
+    s_sum = jnp.where(passes, c + g, 1)
+    p_sum = jnp.where(passes, eta * eta * c + g, 1)
+    r_s = contrast / jnp.square(s_sum)
+    r_p = contrast * (c * c * (eta * eta + 1) - 1) / jnp.square(p_sum)
+    return jnp.where(passes, (r_s * r_s + r_p * r_p) / 2, 1)
+
+
+def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
+    """(R_s + R_p) / 2 with (a + i b)^2 = (eta + i k)^2 - sin^2 and
+
+        R_s = ((a - c)^2 + b^2) / ((a + c)^2 + b^2)
+        R_p = R_s ((a c - s^2)^2 + b^2 c^2) / ((a c + s^2)^2 + b^2 c^2)
+
+    `eta`, `k`: (bands,). Source: Born & Wolf, Principles of Optics, section 14.2.
+    """
+    c = jnp.clip(cos_theta, 0, 1)
+    s_squared = (1 - c) * (1 + c)
+    real, half_imaginary = (eta - k) * (eta + k) - s_squared, eta * k
+    # sqrt of a complex number: the larger part first, the other from their product.
+    modulus = safe_sqrt(real * real + 4 * half_imaginary * half_imaginary)
+    larger = safe_sqrt((modulus + jnp.abs(real)) / 2)
+    smaller = half_imaginary / jnp.maximum(larger, smallest_divisor(larger.dtype))
+    a, b = jnp.where(real > 0, larger, smaller), jnp.where(real > 0, smaller, larger)
+
+    def ratio(difference: Colour, total: Colour, other: Colour) -> Colour:
+        below = total * total + other * other
+        positive = below > 0
+        above = difference * difference + other * other
+        return jnp.where(positive, above / jnp.where(positive, below, 1), 1)
+
+    r_s = ratio(a - c, a + c, b)
+    return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c)) / 2
+
+
+def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
+    """f0 + (1 - f0) (1 - c)^5. `f0`: (bands,). Source: Schlick, Computer Graphics Forum 13(3)
+    (1994)."""
+    rest = 1 - jnp.clip(cos_theta, 0, 1)
+    return f0 + (1 - f0) * (jnp.square(jnp.square(rest)) * rest)

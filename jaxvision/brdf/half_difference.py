@@ -1,0 +1,131 @@
+"""Half and difference angles, and the isotropic BRDF tabulated over them (the MERL layout).
+
+The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). Turning h to the normal, by
+-phi_h about z and then by -theta_h about y, turns `wi` to the difference vector, with angles
+(theta_d, phi_d): theta_d is half the angle between the two directions. Exchanging wi and wo adds
+pi to phi_d, mirroring about the plane of h negates it. Source: Rusinkiewicz, "A New Change of
+Variables for Efficient BRDF Representation", 1998.
+
+The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
+[0, pi): bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins, the others are
+equally wide. phi_d is taken modulo pi, so the table is reciprocal by construction. A value stands
+at the middle of its bin; beyond the outermost middles it is clamped. BRDF values in sr^-1, angles
+in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance
+Model", 2003, and the reference reader published with it.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import dot, normalize, safe_sqrt
+from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._vector import Vec, Vector, as_vec
+from ..scene import Material
+from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
+from ._interpolation import in_bin, in_bins, multilinear
+from ._lobe import lit_and_seen
+from ._lobe_sampler import LobeSampler, albedo, pdf, sample
+from ._registry import register
+
+
+class HalfDifference(eqx.Module):
+    """`theta_h`, `phi_h`: of the half vector; `theta_d`, `phi_d`: of `wi` about it; () rad."""
+
+    theta_h: Scalar
+    phi_h: Scalar
+    theta_d: Scalar
+    phi_d: Scalar
+
+
+def _turned(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
+    """`w` turned by theta about y, then by phi about z: +z goes to spherical(theta, phi)."""
+    c, s = jnp.cos(theta), jnp.sin(theta)
+    x, z = c * w.x + s * w.z, c * w.z - s * w.x
+    c, s = jnp.cos(phi), jnp.sin(phi)
+    return Vec(c * x - s * w.y, s * x + c * w.y, z)
+
+
+def half_difference(wi: Vector, wo: Vector) -> HalfDifference:
+    """The angles of two unit vectors of the local frame, rad: theta in [0, pi / 2], phi in
+    [-pi, pi]. On the normal phi_h is 0; for wi = wo phi_d is 0."""
+    wi, wo = as_vec(wi), as_vec(wo)
+    h = as_vec(normalize(wi + wo))
+    sin_h = safe_sqrt(h.x * h.x + h.y * h.y)
+    aside = sin_h > 0
+    scale = 1 / jnp.where(aside, sin_h, 1)
+    cos_phi, sin_phi = jnp.where(aside, h.x * scale, 1), jnp.where(aside, h.y * scale, 0)
+    # Half of wi - wo is the part of wi across h, free of the rounding that wi's part along h has.
+    across = (wi - wo) * jnp.asarray(0.5, wi.x.dtype)
+    x = cos_phi * across.x + sin_phi * across.y
+    y = cos_phi * across.y - sin_phi * across.x
+    d = Vec(h.z * x - sin_h * across.z, y, dot(wi, h))
+    return HalfDifference(elevation(h), azimuth(h), elevation(d), azimuth(d))
+
+
+def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
+    """(wi, wo) of half and difference angles in rad: the inverse of `half_difference`. Either may
+    lie below the surface."""
+    d = spherical(angles.theta_d, angles.phi_d)
+    opposite = Vec(-d.x, -d.y, d.z)
+    return (
+        _turned(d, angles.theta_h, angles.phi_h),
+        _turned(opposite, angles.theta_h, angles.phi_h),
+    )
+
+
+class HalfDifferenceTable(Material):
+    """An isotropic BRDF over half and difference angles.
+
+    `values`: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files. `wavelengths`: (bands,) m,
+    or None for RGB. `sampler`: what `sample` draws from; None: the cosine. `interpolation`:
+    "linear" between the middles of bins, or "nearest", the bin itself, as the reference reader
+    has it.
+    """
+
+    values: Float[Array, "n_h n_d n_p bands"] = eqx.field(converter=as_float)
+    wavelengths: Float[Array, " bands"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    sampler: LobeSampler | None = eqx.field(default=None, kw_only=True)
+    interpolation: Literal["linear", "nearest"] = eqx.field(
+        static=True, default="linear", kw_only=True
+    )
+
+    def __check_init__(self) -> None:
+        check_shape("HalfDifferenceTable.values", self.values, ("n_h", "n_d", "n_p", "bands"))
+        check_shape("HalfDifferenceTable.wavelengths", self.wavelengths, self.values.shape[-1:])
+        if self.interpolation not in ("linear", "nearest"):
+            raise ValueError(
+                "HalfDifferenceTable.interpolation must be 'linear' or 'nearest', got "
+                f"{self.interpolation!r}."
+            )
+
+
+def bin_angles(
+    table: HalfDifferenceTable,
+) -> tuple[Float[Array, " n_h"], Float[Array, " n_d"], Float[Array, " n_p"]]:
+    """theta_h, theta_d, phi_d in rad at the middles of the table's bins."""
+    h, d, p = ((jnp.arange(n, dtype=table.values.dtype) + 0.5) / n for n in table.values.shape[:3])
+    return jnp.square(h) * (jnp.pi / 2), d * (jnp.pi / 2), p * jnp.pi
+
+
+def evaluate(material: HalfDifferenceTable, wi: Vector, wo: Vector) -> Colour:
+    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
+    local frame."""
+    wi, wo = as_vec(wi), as_vec(wo)
+    angles = half_difference(wi, wo)
+    n_h, n_d, n_p, _ = material.values.shape
+    h, d = elevation_to_unit(angles.theta_h), angles.theta_d * (2 / jnp.pi)
+    p = angles.phi_d * (1 / jnp.pi)
+    p = p - jnp.floor(p)
+    if material.interpolation == "nearest":
+        places = in_bin(h, n_h), in_bin(d, n_d), in_bin(p, n_p)
+    else:
+        places = in_bins(h, n_h), in_bins(d, n_d), in_bins(p, n_p, periodic=True)
+    return jnp.where(lit_and_seen(wi, wo), multilinear(material.values, *places), 0)
+
+
+register(HalfDifferenceTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

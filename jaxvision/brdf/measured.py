@@ -1,0 +1,212 @@
+"""Measured BRDFs: scattered samples, and tables over the angles of the two directions.
+
+A table holds f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the isotropic
+f_r(theta_i, theta_o, phi_o - phi_i; lambda); between nodes it is linear in each angle. Elevations
+beyond the outermost nodes are clamped to them, extrapolated along the last two (never below 0), or
+give 0: the record's `outside` says which. Azimuths are periodic. Measurements are not quite
+reciprocal; a table with `reciprocal` set gives the mean of both orders of the directions.
+Interpolation over these angles blurs narrow lobes that lie between nodes: where the nodes are more
+than a lobe apart, `half_difference` resolves them better.
+
+`i` is the direction toward the light, `o` toward the viewer; local frame, normal = +z; angles in
+rad, f_r in sr^-1 (no cosine inside), wavelengths in m.
+"""
+
+from typing import Literal, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, as_float, as_optional_float, check_shape
+from .._vector import Vec, Vector, as_vec
+from ..scene import Material
+from ._half_vector import azimuth, elevation, spherical
+from ._interpolation import Place, among, around_circle, multilinear
+from ._lobe import lit_and_seen
+from ._lobe_sampler import LobeSampler, albedo, pdf, sample, tabulated_lobe
+from ._registry import family, register
+
+Outside = Literal["clamp", "extrapolate", "zero"]
+
+
+class BRDFSamples(eqx.Module):
+    """Measured values at scattered pairs of directions: what a goniometer writes.
+
+    `theta_i`, `phi_i`, `theta_o`, `phi_o`: (n,) rad. `values`: (n, bands) f_r in sr^-1.
+    `wavelengths`: (bands,) m, or None where bands are not wavelengths (RGB).
+    """
+
+    theta_i: Float[Array, " n"] = eqx.field(converter=as_float)
+    phi_i: Float[Array, " n"] = eqx.field(converter=as_float)
+    theta_o: Float[Array, " n"] = eqx.field(converter=as_float)
+    phi_o: Float[Array, " n"] = eqx.field(converter=as_float)
+    values: Float[Array, "n bands"] = eqx.field(converter=as_float)
+    wavelengths: Float[Array, " bands"] | None = eqx.field(
+        converter=as_optional_float, default=None
+    )
+
+    def __check_init__(self) -> None:
+        check_shape("BRDFSamples.values", self.values, ("n", "bands"))
+        for name in ("theta_i", "phi_i", "theta_o", "phi_o"):
+            check_shape(f"BRDFSamples.{name}", getattr(self, name), self.values.shape[:1])
+        check_shape("BRDFSamples.wavelengths", self.wavelengths, self.values.shape[1:])
+
+
+class IsotropicTable(Material):
+    """An isotropic BRDF over (theta_i, theta_o, phi_o - phi_i).
+
+    `theta_i`: (a,), `theta_o`: (b,), `phi`: (c,) rad, increasing. `values`: (a, b, c, bands).
+    `wavelengths`: (bands,) m, or None. `sampler`: what `sample` draws from, see
+    `tabulate_sampler`; None: the cosine. `azimuths`: "mirrored": nodes of `phi` within [0, pi], of
+    a surface that looks the same in a mirror holding the normal; "full": within one turn.
+    """
+
+    theta_i: Float[Array, " a"] = eqx.field(converter=as_float)
+    theta_o: Float[Array, " b"] = eqx.field(converter=as_float)
+    phi: Float[Array, " c"] = eqx.field(converter=as_float)
+    values: Float[Array, "a b c bands"] = eqx.field(converter=as_float)
+    wavelengths: Float[Array, " bands"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    sampler: LobeSampler | None = eqx.field(default=None, kw_only=True)
+    azimuths: Literal["mirrored", "full"] = eqx.field(static=True, default="mirrored", kw_only=True)
+    outside: Outside = eqx.field(static=True, default="clamp", kw_only=True)
+    reciprocal: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __check_init__(self) -> None:
+        nodes = tuple(len(axis) for axis in (self.theta_i, self.theta_o, self.phi))
+        check_shape("IsotropicTable.values", self.values, (*nodes, "bands"))
+        check_shape("IsotropicTable.wavelengths", self.wavelengths, self.values.shape[-1:])
+        _check_option("IsotropicTable.azimuths", self.azimuths, "mirrored", "full")
+        _check_option("IsotropicTable.outside", self.outside, "clamp", "extrapolate", "zero")
+
+
+class AnisotropicTable(Material):
+    """A BRDF over (theta_i, phi_i, theta_o, phi_o).
+
+    `theta_i`: (a,), `phi_i`: (b,), `theta_o`: (c,), `phi_o`: (d,) rad, increasing, azimuths within
+    one turn. `values`: (a, b, c, d, bands). Else as `IsotropicTable`.
+    """
+
+    theta_i: Float[Array, " a"] = eqx.field(converter=as_float)
+    phi_i: Float[Array, " b"] = eqx.field(converter=as_float)
+    theta_o: Float[Array, " c"] = eqx.field(converter=as_float)
+    phi_o: Float[Array, " d"] = eqx.field(converter=as_float)
+    values: Float[Array, "a b c d bands"] = eqx.field(converter=as_float)
+    wavelengths: Float[Array, " bands"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    sampler: LobeSampler | None = eqx.field(default=None, kw_only=True)
+    outside: Outside = eqx.field(static=True, default="clamp", kw_only=True)
+    reciprocal: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __check_init__(self) -> None:
+        nodes = tuple(len(axis) for axis in (self.theta_i, self.phi_i, self.theta_o, self.phi_o))
+        check_shape("AnisotropicTable.values", self.values, (*nodes, "bands"))
+        check_shape("AnisotropicTable.wavelengths", self.wavelengths, self.values.shape[-1:])
+        _check_option("AnisotropicTable.outside", self.outside, "clamp", "extrapolate", "zero")
+
+
+def _check_option(name: str, got: str, *allowed: str) -> None:
+    if got not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}.")
+
+
+AngleTable = IsotropicTable | AnisotropicTable
+
+
+def _within(nodes: Float[Array, " n"], x: Float[Array, ""]) -> Array:
+    return (x >= nodes[0]) & (x <= nodes[-1])
+
+
+def _places(table: AngleTable, wi: Vec, wo: Vec) -> tuple[Place, ...]:
+    beyond = "extrapolate" if table.outside == "extrapolate" else "clamp"
+    i = among(table.theta_i, elevation(wi), outside=beyond)
+    o = among(table.theta_o, elevation(wo), outside=beyond)
+    if isinstance(table, AnisotropicTable):
+        return (
+            i,
+            around_circle(table.phi_i, azimuth(wi)),
+            o,
+            around_circle(table.phi_o, azimuth(wo)),
+        )
+    # The azimuth between them, from the products of sines: no difference of two angles to wrap.
+    between = azimuth(Vec(wi.x * wo.x + wi.y * wo.y, wi.x * wo.y - wi.y * wo.x, wi.z))
+    if table.azimuths == "full":
+        return i, o, around_circle(table.phi, between)
+    return i, o, among(table.phi, jnp.abs(between))
+
+
+def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
+    value = multilinear(table.values, *_places(table, wi, wo))
+    if table.outside == "clamp":
+        return value
+    if table.outside == "extrapolate":
+        return jnp.maximum(value, 0)
+    covered = _within(table.theta_i, elevation(wi)) & _within(table.theta_o, elevation(wo))
+    return jnp.where(covered, value, 0)
+
+
+def evaluate(material: AngleTable, wi: Vector, wo: Vector) -> Colour:
+    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
+    local frame."""
+    wi, wo = as_vec(wi), as_vec(wo)
+    value = _looked_up(material, wi, wo)
+    if material.reciprocal:
+        value = (value + _looked_up(material, wo, wi)) / 2
+    return jnp.where(lit_and_seen(wi, wo), value, 0)
+
+
+register(IsotropicTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+register(AnisotropicTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+
+Table = TypeVar("Table", bound=Material)
+
+
+def tabulate_sampler(
+    material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
+) -> Table:
+    """The table with a sampler of its own lobes: `sample` then draws in proportion to the mean
+    over bands of what is reflected, where without it draws follow the cosine.
+
+    `material`: a record with a `sampler` and `values`. Tabulated for `thetas` elevations and, if
+    the material is anisotropic, `phis` azimuths of `wo` (1: it is taken as isotropic) at rows x
+    columns half vectors, the columns closest near the normal; all static. Angles in rad.
+    """
+    dtype = jnp.result_type(*jax.tree.leaves(material))
+    theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
+    phi = jnp.linspace(-jnp.pi, jnp.pi, phis, dtype=dtype) if phis > 1 else jnp.zeros(1, dtype)
+    sampler = tabulated_lobe(material, phi, theta, rows, columns)
+    return eqx.tree_at(
+        lambda record: record.sampler, material, sampler, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def sample_directions(samples: BRDFSamples) -> tuple[Vec, Vec]:
+    """(wi, wo) of every sample, components (n,): unit, local frame."""
+    return spherical(samples.theta_i, samples.phi_i), spherical(samples.theta_o, samples.phi_o)
+
+
+def samples_of(
+    material: Material,
+    theta_i: Float[Array, " a"],
+    theta_o: Float[Array, " b"],
+    phi_o: Float[Array, " c"],
+    *,
+    phi_i: Float[Array, " d"] | None = None,
+) -> BRDFSamples:
+    """f_r (no cosine inside) of any material on a grid of angles in rad, as samples to fit.
+
+    All a * d * b * c combinations, in that order, theta_i slowest and phi_o fastest; `phi_i` is 0
+    unless given. `values.reshape(a, b, c, bands)` are those of an `IsotropicTable` over phi_o, and
+    (a, d, b, c, bands) of an `AnisotropicTable`.
+    """
+    phi_i = jnp.zeros_like(theta_i[:1]) if phi_i is None else phi_i
+    grid = jnp.meshgrid(theta_i, phi_i, theta_o, phi_o, indexing="ij")
+    theta_i, phi_i, theta_o, phi_o = (axis.reshape(-1) for axis in grid)
+    wi, wo = spherical(theta_i, phi_i), spherical(theta_o, phi_o)
+    values = jax.vmap(family(material).evaluate, (None, 0, 0))(material, wi, wo)
+    wavelengths = getattr(material, "wavelengths", None)
+    return BRDFSamples(theta_i, phi_i, theta_o, phi_o, values, wavelengths)

@@ -1,0 +1,142 @@
+"""Microfacet distributions and how facets hide each other. Local frame, unit directions.
+
+`alpha`: (2,), the roughness along x and y, no unit: sqrt(2) times the root mean square slope of a
+Beckmann surface; below 1e-6 counts as 1e-6. `distribution`: "beckmann" (Gaussian slopes) or "ggx"
+(heavy tails); `shadowing`: "smith" (height-correlated) or "v-cavity" (the grooves of Torrance and
+Sparrow, whatever the distribution). Densities in sr^-1. Sources: Walter et al., "Microfacet Models
+for Refraction through Rough Surfaces", EGSR 2007; Heitz, "Understanding the Masking-Shadowing
+Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
+"""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from jax.scipy.special import erfc
+from jaxtyping import Array, Float
+
+from .._numerics import dot, normalize, safe_sqrt, smallest_divisor
+from .._types import Scalar
+from .._vector import Vec, Vector, as_vec
+from ..hemisphere import cross
+
+Distribution = Literal["beckmann", "ggx"]
+Shadowing = Literal["smith", "v-cavity"]
+Alpha = Float[Array, "2"]
+
+
+def half_vector(wi: Vector, wo: Vector) -> Vec:
+    """The unit vector half-way between two unit directions, the normal of the facet that mirrors
+    one into the other; zero between opposite ones."""
+    return as_vec(normalize(as_vec(wi) + as_vec(wo)))
+
+
+def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
+    """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0
+    below it. With the slopes p = h.x / h.z, q = h.y / h.z over their alphas:
+
+        beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
+        ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
+    """
+    n, a = as_vec(h), jnp.maximum(alpha, 1e-6)
+    above = n.z > 1e-5  # flatter facets have no weight that a float can hold
+    z = jnp.where(above, n.z, 1)
+    across = jnp.square(n.x / a[0]) + jnp.square(n.y / a[1])
+    scale = jnp.pi * a[0] * a[1]
+    match distribution:
+        case "beckmann":
+            density = jnp.exp(-across / (z * z)) / (scale * jnp.square(z * z))
+            return jnp.where(above, density, 0)
+        case "ggx":
+            facing = n.z > 0
+            spread = jnp.where(facing, across + n.z * n.z, 1)
+            return jnp.where(facing, 1 / (scale * jnp.square(spread)), 0)
+        case _:
+            raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
+
+
+def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
+    """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
+    surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
+    Lambda is not. Source: Heitz (2014), equations 68 to 72."""
+    v, a = as_vec(w), jnp.maximum(alpha, 1e-6)
+    squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
+    match distribution:
+        case "beckmann":
+            t = safe_sqrt(squared)
+            tilted = t > smallest_divisor(t.dtype)
+            steepness = v.z / jnp.where(tilted, t, 1)
+            bell = jnp.exp(-jnp.square(steepness)) / (2 * jnp.sqrt(jnp.pi))
+            hidden = t * bell - v.z * erfc(steepness) / 2
+            return jnp.where(tilted, jnp.maximum(hidden, 0), 0)
+        case "ggx":
+            root = safe_sqrt(v.z * v.z + squared)
+            below = 2 * (root + v.z)
+            positive = below > smallest_divisor(below.dtype)
+            return jnp.where(positive, squared / jnp.where(positive, below, 1), 0)
+        case _:
+            raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
+
+
+def visibility(
+    wi: Vector,
+    wo: Vector,
+    h: Vector,
+    alpha: Alpha,
+    *,
+    distribution: Distribution,
+    shadowing: Shadowing,
+) -> Scalar:
+    """G / (4 cos(theta_i) cos(theta_o)), no unit, the whole fraction: finite where its parts are
+    not. With c_i, c_o the cosines, H what `hidden_cosine` gives and d = wo.h:
+
+        smith      G = 1 / (1 + Lambda_i + Lambda_o)
+                   1 / (4 (c_i c_o + c_i H_o + c_o H_i))
+        v-cavity   G = min(1, 2 h.z c_o / d, 2 h.z c_i / d)
+                   1 / (4 max(c_i c_o, c_i d / (2 h.z), c_o d / (2 h.z)))
+    """
+    c_i, c_o = as_vec(wi).z, as_vec(wo).z
+    match shadowing:
+        case "smith":
+            hidden_i, hidden_o = (
+                hidden_cosine(w, alpha, distribution=distribution) for w in (wi, wo)
+            )
+            below = c_i * c_o + c_i * hidden_o + c_o * hidden_i
+        case "v-cavity":
+            n = as_vec(h)
+            d = dot(as_vec(wo), n) / (2 * jnp.maximum(n.z, smallest_divisor(n.z.dtype)))
+            below = jnp.maximum(c_i * c_o, jnp.maximum(c_i, c_o) * d)
+        case _:
+            raise ValueError(f"shadowing must be 'smith' or 'v-cavity', got {shadowing!r}.")
+    return 0.25 / jnp.maximum(below, smallest_divisor(below.dtype))
+
+
+# ---------------------------------------------------------------- directions
+
+
+def sample_facet(wo: Vector, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
+    """The unit normal of a GGX facet that `wo` sees, from two uniform numbers in [0, 1).
+
+    It serves Beckmann facets too: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
+    "Sampling the GGX Distribution of Visible Normals", JCGT 7(4) (2018).
+    """
+    v, a = as_vec(wo), jnp.maximum(alpha, 1e-6)
+    view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
+    sine = safe_sqrt(view.x * view.x + view.y * view.y)
+    tilted = sine > smallest_divisor(sine.dtype)
+    side = 1 / jnp.where(tilted, sine, 1)
+    t1 = Vec(jnp.where(tilted, -view.y * side, 1), jnp.where(tilted, view.x * side, 0), 0 * view.z)
+    t2 = cross(view, t1)
+    radius, phi = safe_sqrt(u[0]), 2 * jnp.pi * u[1]
+    p1, s = radius * jnp.cos(phi), (1 + view.z) / 2
+    p2 = (1 - s) * safe_sqrt(1 - p1 * p1) + s * radius * jnp.sin(phi)
+    p3 = safe_sqrt(1 - p1 * p1 - p2 * p2)
+    n = p1 * t1 + p2 * t2 + p3 * view
+    return as_vec(normalize(Vec(a[0] * n.x, a[1] * n.y, jnp.maximum(n.z, 0))))
+
+
+def facet_pdf(wi: Vector, wo: Vector, alpha: Alpha) -> Scalar:
+    """Density in sr^-1, over the whole sphere, of `wo` mirrored about a normal of
+    `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o))."""
+    facets = normal_distribution(half_vector(wi, wo), alpha, distribution="ggx")
+    seen = as_vec(wo).z + hidden_cosine(wo, alpha, distribution="ggx")
+    return facets / (4 * jnp.maximum(seen, smallest_divisor(seen.dtype)))

@@ -1,0 +1,218 @@
+"""Materials of the EPFL RGL material database, in the adaptive form they were measured in.
+
+The measurement stores, for each direction (theta, phi) of one of its two directions,
+
+    f_r cos(theta_i) = values(s) ndf(h) / (4 sigma(wo)),    s = vndf^-1(h)
+
+on a unit square s that the material's own distribution of visible normals warps onto the half
+vectors h, so that one small grid resolves narrow and wide lobes alike. `luminance` is the density
+over s of what is reflected: warping uniform numbers by it and then by `vndf` samples the material.
+Source: Dupuy & Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and
+Rendering", 2018, equations 6, 7 and 13.
+
+The direction whose angles index the tables is `wo` here, as in other renderers (a path starts at
+the eye and samples `wi`); the goniometer lit the sample from it, so reciprocity is assumed. The
+stored value holds the cosine of the OTHER direction, which is theta_i: it is what multiplies
+irradiance, so `shading` is the stored value and `evaluate` divides it by cos(theta_i). Elevation
+is covered to pi / 2; negative stored values (colours out of gamut) count as 0.
+Units: radiance ratios in sr^-1, angles in radians.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import dot, normalize, smallest_divisor
+from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._vector import Vec, Vector, as_vec
+from ..scene import Material
+from ._half_vector import (
+    azimuth,
+    azimuth_to_unit,
+    elevation,
+    elevation_to_unit,
+    half_to_square,
+    reflected,
+    square_to_half,
+    stretch,
+)
+from ._interpolation import in_unit, multilinear
+from ._registry import register
+from ._warp import Slices, Square, Warp, bilinear, slices, tabulated_warp, unwarp, warp
+
+
+class RGL(Material):
+    """A material of the database, isotropic where `phi` has one or two nodes.
+
+    `theta`: (t,), `phi`: (p,) rad, increasing: the nodes of `wo`. `values`: (p, t, n, n, bands).
+    `ndf`, `sigma`: (rows, columns) over the squares of half vectors and of directions, no unit.
+    `vndf`, `luminance`: warps of the unit square for each (phi, theta). `wavelengths`: (bands,) m,
+    or None for RGB. `scaled`: whether ndf / (4 sigma) multiplies the values (the file's
+    `jacobian`). `symmetry`: how many equal sectors a turn of `wo` has; the nodes span one.
+    """
+
+    theta: Float[Array, " t"] = eqx.field(converter=as_float)
+    phi: Float[Array, " p"] = eqx.field(converter=as_float)
+    values: Float[Array, "p t n n bands"] = eqx.field(converter=as_float)
+    ndf: Float[Array, "rows columns"] = eqx.field(converter=as_float)
+    sigma: Float[Array, "rows columns"] = eqx.field(converter=as_float)
+    vndf: Warp
+    luminance: Warp
+    wavelengths: Float[Array, " bands"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    scaled: bool = eqx.field(static=True, default=True, kw_only=True)
+    symmetry: int = eqx.field(static=True, default=1, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("RGL.theta", self.theta, ("t",))
+        check_shape("RGL.phi", self.phi, ("p",))
+        nodes = (len(self.phi), len(self.theta))
+        check_shape("RGL.values", self.values, (*nodes, "n", "n", "bands"))
+        check_shape("RGL.ndf", self.ndf, ("rows", "columns"))
+        check_shape("RGL.sigma", self.sigma, ("rows", "columns"))
+        check_shape("RGL.vndf.density", self.vndf.density, (*nodes, "rows", "columns"))
+        check_shape("RGL.luminance.density", self.luminance.density, (*nodes, "rows", "columns"))
+        check_shape("RGL.wavelengths", self.wavelengths, self.values.shape[-1:])
+        if self.symmetry not in (1, 2, 4):
+            raise ValueError(f"RGL.symmetry must be 1, 2 or 4, got {self.symmetry}.")
+
+
+def rgl_material(
+    theta: Float[Array, " t"],
+    phi: Float[Array, " p"],
+    values: Float[Array, "p t n n bands"],
+    ndf: Float[Array, "ndf_rows ndf_columns"],
+    sigma: Float[Array, "sigma_rows sigma_columns"],
+    vndf: Float[Array, "p t rows columns"],
+    luminance: Float[Array, "p t n n"],
+    *,
+    wavelengths: Float[Array, " bands"] | None = None,
+    scaled: bool = True,
+    symmetry: int = 1,
+) -> RGL:
+    """The record from the tables as they stand in a file, densities not yet normalised.
+
+    Arguments as in `RGL`, angles in rad; `vndf` and `luminance` are densities over the unit
+    square.
+    """
+    return RGL(
+        theta,
+        phi,
+        values,
+        ndf,
+        sigma,
+        tabulated_warp(phi, theta, vndf),
+        tabulated_warp(phi, theta, luminance),
+        wavelengths=wavelengths,
+        scaled=scaled,
+        symmetry=symmetry,
+    )
+
+
+def _unfolded(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
+    """Both directions turned or mirrored together so that `wo` falls in the tabulated sector."""
+
+    def flipped(w: Vec) -> Vec:
+        y = jnp.where(wo.y > 0, -w.y, w.y)
+        along = wo.x if material.symmetry == 4 else wo.y
+        return Vec(jnp.where(along > 0, -w.x, w.x), y, w.z)
+
+    return (wi, wo) if material.symmetry == 1 else (flipped(wi), flipped(wo))
+
+
+def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
+    """(table slices, azimuth that half vectors count from, square position) of `wo`."""
+    theta, phi = elevation(wo), azimuth(wo)
+    origin = phi if len(material.phi) <= 2 else jnp.zeros_like(phi)
+    place = elevation_to_unit(theta), azimuth_to_unit(phi)
+    return slices(material.vndf, phi, theta), origin, place
+
+
+def _over_square(table: Float[Array, "rows columns"], place: Square) -> Scalar:
+    """A table over the unit square at (x, y), bilinear."""
+    rows, columns = table.shape
+    return multilinear(table, in_unit(place[1], rows), in_unit(place[0], columns))
+
+
+def _reflected_by(
+    material: RGL, at: Slices, s: Square, h_place: Square, wo_place: Square
+) -> Colour:
+    """values(s) ndf(h) / (4 sigma(wo)), (bands,) in sr^-1, at places of the unit squares."""
+    value = jnp.maximum(bilinear(material.values, at, s), 0)
+    if not material.scaled:
+        return value
+    ndf, sigma = _over_square(material.ndf, h_place), _over_square(material.sigma, wo_place)
+    positive = sigma > 0
+    return jnp.where(positive, value * (ndf / (4 * jnp.where(positive, sigma, 1))), 0)
+
+
+def shading(material: RGL, wi: Vector, wo: Vector) -> Colour:
+    """f_r cos(theta_i), (bands,) in sr^-1: the tabulated quantity itself; 0 where either direction
+    lies below the surface. `wi`, `wo`: unit, local frame."""
+    wi, wo = as_vec(wi), as_vec(wo)
+    front = (wi.z > 0) & (wo.z > 0)
+    wi, wo = _unfolded(material, wi, wo)
+    at, origin, wo_place = _seen_from(material, wo)
+    h_place = half_to_square(as_vec(normalize(wi + wo)), origin)
+    s, _ = unwarp(material.vndf, at, h_place)
+    return jnp.where(front, _reflected_by(material, at, s, h_place, wo_place), 0)
+
+
+def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
+    """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface, and on the horizon.
+    `wi`, `wo`: unit, local frame."""
+    cos_i = as_vec(wi).z
+    above = cos_i > smallest_divisor(cos_i.dtype)
+    return jnp.where(above, shading(material, wi, wo) / jnp.where(above, cos_i, 1), 0)
+
+
+def sample(material: RGL, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    """`wi` drawn in proportion to the luminance reflected toward `wo`. `u`: (3,) uniform in
+    [0, 1), of which two are used. A draw below the surface (the tables' edge) reflects nothing."""
+    wo = as_vec(wo)
+    _, turned = _unfolded(material, wo, wo)
+    at, origin, _ = _seen_from(material, turned)
+    s, _ = warp(material.luminance, at, (u[1], u[0]))
+    place, _ = warp(material.vndf, at, s)
+    wi = reflected(turned, square_to_half(place, origin))
+    return _unfolded(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
+
+
+def pdf(material: RGL, wi: Vector, wo: Vector) -> Scalar:
+    """The density of `sample`, sr^-1, over the whole sphere; 0 for `wo` below the surface."""
+    wi, wo = _unfolded(material, as_vec(wi), as_vec(wo))
+    at, origin, _ = _seen_from(material, wo)
+    h = as_vec(normalize(wi + wo))
+    place = half_to_square(h, origin)
+    s, visible = unwarp(material.vndf, at, place)
+    area = stretch(place[0], h, wo)
+    usable = (wo.z > 0) & (h.z > 0) & (area > smallest_divisor(area.dtype))
+    density = visible * bilinear(material.luminance.density, at, s)
+    return jnp.where(usable, density / jnp.where(usable, area, 1), 0)
+
+
+def albedo(material: RGL, wo: Vector, *, order: int = 64) -> Colour:
+    """The reflected part of a uniform surrounding, seen from `wo`: (bands,), no unit.
+
+    The hemisphere integral of f_r cos(theta_i) by the midpoint rule of order x order nodes on the
+    square s, where `vndf` has already straightened the lobe.
+    """
+    wo = as_vec(wo)
+    _, turned = _unfolded(material, wo, wo)
+    at, origin, wo_place = _seen_from(material, turned)
+    nodes = (jnp.arange(order, dtype=wo.z.dtype) + 0.5) / order
+
+    def weight(x: Scalar, y: Scalar) -> Colour:
+        place, density = warp(material.vndf, at, (x, y))
+        h = square_to_half(place, origin)
+        ahead = (reflected(turned, h).z > 0) & (dot(turned, h) > 0) & (density > 0)
+        area = stretch(place[0], h, turned) / jnp.where(density > 0, density, 1)
+        return jnp.where(ahead, _reflected_by(material, at, (x, y), place, wo_place) * area, 0)
+
+    rows = jax.vmap(jax.vmap(weight, (None, 0)), (0, None))(nodes, nodes)
+    return jnp.where(wo.z > 0, jnp.mean(rows, axis=(0, 1)), 0)
+
+
+register(RGL, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)

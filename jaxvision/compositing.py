@@ -1,0 +1,125 @@
+"""Compositing: pictures with coverage, laid over each other in linear light.
+
+A layer is (..., bands + 1): linear relative light already multiplied by its coverage, then the
+coverage alpha in [0, 1] as the last channel. So stored, every operator of Porter and Duff is one
+line for all channels,
+
+    result = F_A A + F_B B,
+
+and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` lead from and to the
+straight, encoded RGBA of files. An alpha outside [0, 1], or not a number, is a `ValueError` that
+says how many there are when it comes with numbers; under a trace nothing is looked at and the same
+polynomials continue. Source: Porter and Duff, "Compositing Digital Images", SIGGRAPH 1984.
+"""
+
+from collections.abc import Callable
+from functools import reduce
+
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ._numerics import smallest_divisor
+from ._types import Scalars
+from .point_ops import srgb_decode, srgb_encode
+
+Layer = Float[Array, "... _"]
+Alpha = Float[Array, "... 1"]
+
+# (F_A of alpha_B, F_B of alpha_A): Porter and Duff, section 4.2, and their "plus" of section 4.5.
+_FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]] = {
+    "clear": (jnp.zeros_like, jnp.zeros_like),
+    "front": (jnp.ones_like, jnp.zeros_like),
+    "back": (jnp.zeros_like, jnp.ones_like),
+    "over": (jnp.ones_like, lambda a: 1 - a),
+    "back over": (lambda b: 1 - b, jnp.ones_like),
+    "in": (lambda b: b, jnp.zeros_like),
+    "back in": (jnp.zeros_like, lambda a: a),
+    "out": (lambda b: 1 - b, jnp.zeros_like),
+    "back out": (jnp.zeros_like, lambda a: 1 - a),
+    "atop": (lambda b: b, lambda a: 1 - a),
+    "back atop": (lambda b: 1 - b, lambda a: a),
+    "xor": (lambda b: 1 - b, lambda a: 1 - a),
+    "plus": (jnp.ones_like, jnp.ones_like),
+}
+
+
+def over(front: Layer, back: Layer) -> Layer:
+    """front + (1 - alpha) back: the layer that hides what lies behind it in proportion to its
+    coverage. Associative, not commutative."""
+    return composite(front, back, operator="over")
+
+
+def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
+    """F_A front + F_B back for any of the thirteen operators, both (..., channels), relative light.
+
+    Their names: "in" is the front where the back covers, "out" where it does not, "atop" the front
+    in the back's outline, "xor" each where the other is not; "back ..." exchanges the roles. "plus"
+    adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may pass 1.
+    `ValueError` for another name or unequal channels.
+    """
+    if operator not in _FRACTIONS:
+        raise ValueError(f"operator must be one of {', '.join(_FRACTIONS)}, got {operator!r}.")
+    if front.shape[-1] != back.shape[-1] or front.shape[-1] < 2:
+        raise ValueError(
+            "front and back must have the same channels, at least one of light and one of "
+            f"coverage, got shapes {front.shape} and {back.shape}."
+        )
+    of_front, of_back = _FRACTIONS[operator]
+    a, b = checked_alpha(front[..., -1:]), checked_alpha(back[..., -1:])
+    return of_front(b) * front + of_back(a) * back
+
+
+def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
+    """All layers as one, the first in front: (layers, ..., channels) to (..., channels), relative
+    light; `over` from the back to the front."""
+    return reduce(lambda behind, layer: over(layer, behind), layers[::-1])
+
+
+def dissolve(layer: Layer, fraction: Scalars) -> Layer:
+    """The part `fraction` of a layer's surface, light and coverage alike; relative."""
+    return layer * fraction
+
+
+def darken(layer: Layer, factor: Scalars) -> Layer:
+    """A layer with its relative light times `factor` and its coverage kept."""
+    return jnp.concatenate([layer[..., :-1] * factor, layer[..., -1:]], axis=-1)
+
+
+def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
+    """The layer of a straight colour (..., bands), linear and relative, and its alpha (..., 1)."""
+    covered = checked_alpha(alpha)
+    return jnp.concatenate([colour * covered, covered], axis=-1)
+
+
+def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
+    """The straight colour of a layer, relative light over coverage: (..., bands). Where nothing is
+    covered there is no colour: 0, with gradient 0."""
+    alpha = checked_alpha(layer[..., -1:])
+    covered = alpha > smallest_divisor(alpha.dtype)
+    return jnp.where(covered, layer[..., :-1] / jnp.where(covered, alpha, 1), 0)
+
+
+def layer_from_srgb(rgba: Layer) -> Layer:
+    """The layer of straight sRGB with coverage, as PNG files hold it, in [0, 1] relative: decoded
+    to linear light, then premultiplied. The coverage is not encoded."""
+    return premultiply(srgb_decode(rgba[..., :-1]), rgba[..., -1:])
+
+
+def layer_to_srgb(layer: Layer) -> Layer:
+    """The inverse of `layer_from_srgb`: straight sRGB and coverage, relative; black where nothing
+    is covered."""
+    return jnp.concatenate([srgb_encode(unpremultiply(layer)), layer[..., -1:]], axis=-1)
+
+
+def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
+    """`alpha` itself, relative; numbers outside [0, 1] or not finite are a `ValueError`, tracers
+    pass."""
+    if isinstance(alpha, Tracer):
+        return alpha
+    wrong = int(jnp.sum(~((alpha >= 0) & (alpha <= 1))))
+    if wrong:
+        raise ValueError(
+            f"alpha must lie in [0, 1]: {wrong} of {alpha.size} values do not; clip or rescale it."
+        )
+    return alpha

@@ -1,0 +1,100 @@
+"""What the filters that weigh every neighbour share: a weighted mean, row of neighbours by row.
+
+A band is an array of its own here: a trailing axis of three ruins vector code.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int, Shaped
+
+from .._numerics import smallest_divisor
+from .._types import Scalars
+from ..padding import as_planes, pad
+
+# Pictures in one call may differ in size or bands, so their axes have no names to agree on.
+AnyPicture = Shaped[Array | np.ndarray, "..."]
+Floats = Float[Array, "..."]
+
+Plane = Float[Array, "images _ _"]
+Planes = tuple[Plane, ...]
+
+
+def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
+    """The bands of a picture, and the way back."""
+    stack, restore = as_planes(picture)
+    planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
+    return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
+
+
+def inverse(sigma: float | Scalars, dtype: DTypeLike) -> Scalars:
+    """1 / sigma, with sigma at least tiny ** (1/2) (1e-19 in float32): its square and its
+    derivative stay finite, so differences measured in sigmas have finite gradients."""
+    return 1 / jnp.maximum(jnp.asarray(sigma, dtype), smallest_divisor(dtype) ** 2)
+
+
+def weighted_mean(
+    values: Planes,
+    guide: Planes,
+    weight_of: Callable[[Planes, Int[Array, ""], int], Plane],
+    *,
+    radius: int,
+    border: str,
+    margin: int = 0,
+    taken: Callable[[Int[Array, ""], int], Bool[Array, ""]] | None = None,
+) -> Planes:
+    """sum w f / sum w over the square of neighbours up to `radius` away.
+
+    `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p), on the picture and `margin`
+    pixels around it. `taken(dy, dx)`: whether that neighbour takes part (None: all do). With the
+    border "normalised_zero" neighbours outside the picture take no part.
+
+    Nothing of a neighbour is kept for the backward pass, which computes it anew: a gradient needs
+    the memory of one row of neighbours, not of the square.
+    """
+    zero = jnp.zeros_like(values[0])
+    height, width = zero.shape[1:]
+    present = (_padded(zero + 1, radius, border),) if border == "normalised_zero" else ()
+    values = tuple(_padded(plane, radius, border) for plane in values)
+    guide = tuple(_padded(plane, radius + margin, border) for plane in guide)
+    inner = slice(radius, radius + height + 2 * margin), slice(radius, radius + width + 2 * margin)
+    here = tuple(g[:, *inner] for g in guide)
+
+    @jax.checkpoint
+    def row(dy: Int[Array, ""]) -> tuple[Planes, Plane]:
+        lines, inside = (
+            tuple(lax.dynamic_slice_in_dim(f, dy, height, 1) for f in planes)
+            for planes in (values, present)
+        )
+        guides = tuple(lax.dynamic_slice_in_dim(g, dy, height + 2 * margin, 1) for g in guide)
+        sums, total = tuple(zero for _ in lines), zero
+        for dx in range(2 * radius + 1):
+            there = (lax.slice_in_dim(g, dx, dx + width + 2 * margin, axis=2) for g in guides)
+            change = tuple(a - b for a, b in zip(there, here, strict=True))
+            weight = weight_of(change, dy - radius, dx - radius)
+            moved = tuple(lax.slice_in_dim(f, dx, dx + width, axis=2) for f in lines)
+            for here_or_not in inside:
+                weight = weight * lax.slice_in_dim(here_or_not, dx, dx + width, axis=2)
+            if taken is not None:
+                use = taken(dy - radius, dx - radius)
+                weight = jnp.where(use, weight, 0)
+                moved = tuple(jnp.where(use, f, 0) for f in moved)
+            sums = tuple(s + weight * f for s, f in zip(sums, moved, strict=True))
+            total = total + weight
+        return sums, total
+
+    def add(sums: tuple[Planes, Plane], dy: Int[Array, ""]) -> tuple[tuple[Planes, Plane], None]:
+        return jax.tree.map(jnp.add, sums, row(dy)), None
+
+    start = tuple(zero for _ in values), zero
+    (sums, total), _ = lax.scan(add, start, jnp.arange(2 * radius + 1, dtype=jnp.int32))
+    return tuple(s / total for s in sums)
+
+
+def _padded(plane: Plane, by: int, border: str) -> Plane:
+    """`by` pixels more on every side."""
+    return pad(plane[..., None], ((by, by), (by, by)), border=border)[..., 0]

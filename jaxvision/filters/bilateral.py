@@ -1,0 +1,127 @@
+"""The bilateral filter (Tomasi & Manduchi, ICCV 1998) and the joint one (Petschnigg et al.;
+Eisemann & Durand, SIGGRAPH 2004), by definition, every neighbour weighed:
+
+    g(p) = sum_q w f(q) / sum_q w,
+    w = exp(-|p - q|^2 / (2 sigma_space^2)) exp(-d(p, q)^2 / (2 sigma_range^2)),
+
+with d the difference of the colours of the guide (for the bilateral filter, the image itself). One
+weight for all bands. `sigma_space` is in pixels; values, and with them `sigma_range`, are relative
+or DN.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from .._numerics import log_of_zero
+from .._types import Scalars
+from ..padding import check_border
+from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
+
+
+def bilateral_filter(
+    picture: AnyPicture,
+    sigma_space: float | Scalars,
+    sigma_range: float | Scalars,
+    *,
+    radius: int,
+    window: str = "square",
+    difference: str = "euclidean",
+    border: str = "mirror",
+) -> Floats:
+    """Smooths within regions, not across edges.
+
+    `picture`: (h, w) or (..., h, w, bands). `sigma_space`: () pixels. `sigma_range`: () in the unit
+    of the image. `radius`: neighbours up to so many pixels away take part, in a "square" of
+    2 radius + 1 or a "disc"; beyond 3 sigma_space little is left. `difference`: of two colours, the
+    "euclidean" length or the "sum" of absolute values. OpenCV has the disc and the sum.
+
+    `border`: as in `padding`, "constant" continuing with 0; with "normalised_zero" what lies
+    outside takes no part.
+
+    A sigma of 0 (or below) stands for the limit: each pixel itself, or equals only. NaN spreads to
+    every window that holds it.
+    """
+    return joint_bilateral_filter(
+        picture,
+        picture,
+        sigma_space,
+        sigma_range,
+        radius=radius,
+        window=window,
+        difference=difference,
+        border=border,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("radius", "window", "difference", "border"))
+def joint_bilateral_filter(
+    picture: AnyPicture,
+    guide: AnyPicture,
+    sigma_space: float | Scalars,
+    sigma_range: float | Scalars,
+    *,
+    radius: int,
+    window: str = "square",
+    difference: str = "euclidean",
+    border: str = "mirror",
+) -> Floats:
+    """The bilateral filter with the edges of another picture of the scene, as one taken with flash.
+
+    `guide`: like `picture`, with any number of bands; `sigma_range` is in its unit. The rest as in
+    `bilateral_filter`.
+    """
+    if radius < 0:
+        raise ValueError(f"radius must be at least 0, got {radius}.")
+    if window not in WINDOWS or difference not in DIFFERENCES:
+        raise ValueError(
+            f"window must be one of {', '.join(WINDOWS)} and difference one of "
+            f"{', '.join(DIFFERENCES)}, got {window!r} and {difference!r}."
+        )
+    check_border(border)
+    values, restore = planes_of(picture)
+    edges, _ = planes_of(guide)
+    if values[0].shape != edges[0].shape:
+        raise ValueError(
+            "picture and guide must agree but for their bands, got "
+            f"{jnp.shape(picture)} and {jnp.shape(guide)}."
+        )
+    dtype = values[0].dtype
+    in_space, in_range = (inverse(sigma, dtype) for sigma in (sigma_space, sigma_range))
+    square = DIFFERENCES[difference]
+
+    def weight_of(change: Planes, dy: Int[Array, ""], dx: int) -> Plane:
+        away = in_space**2 * _square(dy, dx).astype(dtype)
+        unlike = square(tuple(in_range.astype(c.dtype) * c for c in change)).astype(dtype)
+        return jnp.exp(-jnp.minimum((away + unlike) / 2, -log_of_zero(dtype)))
+
+    def in_disc(dy: Int[Array, ""], dx: int) -> Bool[Array, ""]:
+        return _square(dy, dx) <= radius**2
+
+    mean = weighted_mean(
+        values,
+        edges,
+        weight_of,
+        radius=radius,
+        border=border,
+        taken=in_disc if window == "disc" else None,
+    )
+    return restore(mean)
+
+
+def _square(dy: Int[Array, ""], dx: int) -> Int[Array, ""]:
+    return dy**2 + dx**2
+
+
+def _euclidean_square(change: Planes) -> Plane:
+    return functools.reduce(jnp.add, (c**2 for c in change))
+
+
+def _sum_square(change: Planes) -> Plane:
+    return functools.reduce(jnp.add, (jnp.abs(c) for c in change)) ** 2
+
+
+WINDOWS = ("square", "disc")
+DIFFERENCES = {"euclidean": _euclidean_square, "sum": _sum_square}

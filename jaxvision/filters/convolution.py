@@ -1,0 +1,303 @@
+"""Correlation and convolution with any kernel, at any border.
+
+Pictures are (h, w), one grey plane, or (..., h, w, bands), each band of each image a plane of its
+own; the result has the picture's shape, unit and floating dtype. Integers (uint8, uint16) become
+floating numbers of the same value, never scaled. Kernels are (kh, kw), or (kh, kw, bands) with one
+for each band; they may be larger than the picture. `anchor` is the entry of the kernel that stands
+on the pixel which gets the result: by default (kh // 2, kw // 2), the middle of an odd kernel and
+the second of the two middle ones of an even kernel, as in scipy and OpenCV.
+
+`border` is one of `padding.BORDERS`; "constant" puts `fill`, () or (bands,), outside, and
+"normalised_zero" is filter(f) / filter(1), both bordered by zero: a weighted mean of the pixels
+that are there, for kernels that are nowhere negative; where filter(1) is 0 so is the result.
+
+`method` says how the sum is taken, not what it is:
+"conv" by `lax.conv_general_dilated`, "direct" by shifted pictures, "fft" by transforms, "separable"
+by passes over columns and rows, as many as the kernel's rank. "auto" takes "conv" on a GPU, and on
+a CPU the fastest that was measured for the size: "separable" for kernels of low rank (known if the
+kernel is not traced), else "direct" up to 15 x 15 and "fft" beyond.
+
+NaN and infinity go to every pixel whose window holds them, also under a weight of 0; with "fft" to
+the whole plane, and with "conv" and a kernel for each band, to all bands. Derivatives by picture and by kernel are correlations themselves, of any order,
+forward and reverse.
+"""
+
+from collections.abc import Callable, Iterable
+from functools import partial, reduce
+from operator import add, mul
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float, Shaped
+
+from .._numerics import smallest_divisor
+from .._types import as_float
+from ..padding import Filtered, Picture, as_planes, check_border, check_picture, ghosts
+from ._bilinear import correlate_stack
+from ._methods import Anchor, Kernel, Stack
+
+# (kh, kw) or (kh, kw, bands); (taps,) or (taps, bands); () or (bands,)
+AnyKernel = Shaped[Array | np.ndarray, "..."]
+AnyTaps = Shaped[Array | np.ndarray, "..."]
+Fill = Float[Array | np.ndarray, "..."] | float
+# The kernel is the sum of terms, each the product of its passes.
+Terms = tuple[tuple[AnyKernel, ...], ...]
+
+METHODS = ("auto", "conv", "separable", "direct", "fft")
+
+# What a transform and what a pair of passes cost on a CPU, in taps of a direct sum.
+_TRANSFORM, _PAIR = 240, 8
+# Below, a kernel is not worth its singular values.
+_FEWEST_TAPS = 25
+
+
+def correlate(
+    picture: Picture,
+    kernel: AnyKernel,
+    *,
+    anchor: Anchor | None = None,
+    border: str = "mirror",
+    fill: Fill = 0.0,
+    method: str = "auto",
+) -> Filtered:
+    """g[p] = sum over i of kernel[i] f[p + i - anchor]: the kernel lies on the picture as it is
+    written.
+
+    `ValueError` for a kernel of another rank, without entries or with other bands than the
+    picture, an anchor outside the kernel, an unknown border or method, and for method "separable"
+    with a traced kernel, whose rank nobody knows (`low_rank` factors it).
+    """
+    check_picture(picture)
+    size = _size(kernel)
+    if kernel.ndim == 3:
+        _check_bands(kernel.shape[2], picture)
+    check_border(border)
+    chosen = _method(method, kernel, picture)
+    if chosen == "separable":
+        terms, chosen = _factored(kernel, picture), pass_method()
+    else:
+        terms = ((kernel,),)
+    return filtered(
+        picture, terms, fill, anchor=_anchor(anchor, size), border=border, method=chosen
+    )
+
+
+def convolve(
+    picture: Picture,
+    kernel: AnyKernel,
+    *,
+    anchor: Anchor | None = None,
+    border: str = "mirror",
+    fill: Fill = 0.0,
+    method: str = "auto",
+) -> Filtered:
+    """g[p] = sum over i of kernel[i] f[p - i + anchor]: each pixel spreads into a copy of the
+    kernel, which is the answer to an impulse. Arguments and errors as for `correlate`."""
+    kh, kw = _size(kernel)
+    top, left = _anchor(anchor, (kh, kw))
+    turned = (kh - 1 - top, kw - 1 - left)
+    return correlate(
+        picture, kernel[::-1, ::-1], anchor=turned, border=border, fill=fill, method=method
+    )
+
+
+def correlate_separable(
+    picture: Picture,
+    column: AnyTaps,
+    row: AnyTaps,
+    *,
+    anchor: Anchor | None = None,
+    border: str = "mirror",
+    fill: Fill = 0.0,
+    method: str = "auto",
+) -> Filtered:
+    """`correlate` with the kernel column[i] row[j], (kh,) and (kw,) or with bands last: first down
+    the columns, then along the rows; kh + kw products a pixel in place of kh kw.
+
+    Methods "conv", "direct" and "fft" take the product kernel whole. Errors as for `correlate`.
+    """
+    check_picture(picture)
+    for taps in (column, row):
+        if jnp.ndim(taps) not in (1, 2) or 0 in jnp.shape(taps):
+            raise ValueError(f"taps must be (n,) or (n, bands), got shape {jnp.shape(taps)}.")
+        if taps.ndim == 2:
+            _check_bands(taps.shape[1], picture)
+    check_border(border)
+    check_method(method)
+    anchor = _anchor(anchor, (len(column), len(row)))
+    return _separable(picture, column, row, fill, anchor=anchor, border=border, method=method)
+
+
+def impulse_response(
+    height: Float[Array, ""], *, operator: Callable[[Filtered], Filtered], shape: tuple[int, ...]
+) -> Filtered:
+    """What `operator` makes of a picture of that shape, (h, w) or (..., h, w, bands), which is
+    `height` in the middle pixel (h // 2, w // 2) of every plane and 0 elsewhere, in any unit.
+
+    Of `convolve` it is the kernel, of `correlate` the kernel turned by half a turn.
+    """
+    rows, columns = shape if len(shape) == 2 else shape[-3:-1]
+    plane = jnp.zeros((rows, columns), height.dtype).at[rows // 2, columns // 2].set(height)
+    return operator(jnp.broadcast_to(plane if len(shape) == 2 else plane[..., None], shape))
+
+
+# ---------------------------------------------------------------- the sum of terms
+
+
+@partial(jax.jit, static_argnames=("anchor", "border", "method"))
+def filtered(
+    picture: Picture, terms: Terms, fill: Fill, *, anchor: Anchor, border: str, method: str
+) -> Filtered:
+    """The sum over terms of the picture after each of its passes, and what the border adds."""
+    image, restore = as_planes(picture)
+    terms = tuple(tuple(_with_bands(kernel, image.dtype) for kernel in term) for term in terms)
+    outer = "zero" if border in ("constant", "normalised_zero") else border
+    total = _sum(_after(image, term, anchor, outer, method) for term in terms)
+    if border == outer:
+        return restore(total)
+    inside, outside = _shares(_sum(map(_product, terms)), image.shape[1:3], anchor)
+    if border == "constant":
+        return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
+    held = jnp.abs(inside) > smallest_divisor(image.dtype)
+    return restore(jnp.where(held, total / jnp.where(held, inside, 1), 0))
+
+
+@partial(jax.jit, static_argnames=("anchor", "border", "method"))
+def _separable(
+    picture: Picture,
+    column: AnyTaps,
+    row: AnyTaps,
+    fill: Fill,
+    *,
+    anchor: Anchor,
+    border: str,
+    method: str,
+) -> Filtered:
+    dtype = as_float(picture).dtype
+    down, along = _with_bands(column[:, None], dtype), _with_bands(row[None], dtype)
+    if method in ("auto", "separable"):
+        term, method = (down, along), pass_method()
+    else:
+        term = (down * along,)
+    return filtered(picture, (term,), fill, anchor=anchor, border=border, method=method)
+
+
+def _with_bands(kernel: AnyKernel, dtype: np.dtype) -> Kernel:
+    planes = jnp.asarray(kernel, dtype)
+    return planes if planes.ndim == 3 else planes[:, :, None]
+
+
+def _after(
+    image: Stack, term: tuple[Kernel, ...], anchor: Anchor, border: str, method: str
+) -> Stack:
+    for kernel in term:
+        own = (anchor[0] * (kernel.shape[0] > 1), anchor[1] * (kernel.shape[1] > 1))
+        image = correlate_stack(image, kernel, anchor=own, border=border, method=method)
+    return image
+
+
+def _sum(parts: Iterable[Array]) -> Array:
+    return reduce(add, parts)
+
+
+def _product(term: tuple[Kernel, ...]) -> Kernel:
+    return reduce(mul, term)
+
+
+def _shares(
+    kernel: Kernel, size: tuple[int, ...], anchor: Anchor
+) -> tuple[Float[Array, "1 h w _"], Float[Array, "1 h w _"]]:
+    """What of the kernel's sum lies inside the picture, and what outside, for each of its pixels:
+    two sums, so that neither is the rounding of the other."""
+
+    def reach(axis: int) -> np.ndarray:
+        n, taps = size[axis], kernel.shape[axis]
+        inside = ghosts("zero", n, anchor[axis], taps - 1 - anchor[axis]).own
+        return inside[np.arange(n)[:, None] + np.arange(taps)]
+
+    def share(rows: np.ndarray, columns: np.ndarray) -> Float[Array, "h w _"]:
+        r, c = jnp.asarray(rows, kernel.dtype), jnp.asarray(columns, kernel.dtype)
+        return jnp.einsum("yi,ijb,xj->yxb", r, kernel, c, precision=lax.Precision.HIGHEST)
+
+    rows, columns = reach(0), reach(1)
+    beside = share(1 - rows, np.ones_like(columns)) + share(rows, 1 - columns)
+    return share(rows, columns)[None], beside[None]
+
+
+# ---------------------------------------------------------------- choices
+
+
+def pass_method() -> str:
+    """How one pass over columns or rows is taken where the program runs."""
+    return "direct" if jax.default_backend() == "cpu" else "conv"
+
+
+def check_method(method: str) -> None:
+    """Raises `ValueError` for an unknown method."""
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}.")
+
+
+def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
+    check_method(method)
+    traced = isinstance(kernel, Tracer)
+    if method == "separable" and traced:
+        raise ValueError(
+            'method "separable" must see the numbers of the kernel, got a traced one; factor it '
+            "with low_rank."
+        )
+    if method != "auto":
+        return method
+    if jax.default_backend() != "cpu":
+        return "conv"
+    kh, kw = kernel.shape[:2]
+    whole = min(kh * kw, _TRANSFORM)
+    if not traced and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:
+        rank = _singular(kernel, picture)[1].shape[1]
+        if rank * (kh + kw + _PAIR) < whole:
+            return "separable"
+    return "direct" if kh * kw < _TRANSFORM else "fft"
+
+
+def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u (bands, kh, rank), s (bands, rank) and v (bands, rank, kw): the singular values of each
+    band's kernel that the picture's dtype can tell from 0."""
+    planes = np.asarray(kernel, np.float64)
+    planes = planes[None] if planes.ndim == 2 else np.moveaxis(planes, -1, 0)
+    u, s, v = np.linalg.svd(planes, full_matrices=False)
+    dtype = jnp.result_type(float) if picture.dtype.kind in "iub" else picture.dtype
+    rank = max(1, int((s > jnp.finfo(dtype).eps * s[:, :1]).any(0).sum()))
+    return u[:, :, :rank], s[:, :rank], v[:, :rank]
+
+
+def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
+    u, s, v = _singular(kernel, picture)
+    down, along = u * np.sqrt(s)[:, None], v * np.sqrt(s)[:, :, None]
+    return tuple(
+        (down[:, :, k].T[:, None], along[:, k].T[None])  # bands last
+        for k in range(s.shape[1])
+    )
+
+
+def _size(kernel: AnyKernel) -> tuple[int, int]:
+    shape = jnp.shape(kernel)
+    if len(shape) not in (2, 3) or 0 in shape:
+        raise ValueError(f"a kernel must be (kh, kw) or (kh, kw, bands), got shape {shape}.")
+    return shape[0], shape[1]
+
+
+def _check_bands(given: int, picture: Picture) -> None:
+    bands = 1 if picture.ndim == 2 else picture.shape[-1]
+    if given != bands:
+        raise ValueError(f"one kernel a band needs the picture's {bands} bands, got {given}.")
+
+
+def _anchor(anchor: Anchor | None, size: tuple[int, int]) -> Anchor:
+    if anchor is None:
+        return size[0] // 2, size[1] // 2
+    if not (0 <= anchor[0] < size[0] and 0 <= anchor[1] < size[1]):
+        raise ValueError(f"anchor must lie in the kernel of size {size}, got {anchor}.")
+    return anchor

@@ -1,0 +1,142 @@
+"""Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
+
+Exclusive, as OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns < j, so there
+is one more row and column than pixels, and the first of each is 0. The inclusive convention
+(scikit-image's `integral_image`) is the same without them: its entry (i, j) is ours (i + 1, j + 1).
+
+Sums are in the unit of the image (relative values or DN). They are carried as an unevaluated pair
+high + low (Dekker 1971), so that a small box in a large float32 image keeps its digits: beyond the
+rounding of its own sum it errs by some 2^-46 (float64: 2^-104) of the sum over everything above
+and left of it, where a single float32 number would lose 2^-24. NaN and infinity make NaN of every
+box that ends below and right of them.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+from .._types import as_float
+
+Pair = tuple[Array, Array]
+
+
+class IntegralImage(eqx.Module):
+    """Sums over all boxes from the first pixel: (h + 1, w + 1) or (..., h + 1, w + 1, bands).
+
+    `high`: the sums, rounded. `low`: what the rounding cut off.
+    """
+
+    high: Float[Array, "..."]
+    low: Float[Array, "..."]
+
+
+@jax.jit
+def integral_image(image: ArrayLike) -> IntegralImage:
+    """The integral image of (h, w) or (..., h, w, bands); integer images are summed as floating
+    numbers, exactly while a sum fits the pair's digits (2^48 in float32)."""
+    pixels = as_float(image)
+    rows = _row_axis(pixels.ndim, "an image")
+    margin = [(int(axis in (rows, rows + 1)), 0) for axis in range(pixels.ndim)]
+    return IntegralImage(*(jnp.pad(part, margin) for part in _summed(pixels, rows)))
+
+
+def box_sum(
+    integral: IntegralImage,
+    top: Int[Array, ""],
+    left: Int[Array, ""],
+    bottom: Int[Array, ""],
+    right: Int[Array, ""],
+) -> Float[Array, "..."]:
+    """The sum over rows top <= i < bottom and columns left <= j < right: () or (..., bands).
+
+    One box; `vmap` over many. Bounds beyond the image are moved to its edge, a box turned inside
+    out is empty: 0.
+    """
+    rows = _row_axis(integral.high.ndim, "an integral image")
+    height, width = (size - 1 for size in integral.high.shape[rows : rows + 2])
+    top, left = jnp.clip(top, 0, height), jnp.clip(left, 0, width)
+    bottom, right = jnp.clip(bottom, top, height), jnp.clip(right, left, width)
+
+    def entry(i: Int[Array, ""], j: Int[Array, ""]) -> Pair:
+        high, low = (
+            jnp.take(jnp.take(part, i, axis=rows), j, axis=rows)
+            for part in (integral.high, integral.low)
+        )
+        return high, low
+
+    return _corners(entry(bottom, right), entry(top, right), entry(bottom, left), entry(top, left))
+
+
+def window_sum(integral: IntegralImage, size: tuple[int, int]) -> Float[Array, "..."]:
+    """The sums over all windows of `size` = (rows, columns) that lie inside the image, at a cost
+    that does not grow with the size: (h - rows + 1, w - columns + 1) or with batch and bands.
+
+    `ValueError` where the window is empty or larger than the image.
+    """
+    axis = _row_axis(integral.high.ndim, "an integral image")
+    shape = tuple(n - 1 for n in integral.high.shape[axis : axis + 2])
+    if not all(1 <= side <= n for side, n in zip(size, shape, strict=True)):
+        raise ValueError(f"a window must lie inside the image of {shape} pixels, got {size}.")
+    rows, columns = size
+
+    def corner(i: int, j: int) -> Pair:
+        cut = [slice(None)] * integral.high.ndim
+        cut[axis] = slice(i, i + shape[0] - rows + 1)
+        cut[axis + 1] = slice(j, j + shape[1] - columns + 1)
+        return integral.high[tuple(cut)], integral.low[tuple(cut)]
+
+    return _corners(corner(rows, columns), corner(0, columns), corner(rows, 0), corner(0, 0))
+
+
+def _row_axis(rank: int, what: str) -> int:
+    if rank < 2:
+        raise ValueError(f"{what} is (h, w) or (..., h, w, bands), got rank {rank}.")
+    return 0 if rank == 2 else rank - 3
+
+
+def _corners(inside: Pair, above: Pair, before: Pair, both: Pair) -> Array:
+    """inside - above - before + both, rounded once."""
+    high, low = _plus(_plus(inside, _minus(above)), _plus(both, _minus(before)))
+    return high + low
+
+
+def _minus(a: Pair) -> Pair:
+    return -a[0], -a[1]
+
+
+def _plus(a: Pair, b: Pair) -> Pair:
+    """The sum of two pairs: Knuth's error-free sum of the high parts, the rest, renormalised."""
+    total = a[0] + b[0]
+    virtual = total - a[0]
+    error = (a[0] - (total - virtual)) + (b[0] - virtual) + a[1] + b[1]
+    high = total + error
+    return high, error - (high - total)
+
+
+def _running(pair: Pair, axis: int) -> Pair:
+    """Running sums along an axis, one line after the other."""
+    lines = jnp.moveaxis(pair[0], axis, 0), jnp.moveaxis(pair[1], axis, 0)
+
+    def step(total: Pair, line: Pair) -> tuple[Pair, Pair]:
+        total = _plus(total, line)
+        return total, total
+
+    zero = jnp.zeros_like(lines[0][0])
+    _, (high, low) = jax.lax.scan(step, (zero, zero), lines)
+    return jnp.moveaxis(high, 0, axis), jnp.moveaxis(low, 0, axis)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _summed(pixels: Array, rows: int) -> Pair:
+    return _running(_running((pixels, jnp.zeros_like(pixels)), rows), rows + 1)
+
+
+@_summed.defjvp
+def _(rows: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Pair, Pair]:
+    """Linear: the change of a sum is the sum of the changes, which need no second part."""
+    change = jnp.cumsum(jnp.cumsum(tangents[0], axis=rows), axis=rows + 1)
+    return _summed(primals[0], rows), (change, jnp.zeros_like(change))

@@ -1,0 +1,113 @@
+"""A filter as a matrix: g = H f + offset, with the pixels of one plane row by row in f and g.
+
+Exact at every border and for kernels that change from pixel to pixel. The entries are those of the
+filter, in no unit; only the border "constant" has an offset, in the picture's unit. H has h w rows
+and columns and some kh kw h w entries: for looking at filters and for solvers of sparse systems.
+The same operator without a matrix is the filter itself, and its transpose `adjoint`.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.sparse import BCOO
+from jaxtyping import Array, Float
+
+from .._numerics import smallest_divisor
+from .._types import as_optional_float
+from ..padding import Filtered, check_border, ghosts
+from ._methods import Anchor
+from .convolution import Fill, filtered
+
+Kernel = Float[Array, "kh kw"]
+
+
+class MatrixForm(eqx.Module):
+    """g = matrix @ f + offset for a plane f of (h w,) pixels.
+
+    matrix: (h w, h w) sparse, no unit. offset: (h w,) in the picture's unit, or None where the
+    border brings nothing from outside.
+    """
+
+    matrix: BCOO
+    offset: Float[Array, " hw"] | None = eqx.field(converter=as_optional_float)
+
+
+def filter_matrix(
+    kernel: Kernel,
+    *,
+    shape: tuple[int, int],
+    anchor: Anchor | None = None,
+    border: str = "mirror",
+    fill: Fill = 0.0,
+) -> MatrixForm:
+    """The matrix of `correlate` on planes (h, w) = `shape`: every entry one number of the kernel
+    times one of the border, entries of one place not yet added up (`sum_duplicates` does).
+
+    `ValueError` for an unknown border.
+    """
+    check_border(border)
+    h, w = shape
+    stack = jnp.broadcast_to(kernel[:, :, None, None], (*kernel.shape, h, w))
+    form = per_pixel_matrix(stack, anchor=anchor, border=border)
+    if border == "normalised_zero":
+        sums = form.matrix @ jnp.ones(h * w, kernel.dtype)
+        held = jnp.abs(sums) > smallest_divisor(kernel.dtype)
+        scale = jnp.where(held, 1 / jnp.where(held, sums, 1), 0)
+        entries = form.matrix.data * scale[form.matrix.indices[:, 0]]
+        return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
+    if border == "constant":
+        anchor = (kernel.shape[0] // 2, kernel.shape[1] // 2) if anchor is None else anchor
+        nothing = jnp.zeros(shape, kernel.dtype)
+        offset = filtered(
+            nothing, ((kernel,),), fill, anchor=anchor, border=border, method="direct"
+        )
+        return MatrixForm(form.matrix, offset.ravel())
+    return form
+
+
+def per_pixel_matrix(
+    kernels: Float[Array, "kh kw h w"], *, anchor: Anchor | None = None, border: str = "mirror"
+) -> MatrixForm:
+    """The matrix of `correlate_per_pixel`; "constant" and "normalised_zero" count as "zero"."""
+    check_border(border)
+    kh, kw, h, w = kernels.shape
+    anchor = (kh // 2, kw // 2) if anchor is None else anchor
+    tap_y, to_y, from_y, own_y = _axis_entries(border, h, kh, anchor[0])
+    tap_x, to_x, from_x, own_x = _axis_entries(border, w, kw, anchor[1])
+    outer = np.ix_(np.arange(len(tap_y)), np.arange(len(tap_x)))
+    y, x = (np.broadcast_to(v, (len(tap_y), len(tap_x))).ravel() for v in outer)
+    factor = jnp.asarray(own_y[y] * own_x[x], kernels.dtype)
+    entries = kernels[tap_y[y], tap_x[x], to_y[y], to_x[x]] * factor
+    places = np.stack([to_y[y] * w + to_x[x], from_y[y] * w + from_x[x]], axis=-1)
+    indices = jnp.asarray(places.astype(np.int32))
+    return MatrixForm(BCOO((entries, indices), shape=(h * w, h * w)), None)
+
+
+def _axis_entries(
+    border: str, n: int, taps: int, anchor: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(tap, result, source, coefficient) of every product along one axis that is not 0."""
+    rule = ghosts(border, n, anchor, taps - 1 - anchor)
+    result, tap = (v.ravel() for v in np.mgrid[:n, :taps])
+    ghost = result + tap
+    parts = [
+        (tap, result, rule.source[ghost], rule.own[ghost]),
+        (tap, result, np.zeros_like(ghost), rule.first[ghost]),
+        (tap, result, np.full_like(ghost, n - 1), rule.last[ghost]),
+    ]
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    present = joined[3] != 0
+    tap, result, source, coefficient = (column[present] for column in joined)
+    return tap, result, source, coefficient
+
+
+def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> Filtered:
+    """H' g for g = `picture`, in its unit: the transpose of a filter that is linear and keeps the
+    shape, any border but "constant". <operator(f), g> = <f, adjoint(g)>."""
+    (transposed,) = jax.linear_transpose(
+        operator, jax.ShapeDtypeStruct(picture.shape, picture.dtype)
+    )(picture)
+    return transposed

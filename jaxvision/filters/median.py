@@ -1,0 +1,130 @@
+"""The median of each pixel's neighbourhood, by a selection network.
+
+The neighbourhood's shifted images go, whole, through the comparators (minimum, maximum) of
+Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M), of
+which only those that lead to the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. No branch and
+no index, so it runs at the speed of vector minima. Values keep their unit (relative or DN).
+"""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Shaped
+
+from ..padding import Picture, as_planes, check_border, pad
+
+Offsets = tuple[tuple[int, int], ...]
+Comparators = tuple[tuple[int, int], ...]
+
+
+def median_filter(
+    picture: Picture,
+    *,
+    size: int | tuple[int, int] = 3,
+    footprint: ArrayLike | None = None,
+    border: str = "mirror",
+) -> Shaped[Array, "..."]:
+    """The median over a rectangle or a footprint about each pixel, in the image's own dtype.
+
+    `picture`: (h, w) or (..., h, w, bands), each band by itself; uint8, uint16 or floating.
+    `size`: (rows, columns), or one number for both. `footprint`: (rows, columns), true where a
+    neighbour counts; it replaces `size`. Its middle, element n // 2 of a side of n, lies on
+    the pixel. Of an even number of neighbours the upper of the two middle ones is taken, as
+    `scipy.ndimage` does.
+
+    `border`: any of `padding` but "normalised_zero", which is for weighted means; "constant"
+    continues with 0, and "extend" within the codes that an integer image can hold.
+
+    A NaN in the neighbourhood makes the result NaN. The gradient goes to the neighbour that is the
+    median, in equal parts where several are. Compile time grows with the footprint: up to 7 x 7
+    below 1 s, 15 x 15 some seconds.
+    """
+    if footprint is None:
+        rows, columns = (size, size) if isinstance(size, int) else size
+        if min(rows, columns) < 1:
+            raise ValueError(f"size must be at least 1, got {size}.")
+        shape = np.ones((rows, columns), bool)
+    else:
+        shape = np.asarray(footprint).astype(bool)
+    if shape.ndim != 2 or not shape.any():
+        raise ValueError(
+            f"a footprint is (rows, columns) with at least one true element, got {shape.shape} "
+            f"with {int(shape.sum())}."
+        )
+    middle = np.array(shape.shape) // 2
+    offsets = tuple((int(i), int(j)) for i, j in np.argwhere(shape) - middle)
+    check_border(border)
+    if border == "normalised_zero":
+        raise ValueError(
+            'a median has no weights to normalise: border cannot be "normalised_zero".'
+        )
+    return _median(picture, offsets, border)
+
+
+@partial(jax.jit, static_argnames=("offsets", "border"))
+def _median(picture: Picture, offsets: Offsets, border: str) -> Shaped[Array, "..."]:
+    values, restore = as_planes(picture)
+    n, height, width, bands = values.shape
+    above, before = (max(0, -min(offset[side] for offset in offsets)) for side in (0, 1))
+    below, after = (max(0, *(offset[side] for offset in offsets)) for side in (0, 1))
+    around = pad(values, ((above, below), (before, after)), border=border)
+    if jnp.issubdtype(picture.dtype, jnp.integer):
+        codes = jnp.iinfo(picture.dtype)
+        around = jnp.clip(around, codes.min, codes.max).astype(picture.dtype)
+    rows = around.reshape(n, around.shape[1], -1)  # bands side by side: long, plain vectors
+
+    def neighbour(offset: tuple[int, int]) -> Shaped[Array, "n h across"]:
+        top, left = above + offset[0], (before + offset[1]) * bands
+        return lax.slice(rows, (0, top, left), (n, top + height, left + width * bands))
+
+    median = _middle(tuple(neighbour(offset) for offset in offsets))
+    return restore(median.reshape(values.shape))
+
+
+@jax.custom_jvp
+def _middle(neighbours: tuple[Array, ...]) -> Array:
+    """The element of rank n // 2 of n arrays, pixel by pixel."""
+    wires = list(neighbours)
+    for i, j in _selection_network(len(wires), len(wires) // 2):
+        wires[i], wires[j] = jnp.minimum(wires[i], wires[j]), jnp.maximum(wires[i], wires[j])
+    return wires[len(wires) // 2]
+
+
+@_middle.defjvp
+def _(primals: tuple[tuple[Array, ...]], tangents: tuple[tuple[Array, ...]]) -> tuple[Array, Array]:
+    (neighbours,), (changes,) = primals, tangents
+    median = _middle(neighbours)
+    chosen = [(neighbour == median).astype(median.dtype) for neighbour in neighbours]
+    shared = sum(is_it * change for is_it, change in zip(chosen, changes, strict=True))
+    return median, shared / jnp.maximum(sum(chosen), 1)
+
+
+@cache
+def _selection_network(n: int, rank: int) -> Comparators:
+    """Pairs (i, j), i < j: putting the smaller of wires i, j on i and the larger on j, in this
+    order, brings the element of that rank (0 the smallest) to wire `rank`."""
+    needed, kept = {rank}, []
+    for i, j in reversed(_merge_sort(n)):
+        if i in needed or j in needed:
+            needed |= {i, j}
+            kept.append((i, j))
+    return tuple(reversed(kept))
+
+
+def _merge_sort(n: int) -> list[tuple[int, int]]:
+    """Batcher's odd-even merge sort of n wires."""
+    pairs, run = [], 1
+    while run < n:
+        gap = run
+        while gap >= 1:
+            for start in range(gap % run, n - gap, 2 * gap):
+                for i in range(start, start + min(gap, n - start - gap)):
+                    if i // (2 * run) == (i + gap) // (2 * run):
+                        pairs.append((i, i + gap))
+            gap //= 2
+        run *= 2
+    return pairs

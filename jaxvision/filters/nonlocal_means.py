@@ -1,0 +1,99 @@
+"""Non-local means (Buades, Coll & Morel, CVPR 2005), by definition, every neighbour weighed:
+
+    g(p) = sum_q w f(q) / sum_q w,    w = exp(-max(D(p, q) - 2 noise^2, 0) / strength^2),
+
+with D the mean squared difference of the patches about p and q over their pixels (weighted by a
+profile) and bands, q in a square about p. One weight for all bands. `strength` and `noise` are in
+the unit of the image: relative or DN.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Int
+
+from .._numerics import log_of_zero
+from .._types import Scalars
+from ..padding import Filtered, Picture, check_border
+from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
+
+
+@functools.partial(jax.jit, static_argnames=("patch", "radius", "profile", "border"))
+def nonlocal_means_filter(
+    picture: Picture,
+    strength: float | Scalars,
+    *,
+    noise: float | Scalars = 0.0,
+    patch: int = 7,
+    radius: int = 11,
+    profile: str = "uniform",
+    cutoff: float | Scalars | None = None,
+    border: str = "mirror",
+) -> Filtered:
+    """The mean of the pixels whose surroundings look alike.
+
+    `picture`: (h, w) or (..., h, w, bands). `strength`: () how unlike patches still count; of the
+    order of the noise. `noise`: () standard deviation of the noise, whose share of D is taken off.
+    `patch`: the side of the patches, odd. `radius`: neighbours up to so many rows and columns away
+    are searched. `profile`: the weights of D over a patch, "uniform" or "gaussian" with a standard
+    deviation of (patch - 1) / 4. `cutoff`: () a neighbour whose exponent is larger is left out;
+    None keeps all. scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an
+    approximate exp (with `fast_mode`, uniform patches one row and column smaller than asked for).
+
+    `border`: as in `padding`, "constant" continuing with 0; with "normalised_zero" pixels outside
+    take no part (they are 0 in patches that reach out).
+
+    A strength of 0 (or below) stands for the limit: equal patches only. NaN spreads to every pixel
+    that has it in its search window or in a patch of it.
+    """
+    if profile not in ("uniform", "gaussian"):
+        raise ValueError(f'profile must be "uniform" or "gaussian", got {profile!r}.')
+    if patch < 1 or patch % 2 == 0 or radius < 0:
+        raise ValueError(
+            f"patch must be odd and radius at least 0, got patch={patch} and radius={radius}."
+        )
+    check_border(border)
+    values, restore = planes_of(picture)
+    dtype = values[0].dtype
+    scale = inverse(strength, dtype)
+    taps = _taps(patch, profile)
+    noise_share = 2 * (scale * jnp.asarray(noise, dtype)) ** 2
+
+    def weight_of(change: Planes, dy: Int[Array, ""], dx: int) -> Plane:
+        square = functools.reduce(jnp.add, ((scale * c) ** 2 for c in change))
+        distance = _averaged(_averaged(square, taps, 1), taps, 2) / len(change)
+        exponent = jnp.maximum(distance - noise_share, 0)
+        weight = jnp.exp(-jnp.minimum(exponent, -log_of_zero(dtype)))
+        return weight if cutoff is None else jnp.where(exponent > cutoff, 0, weight)
+
+    mean = weighted_mean(
+        values,
+        values,
+        weight_of,
+        radius=radius,
+        border=border,
+        margin=patch // 2,
+    )
+    return restore(mean)
+
+
+def _taps(patch: int, profile: str) -> np.ndarray:
+    """(patch,) weights along a side of a patch, of sum 1."""
+    if profile == "uniform" or patch == 1:
+        return np.full(patch, 1 / patch)
+    place = np.arange(patch) - patch // 2
+    bell = np.exp(-(place**2) / (2 * ((patch - 1) / 4) ** 2))
+    return bell / bell.sum()
+
+
+def _averaged(plane: Plane, taps: np.ndarray, axis: int) -> Plane:
+    """Weighted neighbours along an axis, where all of them exist. Shifted and added: a running sum
+    would lose the digits of small distances."""
+    count = plane.shape[axis] - len(taps) + 1
+    parts = (
+        float(tap) * lax.slice_in_dim(plane, i, i + count, axis=axis) for i, tap in enumerate(taps)
+    )
+    return functools.reduce(jnp.add, parts)

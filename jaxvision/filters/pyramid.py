@@ -1,0 +1,157 @@
+"""Image pyramids: Gaussian and Laplacian, exact reconstruction for any size, and blending by
+pyramids (Burt & Adelson, IEEE Trans. Communications 31, 1983; ACM Trans. Graphics 2, 1983).
+
+The kernel is the binomial [1 4 6 4 1] / 16 (their a = 3/8) in rows and columns. Level l + 1 keeps
+the even rows and columns of level l: n pixels become ceil(n / 2), as in OpenCV's `pyrDown`. Values
+are relative or DN; integer images are computed as floating numbers. NaN spreads to the pixels
+whose kernel covers it. The borders are those of `padding`; "constant" continues with 0.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._types import as_float
+from ..padding import as_planes, check_border, continued
+from ._methods import stored
+from ._neighbours import AnyPicture, Floats
+
+ROWS, COLUMNS = 1, 2  # of a stack of images
+Stack = Float[Array, "images _ _ bands"]
+
+Pyramid = tuple[Floats, ...]
+Size = tuple[int, int]
+
+
+@partial(jax.jit, static_argnames=("border",))
+def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
+    """The next level of a Gaussian pyramid: blurred, every second row and column.
+
+    `picture`: (h, w) or (..., h, w, bands) -> (ceil(h / 2), ceil(w / 2)) or with batch and bands.
+    """
+    image, restore = as_planes(picture)
+    check_border(border)
+    for axis in ROWS, COLUMNS:
+        image = stored(partial(_normalised, _reduced, axis=axis, border=border), image)
+    return restore(image)
+
+
+@partial(jax.jit, static_argnames=("size", "border"))
+def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats:
+    """A level at the `size` = (h, w) of the level below it: between the coarse pixels, which stand
+    on even rows and columns, the kernel interpolates. Constants stay constant, but for the border
+    "zero".
+
+    `ValueError` unless `picture` has ceil(h / 2) rows and ceil(w / 2) columns.
+    """
+    image, restore = as_planes(picture)
+    check_border(border)
+    coarse = image.shape[ROWS], image.shape[COLUMNS]
+    if coarse != tuple(-(-n // 2) for n in size):
+        raise ValueError(
+            f"{coarse} pixels expand to twice as many a side or one less, got size {size}."
+        )
+    for axis, n in zip((ROWS, COLUMNS), size, strict=True):
+        image = lax.slice_in_dim(_normalised(_expanded, image, axis, border), 0, n, axis=axis)
+    return restore(image)
+
+
+def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
+    """The image and `levels` - 1 reductions of it, finest first."""
+    _check_levels(levels)
+    pyramid = [as_float(picture)]
+    for _ in range(levels - 1):
+        pyramid.append(reduce_by_two(pyramid[-1], border=border))
+    return tuple(pyramid)
+
+
+def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
+    """What each level of the Gaussian pyramid adds to the expanded next one, finest first; the last
+    of the `levels` is the coarsest Gaussian level itself."""
+    gaussian = gaussian_pyramid(picture, levels, border=border)
+    details = (
+        fine - expand(coarse, _size(fine), border=border) for fine, coarse in pairwise(gaussian)
+    )
+    return (*details, gaussian[-1])
+
+
+def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
+    """The image of a Laplacian pyramid: exact up to the rounding of one subtraction and one
+    addition a level, whatever the size and border, given the border it was built with."""
+    _check_levels(len(pyramid))
+    image = pyramid[-1]
+    for detail in reversed(pyramid[:-1]):
+        image = detail + expand(image, _size(detail), border=border)
+    return image
+
+
+def blend_by_pyramid(
+    first: AnyPicture,
+    second: AnyPicture,
+    mask: AnyPicture,
+    levels: int,
+    *,
+    border: str = "mirror",
+) -> Floats:
+    """mask first + (1 - mask) second, band by band of frequencies: coarse structure crosses over
+    widely, fine detail sharply, so no seam shows.
+
+    `first`, `second`: (h, w) or (..., h, w, bands). `mask`: of the same shape, or with one band for
+    all; in [0, 1], a number outside extrapolates. `levels`: of the pyramids; 1 is the plain blend.
+    """
+    one, other, weight = as_float(first), as_float(second), as_float(mask)
+    shapes = (one.shape, (*one.shape[:-1], 1) if one.ndim > 2 else one.shape)
+    if one.shape != other.shape or weight.shape not in shapes:
+        raise ValueError(
+            "the images must have one shape, and the mask that shape or one band of it, got "
+            f"{one.shape}, {other.shape} and {weight.shape}."
+        )
+    weights = gaussian_pyramid(weight, levels, border=border)
+    details = (laplacian_pyramid(image, levels, border=border) for image in (one, other))
+    blended = tuple(b + w * (a - b) for w, a, b in zip(weights, *details, strict=True))
+    return collapse_laplacian(blended, border=border)
+
+
+def _check_levels(levels: int) -> None:
+    if levels < 1:
+        raise ValueError(f"a pyramid has at least 1 level, got {levels}.")
+
+
+def _size(picture: Floats) -> Size:
+    rows, columns = picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
+    return rows, columns
+
+
+def _normalised(
+    filtered: Callable[[Stack, int, str], Stack], image: Stack, axis: int, border: str
+) -> Stack:
+    """The border "normalised_zero" is the filter of the image over that of ones."""
+    if border != "normalised_zero":
+        return filtered(image, axis, border)
+    return filtered(image, axis, "zero") / filtered(jnp.ones_like(image), axis, "zero")
+
+
+def _reduced(image: Stack, axis: int, border: str) -> Stack:
+    """The binomial at the even samples of one axis, and only there."""
+    last = 2 * (-(-image.shape[axis] // 2)) - 1
+    around = _continued(image, axis, 2, border)
+    a, b, c, d, e = (lax.slice_in_dim(around, i, i + last, 2, axis) for i in range(5))
+    return (a + e + 4 * (b + d) + 6 * c) / 16
+
+
+def _expanded(image: Stack, axis: int, border: str) -> Stack:
+    """Twice the binomial of the samples set apart by zeros: its even and its odd taps."""
+    count = image.shape[axis]
+    around = _continued(image, axis, 1, border)
+    before, here, after = (lax.slice_in_dim(around, i, i + count, axis=axis) for i in range(3))
+    both = jnp.stack([(before + 6 * here + after) / 8, (here + after) / 2], axis=axis + 1)
+    return both.reshape(*image.shape[:axis], 2 * count, *image.shape[axis + 1 :])
+
+
+def _continued(image: Stack, axis: int, by: int, border: str) -> Stack:
+    return continued(image, axis, by, by, border, jnp.zeros((), image.dtype))

@@ -1,0 +1,259 @@
+"""Filters whose kernel changes from pixel to pixel: lens blur, defocus by depth, foveation.
+
+Three ways, from general to fast: a kernel for each pixel (exact); radial kernels that depend on the
+pixel through one number, its scale (exact, nothing stored); a bank of ordinary filters with
+interpolation between them, whose number is the knob of accuracy. Pictures, borders and units as in
+`convolution`; the kernel of a pixel is the one by which THAT pixel gathers.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from .._numerics import smallest_divisor
+from .._types import as_float
+from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
+from ._methods import Anchor, stored
+from .convolution import correlate
+from .gaussian import gaussian
+from .kernels import gaussian_size
+
+Kernels = Float[Array, "kh kw h w"]
+ScaleMap = Float[Array, "h w"]
+# (radius in pixels, scale of each pixel) -> weight, before the weights are brought to sum 1
+Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
+
+Planes = Float[Array, "n h c w"]
+
+
+def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
+    """exp(-r^2 / 2 sigma^2), both in pixels, sigma > 0."""
+    t = radius / sigma
+    return jnp.exp(-0.5 * t * t)
+
+
+def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
+    """The disk of defocus, both in pixels: 1 inside, 0 outside, and in between a straight edge one
+    pixel wide, so that it moves smoothly with the radius of blur."""
+    return jnp.clip(blur_radius + 0.5 - radius, 0, 1)
+
+
+def correlate_per_pixel(
+    picture: Picture,
+    kernels: Kernels,
+    *,
+    anchor: Anchor | None = None,
+    border: str = "mirror",
+) -> Filtered:
+    """g[p] = sum over i of kernels[i, p] f[p + i - anchor].
+
+    `kernels`: (kh, kw, h, w), each tap a picture of weights. Borders "constant" and
+    "normalised_zero" are left to the caller, who has the kernels. `ValueError` for kernels of
+    another shape or an unknown border.
+    """
+    check_picture(picture)
+    _check_linear(border)
+    plane = picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
+    if kernels.ndim != 4 or 0 in kernels.shape or kernels.shape[2:] != plane:
+        raise ValueError(f"kernels must be (kh, kw, {plane[0]}, {plane[1]}), got {kernels.shape}.")
+    anchor = (kernels.shape[0] // 2, kernels.shape[1] // 2) if anchor is None else anchor
+    return _per_pixel(picture, kernels, anchor=anchor, border=border)
+
+
+def correlate_bank(
+    picture: Picture,
+    bank: Float[Array, "members kh kw"],
+    position: Float[Array, "h w"],
+    *,
+    border: str = "mirror",
+    method: str = "auto",
+) -> Filtered:
+    """The picture under each kernel of a bank, blended pixel by pixel: `position` in [0, members -
+    1] counts along the bank, beyond its ends they stay; in between linear.
+
+    The kernel of a pixel is the blend of two of the bank's: more members, less error, in proportion
+    to the square of their distance. `ValueError` for a bank of other axes.
+    """
+    check_picture(picture)
+    if bank.ndim != 3 or 0 in bank.shape:
+        raise ValueError(f"bank must be (members, kh, kw), got shape {bank.shape}.")
+    kernels = bank if isinstance(bank, Tracer) else np.asarray(bank)
+    members = [correlate(picture, k, border=border, method=method) for k in kernels]
+    return _blended(members, position)
+
+
+def radial_blur(
+    picture: Picture,
+    scale: ScaleMap,
+    *,
+    profile: Profile = gaussian_profile,
+    radius: int,
+    border: str = "mirror",
+) -> Filtered:
+    """The mean over all pixels within `radius` of each, weighted by profile(distance, scale[p]).
+
+    Exact for kernels that depend on the distance only. `scale`: (h, w) pixels, what the profile
+    makes of it. Pixels of one distance are summed first, since they share their weight: one
+    exponential a ring, not one a tap. `radius` is the knob: what lies beyond counts as 0.
+    """
+    check_picture(picture)
+    _check_linear(border)
+    plane = picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
+    if scale.shape != plane or radius < 0:
+        raise ValueError(f"scale must be {plane} and radius >= 0, got {scale.shape} and {radius}.")
+    return _radial(picture, scale, profile=profile, radius=radius, border=border)
+
+
+def gaussian_varying(
+    picture: Picture,
+    sigma: ScaleMap,
+    *,
+    sigmas: tuple[float, ...],
+    truncate: float = 4.0,
+    border: str = "mirror",
+) -> Filtered:
+    """A Gaussian whose `sigma`, (h, w) in pixels, is each pixel's own, from those of a bank.
+
+    Between two `sigmas` (increasing, >= 0; beyond them the nearest) the blend keeps the variance
+    exactly, so that only the fourth moment is off: the error falls with the square of their
+    distance. `blur_sigmas` chooses them. Exact: `radial_blur`.
+    """
+    check_picture(picture)
+    if len(sigmas) < 2 or any(b <= a for a, b in pairwise(sigmas)):
+        raise ValueError(f"sigmas must be at least two increasing numbers, got {sigmas}.")
+    return _gaussian_bank(picture, sigma, sigmas=sigmas, truncate=truncate, border=border)
+
+
+def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
+    """The sigmas of a bank from `low` to `high` pixels, equally spaced in log(sigma + 1 / 2): the
+    error is the same at all, wide blurs being smooth. `ValueError` unless 0 <= low < high and
+    members >= 2."""
+    if not 0 <= low < high or members < 2:
+        raise ValueError(
+            f"a bank needs 0 <= low < high and members >= 2, got {low}, {high} and {members}."
+        )
+    steps = np.linspace(np.log(low + 0.5), np.log(high + 0.5), members)
+    return tuple(float(s) for s in np.maximum(np.exp(steps) - 0.5, low))
+
+
+# ---------------------------------------------------------------- sums
+#
+# Here images are (n, h, c, w): along a row the weights of a pixel stand beside its neighbours', and
+# the bands of a row find them in the cache.
+
+
+@partial(jax.jit, static_argnames=("anchor", "border"))
+def _per_pixel(picture: Picture, kernels: Kernels, *, anchor: Anchor, border: str) -> Filtered:
+    kh, kw, h, w = kernels.shape
+    reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])
+    wide, restore = _rows_of_planes(picture, reach, border)
+    weights = kernels.astype(wide.dtype)
+
+    def add_row(total: Planes, row: tuple[Array, Array]) -> tuple[Planes, None]:
+        i, taps = row
+        seen = lax.dynamic_slice_in_dim(wide, i, h, axis=1)
+        for j in range(kw):
+            total = total + taps[j][None, :, None] * seen[..., j : j + w]
+        return total, None
+
+    start = jnp.zeros((wide.shape[0], h, wide.shape[2], w), wide.dtype)
+    return restore(lax.scan(add_row, start, (jnp.arange(kh), weights))[0])
+
+
+@partial(jax.jit, static_argnames=("profile", "radius", "border"))
+def _radial(
+    picture: Picture, scale: ScaleMap, *, profile: Profile, radius: int, border: str
+) -> Filtered:
+    wide, restore = _rows_of_planes(picture, ((radius, radius), (radius, radius)), border)
+    h, w = scale.shape
+    scale = scale.astype(wide.dtype)
+
+    def add_octet(
+        totals: tuple[Planes, ScaleMap], octet: tuple[Array, Array, Array]
+    ) -> tuple[tuple[Planes, ScaleMap], None]:
+        offset, distance, share = octet
+        a, b = offset
+        total, weights = totals
+        weight = share * profile(distance, scale)
+        ring = sum(
+            lax.dynamic_slice(
+                wide, (0, radius + y, 0, radius + x), (wide.shape[0], h, wide.shape[2], w)
+            )
+            for p, q in ((a, b), (b, a))
+            for y in (p, -p)
+            for x in (q, -q)
+        )
+        return (total + weight[None, :, None] * ring, weights + 8 * weight), None
+
+    octets = _octets(radius)
+    distance, share = (jnp.asarray(v, wide.dtype) for v in octets[1:])
+    start = jnp.zeros((wide.shape[0], h, wide.shape[2], w), wide.dtype), jnp.zeros_like(scale)
+    (total, weights), _ = lax.scan(add_octet, start, (jnp.asarray(octets[0]), distance, share))
+    some = weights > smallest_divisor(weights.dtype)
+    mean = total / jnp.where(some, weights, 1)[None, :, None]
+    middle = wide[:, radius : radius + h, :, radius : radius + w]
+    return restore(jnp.where(some[None, :, None], mean, middle))
+
+
+def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets (a, b) with 0 <= b <= a that stand for their eight images under the symmetries of the
+    square, their distances, and the share of each image: 1/2 where two fall together, 1/8 where
+    all do."""
+    a, b = np.tril_indices(radius + 1)
+    a, b = (v[a * a + b * b <= radius * radius] for v in (a, b))
+    share = np.where(a == 0, 1 / 8, np.where((b == 0) | (a == b), 1 / 2, 1.0))
+    return np.stack([a, b], axis=-1).astype(np.int32), np.hypot(a, b), share
+
+
+def _rows_of_planes(
+    picture: Picture, reach: Widths, border: str
+) -> tuple[Planes, Callable[[Planes], Filtered]]:
+    """A picture, padded, as (n, h, c, w), and the way back."""
+    image, restore = as_planes(picture)
+    wide = stored(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
+    return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
+
+
+@partial(jax.jit, static_argnames=("sigmas", "truncate", "border"))
+def _gaussian_bank(
+    picture: Picture, sigma: ScaleMap, *, sigmas: tuple[float, ...], truncate: float, border: str
+) -> Filtered:
+    f = as_float(picture)
+    members = [
+        f if s == 0 else gaussian(f, s, size=gaussian_size(s, truncate=truncate), border=border)
+        for s in sigmas
+    ]
+    variance = jnp.asarray(np.square(sigmas), sigma.dtype)
+    position = jnp.interp(sigma * sigma, variance, jnp.arange(len(sigmas), dtype=sigma.dtype))
+    return _blended(members, position)
+
+
+@jax.jit
+def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
+    """The members of a bank, each with its hat function of `position`."""
+    bands = 1 if members[0].ndim == 2 else members[0].shape[-1]
+    batch = (1,) * max(members[0].ndim - 3, 0)
+    # rows of numbers, whatever the bands: see `_methods.by_shifts`
+    t = jnp.clip(position, 0, len(members) - 1).astype(members[0].dtype)
+    t = stored(lambda t: jnp.repeat(t, bands, axis=1), t).reshape(*batch, position.shape[0], -1)
+    total = jnp.zeros((), t.dtype)
+    for m, member in enumerate(members):
+        hat = jnp.maximum(1 - jnp.abs(t - m), 0)
+        total = total + hat * member.reshape(*member.shape[: len(batch)], position.shape[0], -1)
+    return total.reshape(members[0].shape)
+
+
+def _check_linear(border: str) -> None:
+    check_border(border)
+    if border in ("constant", "normalised_zero"):
+        raise ValueError(
+            f"a kernel for each pixel takes border zero, clamp, wrap, mirror or extend, got "
+            f"{border!r}: pad the picture, or divide by the filter of ones."
+        )

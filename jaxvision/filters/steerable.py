@@ -1,0 +1,139 @@
+"""Filters of any orientation as sums of a few fixed ones (Freeman and Adelson, "The Design and Use
+of Steerable Filters", PAMI 13, 1991).
+
+Angles in rad, 0 to the right and pi/2 UP; () or (h, w), one for each pixel. `width` in pixels is
+the unit of length of the paper's exp(-x^2 - y^2): a Gaussian of sigma = width / sqrt(2).
+Responses have the picture's unit per pixel (first order), or its own.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalar
+from ..padding import Filtered, Picture
+from .convolution import correlate_separable
+from .gaussian import Sigma, gaussian
+
+Angle = Float[Array, ""] | Float[Array, "h w"]
+Basis = tuple[Filtered, ...]
+
+# The paper's tables III and V: each basis filter is exp(-x^2 - y^2) times one polynomial in x and
+# one in y. A response is correlation, whose kernel is the filter as it is.
+_Factor = Callable[[Float[Array, " taps"]], Float[Array, " taps"]]
+_G2: tuple[tuple[_Factor, _Factor], ...] = (
+    (lambda x: 0.9213 * (2 * x * x - 1), jnp.ones_like),
+    (lambda x: 1.843 * x, lambda y: y),
+    (jnp.ones_like, lambda y: 0.9213 * (2 * y * y - 1)),
+)
+_H2: tuple[tuple[_Factor, _Factor], ...] = (
+    (lambda x: 0.9780 * (x * x - 2.254) * x, jnp.ones_like),
+    (lambda x: 0.9780 * (x * x - 0.7515), lambda y: y),
+    (lambda x: x, lambda y: 0.9780 * (y * y - 0.7515)),
+    (jnp.ones_like, lambda y: 0.9780 * (y * y - 2.254) * y),
+)
+
+
+class QuadratureBasis(NamedTuple):
+    """Responses of the basis of the quadrature pair G2 (three) and H2 (four), each of the picture's
+    shape and unit."""
+
+    even: Basis
+    odd: Basis
+
+
+def directional_derivative(
+    picture: Picture,
+    sigma: Sigma,
+    angle: Angle,
+    *,
+    size: int | None = None,
+    truncate: float = 4.0,
+    border: str = "mirror",
+) -> Filtered:
+    """The slope towards `angle` (rad) of the picture under a Gaussian of `sigma` pixels, per pixel:
+    cos f_x + sin f_up, the steerable filter of first order."""
+
+    def along(order: tuple[int, int]) -> Filtered:
+        return gaussian(picture, sigma, size=size, truncate=truncate, order=order, border=border)
+
+    right, up = along((0, 1)), -along((1, 0))
+    return _mapped(jnp.cos(angle), right) * right + _mapped(jnp.sin(angle), up) * up
+
+
+def quadrature_basis(
+    picture: Picture, width: Scalar, *, size: int, border: str = "mirror"
+) -> QuadratureBasis:
+    """The seven separable responses from which every orientation of G2 and H2 follows.
+
+    `width`: () pixels; `size`: odd, of the kernels; 7 widths hold them to 1e-4. The sums of squares
+    of the continuous filters are 1 at width 1; here they are divided by the width, so that they
+    stay so.
+    """
+    if size % 2 == 0:
+        raise ValueError(f"size must be odd, got {size}.")
+    x = (jnp.arange(size, dtype=width.dtype) - size // 2) / width
+    bell = jnp.exp(-x * x)
+
+    def response(factors: tuple[_Factor, _Factor]) -> Filtered:
+        across, up = factors
+        column = (bell * up(x))[::-1] / width
+        return correlate_separable(picture, column, bell * across(x), border=border)
+
+    return QuadratureBasis(tuple(map(response, _G2)), tuple(map(response, _H2)))
+
+
+def steer(basis: QuadratureBasis, angle: Angle) -> tuple[Filtered, Filtered]:
+    """(even, odd): the responses of G2 and H2 turned to `angle` (rad), in the picture's unit.
+
+    With y up, x cos + y sin to the second and third power: all signs are plus (the paper, whose y
+    is down, has some minus).
+    """
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    even = (c * c, 2 * c * s, s * s)
+    odd = (c * c * c, 3 * c * c * s, 3 * c * s * s, s * s * s)
+    return _weighted(even, basis.even), _weighted(odd, basis.odd)
+
+
+def oriented_energy(basis: QuadratureBasis, angle: Angle) -> Filtered:
+    """G2^2 + H2^2 at `angle` (rad), the picture's unit squared: the strength of a line or an edge
+    across that direction, wherever in the pair's period it lies."""
+    even, odd = steer(basis, angle)
+    return even * even + odd * odd
+
+
+def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
+    """(angle, strength): the orientation, in rad in (-pi/2, pi/2], at which the energy's lowest
+    harmonic C_2 cos 2 theta + C_3 sin 2 theta has its maximum, and that maximum, in the picture's
+    unit squared. The angle is 0 where nothing has an orientation.
+
+    The energy is a trigonometric polynomial of degree 6 in theta, period pi, so that sums over
+    seven angles give the paper's C_2 and C_3 (its table XI) without rounding them.
+    """
+    count = 7
+    angles = jnp.arange(count, dtype=basis.even[0].dtype) * (jnp.pi / count)
+    energy = jax.vmap(lambda angle: oriented_energy(basis, angle))(angles)
+    c2 = 2 / count * jnp.tensordot(jnp.cos(2 * angles), energy, 1)
+    c3 = 2 / count * jnp.tensordot(jnp.sin(2 * angles), energy, 1)
+    square = c2 * c2 + c3 * c3
+    oriented = square > 0
+    angle = jnp.arctan2(jnp.where(oriented, c3, 0), jnp.where(oriented, c2, 1)) / 2
+    return angle, jnp.where(oriented, jnp.sqrt(jnp.where(oriented, square, 1)), 0)
+
+
+def _weighted(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
+    total = _mapped(weights[0], basis[0]) * basis[0]
+    for weight, response in zip(weights[1:], basis[1:], strict=True):
+        total = total + _mapped(weight, response) * response
+    return total
+
+
+def _mapped(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
+    """A number, or one a pixel, with the axes of a picture."""
+    if weight.ndim == 0 or picture.ndim == 2:
+        return weight.astype(picture.dtype)
+    shape = (1,) * (picture.ndim - 3) + weight.shape + (1,)
+    return weight.astype(picture.dtype).reshape(shape)

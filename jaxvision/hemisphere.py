@@ -1,0 +1,131 @@
+"""Directions above a surface: the local frame, two samplings with their densities, a quadrature.
+
+The local frame has the normal along +z. Directions are unit vectors that point away from the
+surface; densities and weights are per solid angle, in sr^-1 and sr. For ONE direction: the caller
+vmaps. A direction made from uniform numbers is a `Vec`; one that is turned stays the kind it was.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._numerics import dot, norm, normalize, safe_sqrt
+from ._types import Scalars
+from ._vector import Vec, Vec3, as_array, as_vec
+
+
+class Frame(eqx.Module):
+    """Three unit vectors at right angles, right-handed: tangent x bitangent = normal. (..., 3)
+    arrays are taken apart into components."""
+
+    tangent: Vec = eqx.field(converter=as_vec)
+    bitangent: Vec = eqx.field(converter=as_vec)
+    normal: Vec = eqx.field(converter=as_vec)
+
+
+def cross(u: Vec3, v: Vec3) -> Vec:
+    """u x v: as long as the parallelogram of `u` and `v` is large, metres times metres if both
+    are lengths."""
+    a, b = as_vec(u), as_vec(v)
+    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
+    """The frame about a unit normal, its tangent as near to `tangent` as a right angle allows.
+
+    Without `tangent`, or where that one is (nearly) parallel to the normal or zero, the frame is
+    that of Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1) (2017): free of
+    branches, right to rounding for every normal, and not continuous across normal.z = 0.
+    """
+    n = as_vec(normal)
+    sign = jnp.where(n.z < 0, -jnp.ones_like(n.z), 1)
+    a = -1 / (sign + n.z)
+    b = n.x * n.y * a
+    t = Vec(1 + sign * n.x * n.x * a, sign * b, -sign * n.x)
+    if tangent is None:
+        return Frame(t, Vec(b, sign + n.y * n.y * a, -n.y), n)
+    wanted = as_vec(normalize(tangent))
+    along = wanted - dot(wanted, n) * n
+    usable = norm(along) > jnp.finfo(n.x.dtype).eps
+    chosen = as_vec(
+        normalize(
+            Vec(
+                jnp.where(usable, along.x, t.x),
+                jnp.where(usable, along.y, t.y),
+                jnp.where(usable, along.z, t.z),
+            )
+        )
+    )
+    # Once more, for what rounding left along the normal where little was across it.
+    chosen = normalize(chosen - dot(chosen, n) * n)
+    return Frame(chosen, cross(n, chosen), n)
+
+
+def to_local(frame: Frame, w: Vec3) -> Vec3:
+    """A world vector in the frame's coordinates: (w.t, w.b, w.n), in the units of `w`."""
+    local = Vec(dot(w, frame.tangent), dot(w, frame.bitangent), dot(w, frame.normal))
+    return local if isinstance(w, Vec) else as_array(local)
+
+
+def to_world(frame: Frame, w: Vec3) -> Vec3:
+    """A vector of the frame in the world: w.x t + w.y b + w.z n, in the units of `w`."""
+    v = as_vec(w)
+    world = v.x * frame.tangent + v.y * frame.bitangent + v.z * frame.normal
+    return world if isinstance(w, Vec) else as_array(world)
+
+
+def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
+    """The unit vector at azimuth `phi` (radians) whose polar cosine falls short of 1 by
+    `one_minus_cos`, in [0, 2]: sharp lobes keep their digits, which 1 - cos would lose."""
+    sine = safe_sqrt(one_minus_cos * (2 - one_minus_cos))
+    return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), 1 - one_minus_cos)
+
+
+def cosine_direction(u: Float[Array, "2"]) -> Vec:
+    """A direction of density cos(theta) / pi from two uniform numbers in [0, 1); unit, local.
+
+    The radius sqrt(u_0) of a point uniform in the disk is the direction's sine (Malley).
+    """
+    sine, phi = safe_sqrt(u[0]), 2 * jnp.pi * u[1]
+    return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), safe_sqrt(1 - u[0]))
+
+
+def cosine_pdf(w: Vec3) -> Scalars:
+    """cos+(theta) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
+    return jnp.maximum(as_vec(w).z, 0) / jnp.pi
+
+
+def uniform_direction(u: Float[Array, "2"]) -> Vec:
+    """A direction of the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
+    uniform numbers in [0, 1); unit, local."""
+    return direction_at(u[0], 2 * jnp.pi * u[1])
+
+
+def uniform_pdf(w: Vec3) -> Scalars:
+    """1 / (2 pi) in sr^-1 above the surface, 0 below: the density of `uniform_direction`."""
+    z = as_vec(w).z
+    return jnp.where(z > 0, jnp.full_like(z, 0.5 / jnp.pi), 0)
+
+
+def product_nodes(
+    polar: int, azimuths: int
+) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
+    """Directions (nodes, 3) and weights (nodes,) in sr that integrate over the local hemisphere.
+
+    Gauss-Legendre in cos(theta) times the trapezium rule in phi: exact for polynomials in the
+    components of the direction up to degree min(2 polar - 1, azimuths - 1). The weights sum to
+    2 pi. NumPy float64, made while tracing: both counts are static, positive, else `ValueError`.
+    """
+    if polar < 1 or azimuths < 1:
+        raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")
+    x, w = np.polynomial.legendre.leggauss(polar)
+    mu, w_mu = (x + 1) / 2, w / 2
+    phi = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    sine = np.sqrt(1 - mu**2)[:, None]
+    directions = np.stack(
+        [sine * np.cos(phi), sine * np.sin(phi), np.broadcast_to(mu[:, None], (polar, azimuths))],
+        axis=-1,
+    )
+    weights = np.broadcast_to(w_mu[:, None] * 2 * np.pi / azimuths, (polar, azimuths))
+    return directions.reshape(-1, 3), weights.reshape(-1)

@@ -1,0 +1,172 @@
+"""Planes, their bins, and counting in them.
+
+Everything is counted by ONE scatter into a flat table: bin b of group g is entry g bins + b, where
+a group is a plane, or a tile of a plane. So bands need no transposition and a batch no loop.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int, Shaped
+
+Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
+Stack = Shaped[Array, "n _ _ bands"]
+Range = tuple[float, float]
+
+LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
+FLOAT_BINS = 256
+# Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
+BLOCK = 2**16
+
+
+class Binning(NamedTuple):
+    """Equal bins of a range: numpy's, half-open [edge, next edge), only the last one closed."""
+
+    bins: int
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        return (self.high - self.low) / self.bins
+
+    @property
+    def edges(self) -> np.ndarray:
+        return np.linspace(self.low, self.high, self.bins + 1)
+
+
+def as_stack(image: Pixels) -> Stack:
+    """An image as (n, h, w, bands); `ValueError` for a wrong rank, no pixels or another dtype."""
+    pixels = jnp.asarray(image)
+    if pixels.ndim < 2 or 0 in pixels.shape:
+        raise ValueError(
+            f"an image is (h, w) or (..., h, w, bands) with at least one pixel, got {pixels.shape}."
+        )
+    if pixels.dtype not in LEVELS and not jnp.issubdtype(pixels.dtype, jnp.floating):
+        raise ValueError(f"an image is uint8, uint16 or floating, got {pixels.dtype}.")
+    if pixels.ndim == 2:
+        return pixels[None, :, :, None]
+    return pixels.reshape(-1, *pixels.shape[-3:])
+
+
+def per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array, "..."]:
+    """One row a plane -> (...) for (h, w), (..., bands, ...) for (..., h, w, bands)."""
+    shape = jnp.shape(image)
+    planes = () if len(shape) == 2 else (*shape[:-3], shape[-1])
+    return table.reshape(*planes, *table.shape[1:])
+
+
+def levels_of(image: Pixels) -> int | None:
+    """How many codes an integer image can hold; None for a floating one."""
+    return LEVELS.get(np.dtype(image.dtype))
+
+
+def binning(image: Pixels, bins: int | None, value_range: Range | None) -> Binning:
+    """The bins asked for; by default a bin a code, or `FLOAT_BINS` of [0, 1]."""
+    levels = levels_of(image)
+    bins = (levels or FLOAT_BINS) if bins is None else bins
+    low, high = (0.0, float(levels or 1)) if value_range is None else value_range
+    if bins < 1:
+        raise ValueError(f"bins must be at least 1, got {bins}.")
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise ValueError(f"value_range must be finite with low < high, got ({low}, {high}).")
+    return Binning(bins, float(low), float(high))
+
+
+def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:
+    """0, 1, 2 ... for the planes of a stack, in the order of `per_plane`."""
+    n, _, _, bands = stack.shape
+    return jnp.arange(n * bands, dtype=jnp.int32).reshape(n, 1, 1, bands)
+
+
+def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
+    """(levels,) the bin of each code; `bins` for a code outside the range."""
+    codes, edges = np.arange(levels), chosen.edges
+    index = np.searchsorted(edges, codes, side="right") - 1
+    index[codes == chosen.high] = chosen.bins - 1
+    return np.where((codes >= chosen.low) & (codes <= chosen.high), index, chosen.bins)
+
+
+def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
+    """The bin of each value; `bins` for NaN and values outside the range.
+
+    The quotient may be one bin off next to an edge; comparing with the edges themselves puts it
+    right, as numpy does.
+    """
+    bins, low, high = chosen
+    edges = jnp.asarray(chosen.edges, x.dtype)
+    inside = (x >= low) & (x <= high)
+    near = jnp.floor((jnp.where(inside, x, low) - low) / chosen.width)
+    index = jnp.clip(near.astype(jnp.int32), 0, bins - 1)
+    index -= (x < edges[index]).astype(jnp.int32)
+    index += ((x >= edges[index + 1]) & (index < bins - 1)).astype(jnp.int32)
+    return jnp.where(inside, index, bins)
+
+
+def count(
+    index: Int[Array, "..."], group: Int[Array, "..."], groups: int, bins: int
+) -> Int[Array, "groups bins"]:
+    """How often each index in [0, bins) occurs in each group; other indices are not counted."""
+    nowhere = groups * bins
+    small = jnp.uint16 if nowhere < 2**16 else jnp.int32
+    entry = jnp.where(index < bins, group * bins + index, nowhere).astype(small).ravel()
+    whole = entry.size // BLOCK * BLOCK
+
+    def add(table: Array, block: Array) -> tuple[Array, None]:
+        return table.at[block.astype(jnp.int32)].add(1, mode="drop"), None
+
+    table = jnp.zeros(nowhere, jnp.int32)
+    if whole:
+        table, _ = jax.lax.scan(add, table, entry[:whole].reshape(-1, BLOCK))
+    if whole < entry.size:
+        table, _ = add(table, entry[whole:])
+    return table.reshape(groups, bins)
+
+
+def bin_counts(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
+    """The counts of every plane, exact."""
+    group, planes = plane_numbers(stack), stack.shape[0] * stack.shape[-1]
+    levels = levels_of(stack)
+    if levels is None:
+        return count(bin_of_values(stack, chosen), group, planes, chosen.bins)
+    by_code = count(stack.astype(jnp.int32), group, planes, levels)
+    if chosen == Binning(levels, 0.0, float(levels)):
+        return by_code
+    table = jnp.zeros((planes, chosen.bins), jnp.int32)
+    return table.at[:, bin_of_codes(levels, chosen)].add(by_code, mode="drop")
+
+
+def cumulative_fractions(
+    counts: Shaped[Array, "*planes bins"], dtype: DTypeLike
+) -> Float[Array, "*planes edges"]:
+    """The fraction of all counts below each edge; 0 throughout where there are none."""
+    below = jnp.cumsum(counts, axis=-1).astype(dtype)
+    total = below[..., -1:]
+    fractions = below / jnp.where(total > 0, total, 1)
+    return jnp.concatenate([jnp.zeros_like(total), fractions], axis=-1)
+
+
+def equalising_curves(
+    counts: Shaped[Array, "groups bins"], chosen: Binning, dtype: DTypeLike
+) -> Float[Array, "groups edges"]:
+    """What each edge goes to: low + (high - low) CDF."""
+    return chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
+
+
+def interpolated(
+    tables: Float[Array, "groups edges"],
+    group: Int[Array, "..."],
+    x: Float[Array, "..."],
+    chosen: Binning,
+) -> Float[Array, "..."]:
+    """The piecewise linear curve of each value's group, given at the edges; constant outside."""
+    bins, low, _ = chosen
+    position = jnp.clip((x - low) / chosen.width, 0, bins)
+    index = jnp.clip(position.astype(jnp.int32), 0, bins - 1)
+    start = group * (bins + 1) + index
+    flat = tables.ravel()
+    below, above = (jnp.take(flat, start + i, mode="clip") for i in (0, 1))
+    return below + (position - index.astype(x.dtype)) * (above - below)

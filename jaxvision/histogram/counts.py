@@ -1,0 +1,176 @@
+"""Histograms per plane, exact or differentiable, and what is read off them: the cumulative
+distribution, quantiles, Otsu's threshold.
+
+Edges and values are in the unit of the image: codes (integer images) or relative values. Bins are
+numpy's: equal, half-open [edge, next edge), only the last one closed. Values outside the range and
+NaN are not counted.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Shaped
+
+from .._types import Scalars, as_float
+from ._planes import (
+    Binning,
+    Pixels,
+    Range,
+    Stack,
+    as_stack,
+    bin_counts,
+    binning,
+    cumulative_fractions,
+    levels_of,
+    per_plane,
+    plane_numbers,
+)
+
+# Partial sums of weights are kept apart in up to this many entries: see `_weighted_counts`.
+PARTIAL_SUMS = 2**20
+
+
+class Histogram(eqx.Module):
+    """Counts of the planes of an image.
+
+    `counts`: (bins,) for a grey image, (..., bands, bins) else; integers if exact. `edges`:
+    (bins + 1,) in the unit of the image. `departure`: () or (..., bands) for a soft histogram, the
+    fraction of its weight that lies in another bin than the exact histogram's (half the sum of
+    absolute differences over the number of values counted); None for an exact one.
+    """
+
+    counts: Shaped[Array, "*planes bins"]
+    edges: Float[Array, " edges"]
+    departure: Float[Array, "*planes"] | None = None
+
+
+@partial(jax.jit, static_argnames=("bins", "value_range"))
+def exact_histogram(
+    image: Pixels, *, bins: int | None = None, value_range: Range | None = None
+) -> Histogram:
+    """How many pixels of each plane fall in each of `bins` equal bins of `value_range`.
+
+    `image`: (h, w) or (..., h, w, bands), uint8, uint16 or floating. By default a bin a code,
+    edges 0, 1 ... 256 (65536), or 256 bins of [0, 1]. The result is numpy's to the last count;
+    it has no gradient but 0. `ValueError` for bins < 1, an empty range or another rank or dtype.
+    """
+    stack, chosen = as_stack(image), binning(image, bins, value_range)
+    return Histogram(per_plane(bin_counts(stack, chosen), image), _edges(stack, chosen))
+
+
+@partial(jax.jit, static_argnames=("bins", "value_range", "kernel"))
+def soft_histogram(
+    image: Pixels,
+    *,
+    bins: int | None = None,
+    value_range: Range | None = None,
+    kernel: str = "linear",
+) -> Histogram:
+    """The differentiable histogram: each value shares its weight of 1 among the nearest bins.
+
+    `kernel`: the B-spline, one bin wide a piece, that says how the weight falls off with the
+    distance to a bin's centre: "linear" (2 bins; the gradient jumps at the centres) or "cubic"
+    (4 bins; twice continuously differentiable). Weight that would fall outside the range goes to
+    the end bin, so the counts sum to the number of values in the range. An integer code stands at
+    the centre of its own unit interval. The result's `departure` tells how far it is from the
+    exact histogram; with more bins (fewer values near a centre) it grows, for data smooth on the
+    scale of a bin it vanishes as the bin's width squared.
+    """
+    if kernel not in ("linear", "cubic"):
+        raise ValueError(f'kernel must be "linear" or "cubic", got {kernel!r}.')
+    stack, chosen = as_stack(image), binning(image, bins, value_range)
+    exact = bin_counts(stack, chosen)
+    values = stack if levels_of(stack) is None else as_float(stack) + 0.5
+    counts = _weighted_counts(values, chosen, kernel)
+    shifted = jnp.abs(counts - exact.astype(counts.dtype)).sum(-1)
+    departure = shifted / (2 * jnp.maximum(exact.sum(-1), 1)).astype(counts.dtype)
+    return Histogram(per_plane(counts, image), _edges(values, chosen), per_plane(departure, image))
+
+
+def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges"]:
+    """(..., bins + 1): the fraction of counted values below each edge (the last: up to and with
+    it), from 0 to 1; 0 throughout where nothing was counted."""
+    return cumulative_fractions(histogram.counts, histogram.edges.dtype)
+
+
+def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
+    """The smallest value that a fraction q of all values does not exceed, taken as spread evenly
+    within its bin: within a bin's width of the exact quantile.
+
+    `q`: () in [0, 1]; values outside count as 0 or 1. q = 0 gives the lower edge of the first
+    occupied bin, q = 1 the upper edge of the last; nothing counted gives the last edge but one.
+    """
+    cdf, edges = cumulative_distribution(histogram), histogram.edges
+    bins = edges.shape[0] - 1
+    q = jnp.clip(jnp.asarray(q, edges.dtype), 0, 1)
+    end = jnp.maximum((cdf < q).sum(-1), (cdf <= 0).sum(-1))
+    end = jnp.clip(end, 1, bins)[..., None]
+    low, high = (jnp.take_along_axis(cdf, end - i, axis=-1)[..., 0] for i in (1, 0))
+    rise = high - low
+    part = jnp.where(rise > 0, (q - low) / jnp.where(rise > 0, rise, 1), 0)
+    start = jnp.take(edges, end[..., 0] - 1)
+    return start + jnp.maximum(part, 0) * (edges[1] - edges[0])
+
+
+def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
+    """The inner edge t that splits the values into `< t` and `>= t` with the largest variance
+    between the two classes (Otsu 1979); the first such edge, and the first of all where the values
+    lie in one bin.
+
+    For integer images OpenCV and scikit-image return the last code of the lower class: t - 1.
+    """
+    counts, edges = histogram.counts.astype(histogram.edges.dtype), histogram.edges
+    bins = edges.shape[0] - 1
+    if bins < 2:
+        raise ValueError("a threshold needs at least 2 bins, got 1.")
+    # bin numbers about the middle for the values: a shift and a scale change no argmax
+    centres = jnp.arange(bins, dtype=edges.dtype) - (bins - 1) / 2
+    centres = centres.reshape(*(1,) * (counts.ndim - 1), bins)
+    weight = cumulative_distribution(histogram)[..., 1:-1]
+    total = jnp.maximum(counts.sum(-1, keepdims=True), jnp.finfo(edges.dtype).tiny)
+    moment = jnp.cumsum(counts / total * centres, axis=-1)
+    mean = moment[..., -1:]
+    spread = weight * (1 - weight)
+    between = (mean * weight - moment[..., :-1]) ** 2 / jnp.where(spread > 0, spread, 1)
+    best = jnp.argmax(jnp.where(spread > 0, between, 0), axis=-1)
+    return jnp.take(edges, best + 1)
+
+
+def _edges(stack: Stack, chosen: Binning) -> Float[Array, " edges"]:
+    return jnp.asarray(chosen.edges, as_float(stack).dtype)
+
+
+def _weighted_counts(
+    values: Float[Array, "n h w bands"], chosen: Binning, kernel: str
+) -> Float[Array, "planes bins"]:
+    """Sums of B-spline weights about the bins' centres.
+
+    A running float32 sum of equal weights stalls near 2^24 of them (a black background), so rows
+    are summed apart and then together.
+    """
+    bins, low, high = chosen
+    n, h, _, bands = values.shape
+    inside = (values >= low) & (values <= high)
+    position = (jnp.where(inside, values, low) - low) / chosen.width - 0.5
+    floor = jnp.floor(position)
+    f = position - floor
+    if kernel == "linear":
+        first, weights = 0, (1 - f, f)
+    else:
+        first = -1
+        weights = (
+            (1 - f) ** 3 / 6,
+            (3 * f**3 - 6 * f**2 + 4) / 6,
+            (-3 * f**3 + 3 * f**2 + 3 * f + 1) / 6,
+            f**3 / 6,
+        )
+    parts = max(1, min(h, PARTIAL_SUMS // bins))
+    part = (jnp.arange(h, dtype=jnp.int32) % parts)[None, :, None, None]
+    start = (plane_numbers(values) * parts + part) * bins
+    table = jnp.zeros(n * bands * parts * bins, values.dtype)
+    for offset, weight in enumerate(weights, first):
+        index = jnp.clip(floor.astype(jnp.int32) + offset, 0, bins - 1)
+        table = table.at[(start + index).ravel()].add(jnp.where(inside, weight, 0).ravel())
+    return table.reshape(n * bands, parts, bins).sum(axis=1)

@@ -1,0 +1,98 @@
+"""Equalisation: the tone curve of an image is its own cumulative distribution (Szeliski, Computer
+Vision, 3.1.4). Values are codes (integer images) or relative.
+
+Gradients hold the curve fixed: a pixel's derivative is the slope of the curve at its value. Of an
+exact histogram that is the true derivative almost everywhere, for counts are constant where no
+value crosses an edge.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Shaped
+
+from .._types import Scalars
+from ..filters._methods import stored
+from ._planes import (
+    Binning,
+    Pixels,
+    Range,
+    Stack,
+    as_stack,
+    bin_counts,
+    binning,
+    equalising_curves,
+    interpolated,
+    levels_of,
+    plane_numbers,
+)
+
+
+@partial(jax.jit, static_argnames=("bins", "value_range"))
+def equalise(
+    image: Pixels,
+    *,
+    amount: float | Scalars = 1.0,
+    bins: int | None = None,
+    value_range: Range | None = None,
+) -> Shaped[Array, "..."]:
+    """Each plane through its equalising curve, in its own dtype.
+
+    `image`: (h, w) or (..., h, w, bands). `amount`: () blends the curve with the identity: 0
+    leaves the values, 1 equalises fully.
+
+    uint8 and uint16: OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
+    every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)); an image of one code stays.
+    `bins` and `value_range` are for floating images, where value x of the range [low, high] goes to
+    low + (high - low) CDF(x), with values spread evenly within their bin; values outside are
+    clamped to the range, NaN stays NaN.
+    """
+    stack = as_stack(image)
+    levels = levels_of(stack)
+    if levels is not None and (bins, value_range) != (None, None):
+        raise ValueError(
+            f"an integer image is equalised code by code, without bins or value_range; got {bins} "
+            f"and {value_range}."
+        )
+    if levels is not None:
+        return _by_table(stack, levels, amount).reshape(image.shape)
+    chosen = binning(stack, bins, value_range)
+    clamped, full = jnp.clip(stack, chosen.low, chosen.high), _by_curve(stack, chosen)
+    blended = clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
+    return blended.reshape(image.shape)
+
+
+def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
+    """What each code goes to, in codes, not yet rounded: 0 for the first occupied code and those
+    below, levels - 1 for the last occupied one; the identity where only one code is occupied."""
+    levels = counts.shape[-1]
+    dtype = jnp.result_type(float)
+    below = jnp.cumsum(counts, axis=-1)
+    first = jnp.take_along_axis(counts, jnp.argmax(counts > 0, axis=-1)[:, None], axis=-1)
+    others = below[:, -1:] - first
+    curve = jnp.maximum(below - first, 0).astype(dtype) * (
+        (levels - 1) / jnp.maximum(others, 1).astype(dtype)
+    )
+    return jnp.where(others > 0, curve, jnp.arange(levels, dtype=dtype)[None])
+
+
+def _by_table(stack: Stack, levels: int, amount: float | Scalars) -> Stack:
+    def table(
+        counts: Int[Array, "planes levels"], amount: Scalars
+    ) -> Shaped[Array, "planes levels"]:
+        curve = _equalising_codes(counts)
+        identity = jnp.arange(levels, dtype=curve.dtype)[None]
+        blended = identity + amount.astype(curve.dtype) * (curve - identity)
+        return jnp.clip(jnp.round(blended), 0, levels - 1).astype(stack.dtype)
+
+    counts = bin_counts(stack, binning(stack, None, None))
+    codes = stored(table, counts, jnp.asarray(amount))
+    entry = plane_numbers(stack) * levels + stack.astype(jnp.int32)
+    return jnp.take(codes.ravel(), entry, mode="clip")
+
+
+def _by_curve(stack: Stack, chosen: Binning) -> Stack:
+    to_curves = partial(equalising_curves, chosen=chosen, dtype=stack.dtype)
+    curves = stored(to_curves, bin_counts(stack, chosen))
+    return interpolated(curves, plane_numbers(stack), stack, chosen)

@@ -1,0 +1,185 @@
+"""Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994): a curve a
+tile, its histogram clipped, and every pixel a bilinear blend of the curves of the four tiles about
+it. Values are codes (integer images) or relative. Gradients hold the curves fixed.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
+
+from .._types import Scalars
+from ..filters._methods import stored
+from ._planes import (
+    Binning,
+    Pixels,
+    Range,
+    Stack,
+    as_stack,
+    bin_of_values,
+    binning,
+    count,
+    equalising_curves,
+    interpolated,
+    levels_of,
+    plane_numbers,
+)
+
+Tiles = tuple[int, int]
+MOST_PIXELS = 2**30  # of a tile: stands for no limit, and every float holds it
+
+
+@partial(jax.jit, static_argnames=("tiles", "bins", "value_range"))
+def equalise_locally(
+    image: Pixels,
+    *,
+    tiles: Tiles = (8, 8),
+    clip_limit: float | Scalars | None = 2.0,
+    bins: int | None = None,
+    value_range: Range | None = None,
+) -> Shaped[Array, "..."]:
+    """Each plane equalised tile by tile, in its own dtype.
+
+    `image`: (h, w) or (..., h, w, bands). `tiles`: rows and columns of tiles. `clip_limit`: () most
+    counts in a bin, as a multiple of the mean count of a tile's bins; what is cut off is handed out
+    evenly, so 1 leaves contrast as it is and None (no limit) equalises each tile fully.
+
+    uint8 and uint16: OpenCV's `CLAHE`, whole counts and its order of handing out the remainder
+    included; like it, a size that the tiles do not divide is first extended by `tiles - size %
+    tiles` rows and columns, mirrored about the last pixel. Floating images use equal `bins` of
+    `value_range` (default: 256 of [0, 1]) and fractional counts; values outside are clamped to the
+    range, NaN stays NaN.
+    """
+    stack = as_stack(image)
+    if min(tiles) < 1:
+        raise ValueError(f"tiles must be at least (1, 1), got {tiles}.")
+    levels = levels_of(stack)
+    if levels is not None and (bins, value_range) != (None, None):
+        raise ValueError(
+            f"an integer image is equalised code by code, without bins or value_range; got {bins} "
+            f"and {value_range}."
+        )
+    chosen = binning(stack, bins, value_range)
+    extended = _extended(stack, tiles)
+    tile = extended.shape[1] // tiles[0], extended.shape[2] // tiles[1]
+    counts = _tile_counts(extended, chosen, tiles, tile)
+    area, dtype = tile[0] * tile[1], jnp.result_type(float) if levels else stack.dtype
+    share = jnp.asarray(jnp.inf if clip_limit is None else clip_limit, dtype)
+    limit = share * (area / chosen.bins)
+
+    if levels is None:
+
+        def to_curves(
+            counts: Int[Array, "groups bins"], limit: Scalars
+        ) -> Float[Array, "groups edges"]:
+            return equalising_curves(_clipped(counts.astype(dtype), limit), chosen, dtype)
+
+        curves = stored(to_curves, counts, limit)
+        return _blended(
+            partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile
+        ).reshape(image.shape)
+
+    def to_table(counts: Int[Array, "groups levels"], limit: Scalars) -> Float[Array, " entries"]:
+        below = jnp.cumsum(_clipped_whole(counts, limit), axis=-1).astype(jnp.float32)
+        return jnp.clip(jnp.round(below * ((levels - 1) / area)), 0, levels - 1).ravel()
+
+    table, codes = stored(to_table, counts, limit), stack.astype(jnp.int32)
+
+    def look_up(group: Int[Array, "..."]) -> Float[Array, "..."]:
+        return jnp.take(table, group * levels + codes, mode="clip")
+
+    blended = jnp.round(_blended(look_up, stack, tiles, tile))
+    return jnp.clip(blended, 0, levels - 1).astype(stack.dtype).reshape(image.shape)
+
+
+def _extended(stack: Stack, tiles: Tiles) -> Stack:
+    """Mirrored on at the bottom and right until the tiles divide the size."""
+    over = [-size % parts for size, parts in zip(stack.shape[1:3], tiles, strict=True)]
+    if not any(over):
+        return stack
+    rows, columns = (
+        parts - size % parts for size, parts in zip(stack.shape[1:3], tiles, strict=True)
+    )
+    return jnp.pad(stack, ((0, 0), (0, rows), (0, columns), (0, 0)), mode="reflect")
+
+
+def _tile_counts(
+    extended: Stack, chosen: Binning, tiles: Tiles, tile: Tiles
+) -> Int[Array, "groups bins"]:
+    n, h, w, bands = extended.shape
+    rows, columns = (
+        jnp.arange(h, dtype=jnp.int32) // tile[0],
+        jnp.arange(w, dtype=jnp.int32) // tile[1],
+    )
+    group = _group(plane_numbers(extended), rows, columns, tiles)
+    if levels_of(extended) is None:
+        index = bin_of_values(extended, chosen)
+    else:
+        index = extended.astype(jnp.int32)
+    return count(index, group, n * bands * tiles[0] * tiles[1], chosen.bins)
+
+
+def _group(
+    plane: Int[Array, "n 1 1 bands"], row: Int[Array, " h"], column: Int[Array, " w"], tiles: Tiles
+) -> Int[Array, "n h w bands"]:
+    """The number of the tile in that row and column of tiles, of every plane."""
+    row, column = row[None, :, None, None], column[None, None, :, None]
+    return (plane * tiles[0] + row) * tiles[1] + column
+
+
+def _clipped(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "groups bins"]:
+    """Counts up to the limit, the rest handed out evenly."""
+    kept = jnp.minimum(counts, limit)
+    return kept + (counts - kept).mean(axis=-1, keepdims=True)
+
+
+def _clipped_whole(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
+    """`_clipped` in whole counts: the limit rounded down, at least 1; a remainder r after the even
+    handing out goes one by one to codes 0, s, 2 s ..., with s = bins // r."""
+    bins = counts.shape[-1]
+    most = jnp.clip(jnp.floor(limit), 1, MOST_PIXELS).astype(counts.dtype)
+    kept = jnp.minimum(counts, most)
+    excess = (counts - kept).sum(axis=-1, keepdims=True, dtype=counts.dtype)
+    each, rest = jnp.divmod(excess, bins)
+    step = jnp.maximum(bins // jnp.maximum(rest, 1), 1)
+    turn, off = jnp.divmod(jnp.arange(bins, dtype=jnp.int32)[None], step)
+    return kept + each + ((off == 0) & (turn < rest)).astype(jnp.int32)
+
+
+def _blended(
+    curve: Callable[[Int[Array, "..."]], Float[Array, "..."]],
+    stack: Stack,
+    tiles: Tiles,
+    tile: Tiles,
+) -> Float[Array, "..."]:
+    """The bilinear blend of what the curves of the four tiles about each pixel make of it, with
+    each curve standing at the centre of its tile."""
+    plane = plane_numbers(stack)
+    (top, bottom, down), (left, right, along) = (
+        _neighbours(size, parts, length)
+        for size, parts, length in zip(stack.shape[1:3], tiles, tile, strict=True)
+    )
+
+    def at(row: np.ndarray, column: np.ndarray) -> Float[Array, "..."]:
+        return curve(_group(plane, jnp.asarray(row), jnp.asarray(column), tiles))
+
+    above_left = at(top, left)
+    dtype = above_left.dtype
+    x = jnp.asarray(along, dtype)[None, None, :, None]
+    y = jnp.asarray(down, dtype)[None, :, None, None]
+    above = above_left + x * (at(top, right) - above_left)
+    below_left = at(bottom, left)
+    below = below_left + x * (at(bottom, right) - below_left)
+    return above + y * (below - above)
+
+
+def _neighbours(size: int, parts: int, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each pixel along an axis: the tiles before and behind it, and how far it is from the
+    centre of the first toward that of the second, in [0, 1]."""
+    position = np.arange(size) / length - 0.5
+    before = np.floor(position).astype(np.int32)
+    first, second = (np.clip(before + i, 0, parts - 1) for i in (0, 1))
+    return first, second, position - before

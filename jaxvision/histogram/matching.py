@@ -1,0 +1,94 @@
+"""Histogram matching: an image takes on the distribution of another. Values are codes (integer
+images) or relative."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Shaped
+
+from ..filters._methods import stored
+from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, plane_numbers
+
+
+@jax.jit
+def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
+    """Each plane of `image`, each value moved to the one of equal cumulative frequency in the same
+    plane of `reference`: F_reference^-1(F_image(x)), linear between the values that occur.
+
+    `image`, `reference`: (h, w) or (..., h, w, bands) of one dtype, equal but for h and w. As
+    scikit-image's `match_histograms`, but rounded to the nearest code where that truncates.
+    Floating images are matched by rank, without bins; NaN stays NaN and is not counted, and a
+    plane of `reference` that is NaN throughout gives NaN. The gradient goes to the values of
+    `reference`; that in `image` is 0, since a small change leaves every rank.
+    """
+    source, target = as_stack(image), as_stack(reference)
+    if source.dtype != target.dtype:
+        raise ValueError(
+            f"image and reference must be of one dtype, got {source.dtype} and {target.dtype}."
+        )
+    if image.ndim != reference.ndim or (source.shape[0], source.shape[3]) != (
+        target.shape[0],
+        target.shape[3],
+    ):
+        raise ValueError(
+            "image and reference must agree but for h and w, got "
+            f"{image.shape} and {reference.shape}."
+        )
+    levels = levels_of(source)
+    matched = _by_rank(source, target) if levels is None else _by_code(source, target, levels)
+    return matched.reshape(image.shape)
+
+
+def _by_code(source: Stack, target: Stack, levels: int) -> Stack:
+    counts, offered = (bin_counts(stack, binning(stack, None, None)) for stack in (source, target))
+    table = stored(_matching_codes, counts, offered).astype(source.dtype)
+    entry = plane_numbers(source) * levels + source.astype(jnp.int32)
+    return jnp.take(table.ravel(), entry, mode="clip")
+
+
+def _matching_codes(
+    counts: Int[Array, "planes levels"], offered: Int[Array, "planes levels"]
+) -> Float[Array, "planes levels"]:
+    """What each code goes to, rounded."""
+    codes = jnp.arange(counts.shape[-1], dtype=jnp.int32)[None]
+    occupied = offered > 0
+    # an empty code repeats the last occupied one, so that interpolation skips it
+    last = jax.lax.cummax(jnp.where(occupied, codes, -1), axis=1)
+    lowest = jnp.argmax(occupied, axis=-1).astype(last.dtype)[:, None]
+    values = jnp.where(last < 0, lowest, last)
+    wanted, at = _fractions(counts), _fractions(offered)
+    return jnp.round(jax.vmap(jnp.interp)(wanted, at, values.astype(wanted.dtype)))
+
+
+def _fractions(counts: Int[Array, "planes levels"]) -> Float[Array, "planes levels"]:
+    below = jnp.cumsum(counts, axis=-1).astype(jnp.result_type(float))
+    return below / below[:, -1:]
+
+
+def _by_rank(source: Stack, target: Stack) -> Stack:
+    n, h, w, bands = source.shape
+
+    def as_planes(stack: Stack) -> Float[Array, "planes pixels"]:
+        return jnp.moveaxis(stack, -1, 1).reshape(n * bands, -1)
+
+    moved = jax.vmap(_matched)(as_planes(source), as_planes(target))
+    return jnp.moveaxis(moved.reshape(n, bands, h, w), 1, -1)
+
+
+def _matched(
+    values: Float[Array, " pixels"], offered: Float[Array, " others"]
+) -> Float[Array, " pixels"]:
+    """One plane by ranks. NaN sorts last: it is beyond every fraction and takes no part."""
+    ordered = jnp.sort(offered)
+    usable = (~jnp.isnan(ordered)).sum()
+    ordered = jnp.where(jnp.isnan(ordered), ordered[usable - 1], ordered)
+    at = _fraction_up_to(ordered, ordered, usable)
+    wanted = _fraction_up_to(jnp.sort(values), values, (~jnp.isnan(values)).sum())
+    return jnp.where(jnp.isnan(values), jnp.nan, jnp.interp(wanted, at, ordered))
+
+
+def _fraction_up_to(
+    ordered: Float[Array, " n"], values: Float[Array, " m"], usable: Int[Array, ""]
+) -> Float[Array, " m"]:
+    """The fraction of `usable` ordered values that each value is not below."""
+    rank = jnp.searchsorted(ordered, values, side="right", method="sort")
+    return rank.astype(values.dtype) / jnp.maximum(usable, 1).astype(values.dtype)

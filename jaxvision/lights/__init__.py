@@ -1,0 +1,143 @@
+"""What shines, one file per kind of light: its record, and what arrives from it at a point.
+
+A light at one place sends one `Incident`. An extended one is a map of the unit square onto its
+directions, and a rule (`Quadrature`, `MonteCarlo`) says where it is looked at; the sum over the
+samples is the light. For ONE point; the caller vmaps. A new kind touches one file, which ends in
+`register` or `register_extended`; a user's own file may do the same.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from .._numerics import dot
+from .._types import Colour, Scalar
+from .._vector import Vector
+from ..geometry import Ray
+from ..scene import Light
+from ._registry import (
+    Extended,
+    Incident,
+    Seen,
+    can_be_seen,
+    extended_kind,
+    kind_of,
+    register,
+    register_extended,
+)
+from ._samples import incident_sample, light_nodes, rule_for
+from .directional import DirectionalLight
+from .environment import EnvironmentMap
+from .environment_tables import environment_map
+from .light_field import LightFieldLight
+from .point import PointLight
+from .rectangle import RectangleLight
+from .rules import MonteCarlo, Quadrature, Rule
+from .window import Window
+
+__all__ = [
+    "DirectionalLight",
+    "EnvironmentMap",
+    "Incident",
+    "LightFieldLight",
+    "MonteCarlo",
+    "PointLight",
+    "Quadrature",
+    "RectangleLight",
+    "Rule",
+    "Seen",
+    "Window",
+    "can_be_seen",
+    "direction_pdf",
+    "direction_sample",
+    "environment_map",
+    "incident",
+    "incident_sample",
+    "incident_samples",
+    "irradiance",
+    "light_nodes",
+    "nearest_seen",
+    "radiance_from",
+    "register",
+    "register_extended",
+    "rule_for",
+    "seen",
+]
+
+
+def incident(light: Light, point: Vector) -> Incident:
+    """What a light at one place sends to `point`, (3,) in m. `ValueError` for an extended light,
+    which has `incident_samples`."""
+    kind = kind_of(light)
+    if isinstance(kind, Extended):
+        raise ValueError(
+            f"incident needs a light at one place, got {type(light).__name__}; "
+            "incident_samples takes any."
+        )
+    return kind.incident(light, point)
+
+
+def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
+    """What any light sends to `point`, (3,) in m, as samples along a new leading axis: unit
+    directions, and the irradiance, W m^-2, that each puts on a surface facing it. A light at one
+    place gives one sample under any rule."""
+    nodes, weights = light_nodes(light, rule, _dtype(light, point))
+    return jax.vmap(lambda u, weight: incident_sample(light, rule, point, u, weight))(
+        nodes, weights
+    )
+
+
+def irradiance(light: Light, point: Vector, normal: Vector, *, rule: Rule) -> Colour:
+    """E = sum_i E_i [n.l_i]+: what any light puts on a receiver at `point`, (3,) in m, that faces
+    `normal`, (3,) unit: (bands,) in W m^-2. A rectangle has it exactly in
+    `polygon.rectangle_irradiance`, an environment cheaply in `harmonics`."""
+    arriving = incident_samples(light, point, rule)
+    cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
+    return (arriving.irradiance * cosines[:, None]).sum(axis=0)
+
+
+def seen(light: Light, ray: Ray) -> Seen:
+    """What a ray that looks at an extended light gets: W m^-2 sr^-1, at a distance in m.
+    `ValueError` for a light that has no size."""
+    return extended_kind(light).seen(light, ray)
+
+
+def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
+    """What a ray meets first of all extended lights, W m^-2 sr^-1 and m; infinitely far lie the
+    environments, which add up. Black where there is none: `radiance` is then () and 0."""
+    distance = jnp.full_like(ray.origin.x, jnp.inf)
+    radiance = jnp.zeros_like(ray.origin.x)
+    for light in filter(can_be_seen, lights):
+        ahead = seen(light, ray)
+        both_far = jnp.isinf(distance) & jnp.isinf(ahead.distance)
+        behind = radiance + jnp.where(both_far, ahead.radiance, 0)
+        radiance = jnp.where(ahead.distance < distance, ahead.radiance, behind)
+        distance = jnp.minimum(ahead.distance, distance)
+    return Seen(distance, radiance)
+
+
+def radiance_from(light: Light, point: Vector, wi: Vector) -> Colour:
+    """Radiance, W m^-2 sr^-1, that reaches `point`, (3,) m, from the unit direction `wi`.
+    `ValueError` for a light that has no size."""
+    return extended_kind(light).seen(light, Ray(point, wi)).radiance
+
+
+def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incident:
+    """A direction toward an extended light drawn from `u`, (2,) uniform in [0, 1), and radiance
+    over density, W m^-2. `ValueError` for a light that has no size."""
+    return extended_kind(light).sample(light, point, u)
+
+
+def direction_pdf(light: Light, point: Vector, wi: Vector) -> Scalar:
+    """Density of `direction_sample`'s directions toward `wi`, () in sr^-1. `ValueError` for a
+    light that has no size."""
+    return extended_kind(light).pdf(light, point, wi)
+
+
+def _dtype(light: Light, point: Vector) -> DTypeLike:
+    return jnp.result_type(
+        *(x for x in jax.tree.leaves((light, point)) if jnp.issubdtype(x.dtype, jnp.floating))
+    )

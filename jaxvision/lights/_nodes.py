@@ -1,0 +1,43 @@
+"""Places in the unit square and how much each counts; no units. Fixed nodes are NumPy float64, made
+while tracing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from .._types import Key
+
+# Steps of the two-dimensional Kronecker sequence: powers of the inverse of the plastic number,
+# x^3 = x + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.ndarray, " order"]]:
+    """Nodes in (0, 1) and weights of sum 1, no unit; exact for polynomials to degree
+    2 order - 1."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    return (x + 1) / 2, w / 2
+
+
+def product(
+    u: tuple[np.ndarray, np.ndarray], v: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The product of two one-dimensional rules: nodes (n, 2) and weights (n,), no unit."""
+    nodes = np.stack(np.meshgrid(u[0], v[0], indexing="ij"), axis=-1).reshape(-1, 2)
+    return nodes, np.outer(u[1], v[1]).reshape(-1)
+
+
+def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre on the unit square: nodes (order^2, 2) and weights of sum 1, no unit."""
+    return product(gauss_legendre(order), gauss_legendre(order))
+
+
+def shifted_lattice(
+    key: Key, samples: int, dtype: DTypeLike
+) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
+    """Evenly spread points of [0, 1)^2, each uniform by itself, and equal weights; no unit."""
+    lattice = jnp.asarray(np.arange(samples)[:, None] * _STEPS % 1, dtype)
+    points = (lattice + jax.random.uniform(key, (1, 2), dtype)) % 1
+    return points, jnp.full(samples, 1 / samples, dtype)

@@ -1,0 +1,34 @@
+"""A source at infinity in one direction, such as the sun taken as a point."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .._numerics import normalize
+from .._types import Colour, as_float, check_shape
+from .._vector import Vector
+from ..scene import Light
+from ._registry import Incident, register
+
+
+class DirectionalLight(Light):
+    """A source at infinity.
+
+    `direction`: (3,) unit vector from the scene toward the light (its length is ignored).
+    `irradiance`: (bands,) W m^-2 on a surface facing it.
+    """
+
+    direction: Float[Array, "3"] = eqx.field(converter=as_float)
+    irradiance: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("DirectionalLight.direction", self.direction, (3,))
+        check_shape("DirectionalLight.irradiance", self.irradiance, ("bands",))
+
+
+def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
+    """The same direction and irradiance at every `point`, (3,) in m."""
+    del point
+    return Incident(normalize(light.direction), light.irradiance)
+
+
+register(DirectionalLight, incident=from_directional_light)

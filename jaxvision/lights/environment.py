@@ -1,0 +1,170 @@
+"""Light from infinitely far away, as a latitude-longitude picture of radiance.
+
+The picture is as seen from inside with the zenith up: row 0 looks to +z, the last row to -z, the
+middle column to +x, and columns to the right turn clockwise seen from above (+y lies a quarter of
+the width to the left of the middle). Pixel centres carry the samples; between them the radiance is
+bilinear, around the seam and across the poles. Directions are unit vectors in the world. For ONE
+direction; the caller vmaps.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics import safe_sqrt
+from .._types import Colour, Scalar, as_float, check_shape
+from .._vector import Vec, Vector, as_array, as_vec
+from ..geometry import Ray
+from ..scene import Light
+from ._nodes import gauss_legendre, product
+from ._registry import Incident, Seen, register_extended
+
+
+class EnvironmentMap(Light):
+    """Made by `environment_map`, which also computes what sampling needs.
+
+    `radiance`: (h, w, bands) W m^-2 sr^-1. `rotation`: (3, 3), rows the map's x, y and z axes
+    in the world. `rows`: (h + 1,) cumulative probability of the rows. `columns`: (h, w + 1) that
+    of the columns within each row. `density`: (h, w) probability per solid angle, sr^-1.
+    """
+
+    radiance: Float[Array, "h w bands"] = eqx.field(converter=as_float)
+    rotation: Float[Array, "3 3"] = eqx.field(converter=as_float)
+    rows: Float[Array, " h_1"] = eqx.field(converter=as_float)
+    columns: Float[Array, "h w_1"] = eqx.field(converter=as_float)
+    density: Float[Array, "h w"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("EnvironmentMap.radiance", self.radiance, ("h", "w", "bands"))
+        h, w, _ = self.radiance.shape
+        check_shape("EnvironmentMap.rotation", self.rotation, (3, 3))
+        check_shape("EnvironmentMap.rows", self.rows, (h + 1,))
+        check_shape("EnvironmentMap.columns", self.columns, (h, w + 1))
+        check_shape("EnvironmentMap.density", self.density, (h, w))
+
+
+def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colour:
+    """Radiance from a direction, (3,) unit: (bands,) in W m^-2 sr^-1, bilinear. The gradient with
+    respect to the direction is finite everywhere; at a pole, where longitude is undefined, its
+    part along the circle of latitude is 0."""
+    row, column = _place(environment, _to_map(environment, direction))
+    return _bilinear(environment.radiance, row, column)
+
+
+def environment_sample(
+    environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
+) -> Incident:
+    """L / pdf (W m^-2) for `u`, (2,) in [0, 1): the row from u_0, the column from u_1, uniform in
+    solid angle within the pixel. The same at every `point`, (3,) m."""
+    row, row_place = _invert(environment.rows, u[0])
+    column, column_place = _invert(environment.columns[row], u[1])
+    h, w, _ = environment.radiance.shape
+    dtype = u.dtype
+    edges = jnp.asarray(np.cos(np.pi * np.arange(h + 1) / h), dtype)
+    cosine = edges[row] + row_place * (edges[row + 1] - edges[row])
+    direction = _direction(cosine, (column.astype(dtype) + column_place) / w)
+    density = environment.density[row, column]
+    drawn = density > 0
+    radiance = _bilinear(environment.radiance, *_place(environment, direction))
+    weight = jnp.where(drawn, 1 / jnp.where(drawn, density, 1), 0)
+    return Incident(_to_world(environment, direction, point), radiance * weight)
+
+
+def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Vector) -> Scalar:
+    """Density of `environment_sample` toward `wi`, (3,) unit, in sr^-1."""
+    del point
+    h, w, _ = environment.radiance.shape
+    row, column = _place(environment, _to_map(environment, wi))
+    i = jnp.clip(jnp.floor(row + 0.5).astype(int), 0, h - 1)
+    j = jnp.floor(column + 0.5).astype(int) % w
+    return environment.density[i, j]
+
+
+def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
+    """L times 4 pi (W m^-2), `u` (2,) in [0, 1] spread evenly over the sphere: what quadrature
+    uses. The same at every `point`, (3,) m."""
+    direction = _direction(1 - 2 * u[0], u[1])
+    radiance = _bilinear(environment.radiance, *_place(environment, direction))
+    return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))
+
+
+def _seen(environment: EnvironmentMap, ray: Ray) -> Seen:
+    """The radiance, W m^-2 sr^-1, along any ray's direction, at an infinite distance."""
+    radiance = environment_radiance(environment, ray.direction)
+    return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
+
+
+def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre in cos(theta), the trapezium rule, twice as many, around the axis."""
+    turns = 2 * order
+    around = (np.arange(turns) + 0.5) / turns, np.full(turns, 1 / turns)
+    return product(gauss_legendre(order), around)
+
+
+def _direction(cosine: Scalar, turn: Scalar) -> Vec:
+    """Map direction at a cosine to the pole and a fraction of the width from the left edge."""
+    sine, phi = safe_sqrt((1 - cosine) * (1 + cosine)), jnp.pi * (1 - 2 * turn)
+    return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), cosine)
+
+
+def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]:
+    """(row, column) of a map direction in pixel coordinates, whole numbers at pixel centres."""
+    h, w, _ = environment.radiance.shape
+    x, y = direction.x, direction.y
+    sine = safe_sqrt(x * x + y * y)
+    off_pole = sine > 0
+    theta = jnp.arctan2(sine, jnp.where(off_pole | (direction.z != 0), direction.z, 1))
+    phi = jnp.arctan2(jnp.where(off_pole, y, 0), jnp.where(off_pole, x, 1))
+    return theta * (h / jnp.pi) - 0.5, (1 - phi / jnp.pi) * (w / 2) - 0.5
+
+
+def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -> Colour:
+    """Linear between rows and columns; beyond a pole its row goes on half a turn further."""
+    h, w, _ = picture.shape
+    above = jnp.floor(row)
+    below_share = row - above
+
+    def along(i):
+        over_pole = (i < 0) | (i >= h)
+        at = column + jnp.where(over_pole, w / 2, 0)
+        left = jnp.floor(at)
+        right_share = at - left
+        line = picture[jnp.clip(i, 0, h - 1).astype(int)]
+        j = left.astype(int)
+        return (1 - right_share) * line[j % w] + right_share * line[(j + 1) % w]
+
+    return (1 - below_share) * along(above) + below_share * along(above + 1)
+
+
+def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
+    """The cell that holds `u` and the fraction of it that lies before."""
+    last = cumulative.shape[0] - 2
+    cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
+    start, end = cumulative[cell], cumulative[cell + 1]
+    wide = end > start
+    fraction = jnp.where(wide, (u - start) / jnp.where(wide, end - start, 1), 0)
+    return cell, jnp.clip(fraction, 0, 1)
+
+
+def _to_map(environment: EnvironmentMap, direction: Vector) -> Vec:
+    d = as_vec(direction)
+    x, y, z = (row[0] * d.x + row[1] * d.y + row[2] * d.z for row in environment.rotation)
+    return Vec(x, y, z)
+
+
+def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vector:
+    """In the kind, array or `Vec`, of the point."""
+    x, y, z = (as_vec(row) for row in environment.rotation)
+    world = direction.x * x + direction.y * y + direction.z * z
+    return as_array(world) if isinstance(point, Array) else world
+
+
+register_extended(
+    EnvironmentMap,
+    seen=_seen,
+    sample=environment_sample,
+    pdf=environment_pdf,
+    node=environment_node,
+    nodes=_nodes,
+)

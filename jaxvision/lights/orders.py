@@ -1,0 +1,41 @@
+"""The order of quadrature that a tolerance asks for: chosen before the call, outside `jit`, from
+the points that will be lit."""
+
+import math
+
+import jax.numpy as jnp
+
+from .._numerics import dot, norm
+from .._types import Scalars
+from .._vector import Vec3, as_vec
+from .rectangle import RectangleLight
+
+ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
+
+
+def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -> int:
+    """The order of `Quadrature` that brings a diffuse receiver within `tolerance`, relative, of
+    this light at every one of `points`, (..., 3) in m: chosen before the call, outside `jit`.
+
+    It follows distance over size. Either side of the foot of a near receiver the map spans
+    q = asinh(s / 2 d), and the integrand is singular at i pi / 2, so that the error falls like
+    100 rho^(-2 n), rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), the factor being measured. Holds for
+    receivers that see the whole light; where it crosses their horizon the error is that of a kink,
+    about 1 / (2 n^2).
+    """
+    nearest = float(jnp.min(_distance_over_size(light, points)))
+    pole = math.pi / 2 / math.asinh(0.5 / max(nearest, 1 / 64))
+    rho = pole + math.hypot(1, pole)
+    needed = math.log(100 / tolerance) / (2 * math.log(rho))
+    return next((order for order in ORDERS if order >= needed), ORDERS[-1])
+
+
+def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:
+    """Distance from points to the nearest place of the rectangle, over its longer edge."""
+    apart = as_vec(points) - light.corner
+    nearest = apart
+    for edge in (light.edge_u, light.edge_v):
+        square = dot(edge, edge)
+        share = dot(apart, edge) / jnp.where(square > 0, square, 1)
+        nearest = nearest - jnp.clip(share, 0, 1) * as_vec(edge)
+    return norm(nearest) / jnp.maximum(norm(light.edge_u), norm(light.edge_v))

@@ -1,0 +1,62 @@
+"""A rectangle that emits equally in all directions: one radiance from its whole front.
+
+Directions and lengths (m) in the world; for ONE point, the caller vmaps. `polygon` has the exact
+irradiance; here is what any BRDF needs, sample by sample.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, Scalar, as_float, check_shape
+from .._vector import Vector, as_array
+from ..geometry import Ray
+from ..scene import Light
+from ._registry import Incident, Seen, register_extended
+from .window import Window, hit_window, window_pdf, window_sample
+
+
+class RectangleLight(Light):
+    """A one-sided, uniform, diffusely emitting rectangle.
+
+    `corner`: (3,) m. `edge_u`, `edge_v`: (3,) m, from the corner along the sides, at right angles
+    (any parallelogram is right, and a skew one less well sampled). It shines to the side of
+    edge_u x edge_v; its back, its plane and a point on it get nothing from it.
+    `radiance`: (bands,) W m^-2 sr^-1.
+    """
+
+    corner: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_u: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
+    radiance: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("corner", "edge_u", "edge_v"):
+            check_shape(f"RectangleLight.{name}", getattr(self, name), (3,))
+        check_shape("RectangleLight.radiance", self.radiance, ("bands",))
+
+
+def window_of(light: RectangleLight) -> Window:
+    """The rectangle alone, (3,) in m."""
+    return Window(light.corner, light.edge_u, light.edge_v)
+
+
+def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
+    """The radiance of the front, W m^-2 sr^-1, where the ray meets it."""
+    at, hit = hit_window(ray, window_of(light))
+    return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
+
+
+def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
+    """L times solid angle (W m^-2) per unit of the square, `u` (2,) in [0, 1], `point` (3,) m."""
+    direction, solid_angle, _ = window_sample(window_of(light), point, u)
+    wi = direction if not isinstance(point, Array) else as_array(direction)
+    return Incident(wi, light.radiance * solid_angle)
+
+
+def rectangle_pdf(light: RectangleLight, point: Vector, wi: Vector) -> Scalar:
+    """Density of `rectangle_sample`'s directions, sr^-1."""
+    return window_pdf(window_of(light), point, wi)
+
+
+register_extended(RectangleLight, seen=rectangle_seen, sample=rectangle_sample, pdf=rectangle_pdf)

@@ -1,0 +1,165 @@
+"""A parallelogram in space, seen from one point: where a ray meets it, and a map of the unit square
+onto its directions that stays even when the point is near.
+
+Lengths in metres. For ONE point or ray; the caller vmaps.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import dot, norm, normalize, safe_sqrt, smallest_divisor
+from .._types import Scalar, as_float, check_shape
+from .._vector import Vec, Vector, as_vec
+from ..geometry import Ray
+from ..hemisphere import cross
+
+
+class Window(eqx.Module):
+    """`corner`, `edge_u`, `edge_v`: (3,) m; its front is the side of edge_u x edge_v."""
+
+    corner: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_u: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("corner", "edge_u", "edge_v"):
+            check_shape(f"Window.{name}", getattr(self, name), (3,))
+
+
+class Crossing(eqx.Module):
+    """`distance`: () m along the ray, of either sign. `u`, `v`: () place along the edges, 0 to 1
+    inside. `meets`: the ray is not parallel to the plane. `facing`: () cosine between the ray's
+    way back and the window's front."""
+
+    distance: Scalar
+    u: Scalar
+    v: Scalar
+    facing: Scalar
+    meets: Array
+
+
+def crossing(ray: Ray, window: Window) -> Crossing:
+    """Where a ray's line crosses the plane of a window, in m and in units of its edges."""
+    area = cross(window.edge_u, window.edge_v)
+    normal = normalize(area)
+    toward = window.corner - ray.origin
+    facing = -dot(normal, ray.direction)
+    meets = jnp.abs(facing) > smallest_divisor(facing.dtype)
+    distance = -dot(normal, toward) / jnp.where(meets, facing, 1)
+    inside = distance * ray.direction - toward
+    square = dot(area, area)
+    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0)
+    return Crossing(
+        distance,
+        dot(cross(inside, window.edge_v), area) * inverse,
+        dot(cross(window.edge_u, inside), area) * inverse,
+        facing,
+        meets & (square > 0),
+    )
+
+
+def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
+    """The crossing, and whether it is inside, ahead (a distance > 0, in m) and on the front."""
+    at = crossing(ray, window)
+    inside = (at.u >= 0) & (at.u <= 1) & (at.v >= 0) & (at.v <= 1)
+    return at, at.meets & inside & (at.distance > 0) & (at.facing > 0)
+
+
+class Warp(eqx.Module):
+    """A stretch of [0, 1] onto the interval from `start`, `length` long, of the line whose origin
+    is the foot of a perpendicular: x = scale sinh(first + u span), all () m or no unit."""
+
+    start: Scalar
+    length: Scalar
+    scale: Scalar
+    first: Scalar
+    span: Scalar
+
+
+def _warp(start: Scalar, length: Scalar, scale: Scalar) -> Warp:
+    """asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)), whose difference is a
+    quotient of sums where both have one sign: nothing cancels for an interval far away."""
+    a, step = start / scale, length / scale
+    b = a + step
+    across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
+    same_side = a * b > 0
+    total = b * across_a + a * across_b
+    rise = step * (b + a) / jnp.where(same_side, total, 1)
+    span = jnp.where(
+        same_side, jnp.arcsinh(jnp.where(same_side, rise, 0)), jnp.arcsinh(b) - jnp.arcsinh(a)
+    )
+    return Warp(start, length, scale, jnp.arcsinh(a), span)
+
+
+def _place(warp: Warp, u: Scalar) -> tuple[Scalar, Scalar]:
+    """(fraction of the interval, its derivative by u)."""
+    at = warp.first + u * warp.span
+    position = warp.scale * jnp.sinh(at)
+    return (position - warp.start) / warp.length, warp.scale * warp.span * jnp.cosh(
+        at
+    ) / warp.length
+
+
+def _density(warp: Warp, fraction: Scalar) -> Scalar:
+    """d u / d fraction, where `_place` is at that fraction."""
+    position = warp.start + fraction * warp.length
+    return warp.length / (warp.span * safe_sqrt(warp.scale**2 + position**2))
+
+
+def _warps(window: Window, point: Vector) -> tuple[Warp, Warp]:
+    """Along each edge, the scale is the distance from the point to the nearest of the lines
+    parallel to that edge: where 1 / d^2 peaks."""
+    toward = as_vec(window.corner - as_vec(point))
+    normal = normalize(cross(window.edge_u, window.edge_v))
+    height = dot(normal, toward)
+    lengths, starts, gaps = [], [], []
+    for edge in (window.edge_u, window.edge_v):
+        length = norm(edge)
+        length = jnp.where(length > 0, length, 1)
+        start = dot(edge, toward) / length
+        starts.append(start)
+        lengths.append(length)
+        gaps.append(jnp.maximum(jnp.maximum(start, -start - length), 0))
+    # at least 1 / 64 of the edge: a point of the window itself stays defined
+    scales = [
+        jnp.maximum(norm(Vec(height, gap, 0 * gap)), length / 64)
+        for gap, length in zip(gaps[::-1], lengths, strict=True)
+    ]
+    u, v = (_warp(*of) for of in zip(starts, lengths, scales, strict=True))
+    return u, v
+
+
+def window_sample(
+    window: Window, point: Vector, u: Float[Array, "2"]
+) -> tuple[Vec, Scalar, Float[Array, "2"]]:
+    """(direction, solid angle per unit of the square, place) for a point of the unit square.
+
+    x = D sinh(p + u q) along each edge, as Johnston and Elliott, "A sinh transformation for
+    evaluating nearly singular boundary element integrals", Int. J. Numer. Meth. Engng 62 (2005):
+    dense where the light is near, even where it is far. `direction`: unit, toward the window. The
+    solid angle, sr, is 0 for a point behind the window or in its plane. `place`: (2,) in [0, 1],
+    along the edges.
+    """
+    warp_u, warp_v = _warps(window, point)
+    s, stretch_u = _place(warp_u, u[0])
+    t, stretch_v = _place(warp_v, u[1])
+    toward = window.corner - as_vec(point) + s * as_vec(window.edge_u) + t * as_vec(window.edge_v)
+    distance = norm(toward)
+    apart = distance > smallest_divisor(distance.dtype)
+    nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
+    direction = toward * nearness
+    projected = -dot(cross(window.edge_u, window.edge_v), direction)
+    solid_angle = jnp.maximum(projected, 0) * nearness * nearness * stretch_u * stretch_v
+    return direction, solid_angle, jnp.stack([s, t])
+
+
+def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:
+    """Density in sr^-1 of the directions of `window_sample` for u uniform in the square; 0 where
+    `wi` misses the window's front."""
+    at, hit = hit_window(Ray(point, wi), window)
+    warp_u, warp_v = _warps(window, point)
+    per_place = _density(warp_u, at.u) * _density(warp_v, at.v)
+    projected = norm(cross(window.edge_u, window.edge_v)) * jnp.where(hit, at.facing, 1)
+    distance = jnp.where(hit, at.distance, 0)
+    return jnp.where(hit, per_place * distance * distance / jnp.where(hit, projected, 1), 0)

@@ -1,0 +1,102 @@
+"""One V-cycle of geometric multigrid for a symmetric positive definite stencil: the preconditioner
+that makes conjugate gradients take tens of steps where a diagonal takes hundreds.
+
+Every second pixel is kept, interpolation P is bilinear, restriction its transpose, and the coarse
+stencil Galerkin's P^T A P, which has 5 x 5 coefficients again. Source: Briggs, Henson, McCormick,
+"A Multigrid Tutorial" (2000), chapter 10; no unit anywhere.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._laplacian import Plane, Stencil, apply_stencil
+
+Grid = Float[Array, "_ _"]  # of any size: coarse and fine ones meet in one function
+
+_COARSEST = 8  # pixels a side, solved directly
+_DAMPING = 0.7  # of Jacobi's iteration, for matting Laplacians
+
+
+class Grids(NamedTuple):
+    """`stencils`: from the finest grid to the last but one. `coarsest`: (n, n) the Cholesky factor
+    of the last one's matrix."""
+
+    stencils: tuple[Float[Array, "5 5 _ _"], ...]
+    coarsest: Float[Array, "n n"]
+
+
+def coarsened(stencil: Stencil) -> Grids:
+    """All grids of a stencil (5, 5, h, w), down to at most 8 x 8 pixels; no unit."""
+    stencils = [stencil]
+    while max(stencils[-1].shape[2:]) > _COARSEST:
+        stencils.append(_galerkin(stencils[-1]))
+    last = stencils.pop()
+    pixels = last.shape[2] * last.shape[3]
+    units = jnp.eye(pixels, dtype=last.dtype).reshape(pixels, *last.shape[2:])
+    matrix = jax.vmap(lambda x: apply_stencil(last, x))(units).reshape(pixels, pixels)
+    return Grids(tuple(stencils), jnp.linalg.cholesky(matrix))
+
+
+def v_cycle(grids: Grids, residual: Plane) -> Plane:
+    """An approximate solution of A x = residual, (h, w), linear and symmetric in it; no unit."""
+    if not grids.stencils:
+        solution = jax.scipy.linalg.cho_solve((grids.coarsest, True), residual.ravel())
+        return solution.reshape(residual.shape)
+    stencil = grids.stencils[0]
+    smoothing = _DAMPING / stencil[2, 2]
+    x = smoothing * residual
+    coarse = restricted(residual - apply_stencil(stencil, x))
+    correction = v_cycle(Grids(grids.stencils[1:], grids.coarsest), coarse)
+    x = x + interpolated(correction, residual.shape)
+    return x + smoothing * (residual - apply_stencil(stencil, x))
+
+
+def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
+    """P: pixel (2 i, 2 j) takes coarse (i, j), the others the mean of their neighbours; (h, w)."""
+    rows, columns = shape
+    return _doubled(_doubled(coarse, rows, 0), columns, 1)
+
+
+def restricted(fine: Grid) -> Grid:
+    """P^T, the transpose of `interpolated`."""
+    coarse = jnp.zeros(_coarse_shape(fine.shape), fine.dtype)
+    return jax.linear_transpose(lambda x: interpolated(x, fine.shape), coarse)(fine)[0]
+
+
+def _doubled(x: Grid, size: int, axis: int) -> Grid:
+    last = jax.lax.slice_in_dim(x, x.shape[axis] - 1, None, axis=axis)
+    following = jnp.concatenate([jax.lax.slice_in_dim(x, 1, None, axis=axis), last], axis)
+    pairs = jnp.stack([x, (x + following) / 2], axis + 1)
+    shape = [2 * n if i == axis else n for i, n in enumerate(x.shape)]
+    return jax.lax.slice_in_dim(pairs.reshape(shape), 0, size, axis=axis)
+
+
+def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    return (shape[0] + 1) // 2, (shape[1] + 1) // 2
+
+
+def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
+    """P^T A P, read off its action on combs: pixels five apart do not meet in a 5 x 5 stencil, so
+    25 combs show every coefficient."""
+    shape = stencil.shape[2:]
+    rows, columns = _coarse_shape(shape)
+    y, x = np.mgrid[:rows, :columns]
+
+    def seen(tooth: Int[Array, "2"]) -> Grid:
+        comb = (jnp.asarray(y % 5) == tooth[0]) & (jnp.asarray(x % 5) == tooth[1])
+        fine = interpolated(comb.astype(stencil.dtype), shape)
+        return restricted(apply_stencil(stencil, fine))
+
+    teeth = jnp.asarray(list(product(range(5), repeat=2)))
+    answers = jax.lax.map(seen, teeth)  # (25, rows, columns)
+    offsets = np.arange(-2, 3)
+    dy, dx = offsets[:, None, None, None], offsets[None, :, None, None]
+    tooth = (y + dy) % 5 * 5 + (x + dx) % 5
+    inside = (y + dy >= 0) & (y + dy < rows) & (x + dx >= 0) & (x + dx < columns)
+    found = answers[tooth, y, x]
+    return jnp.where(inside, found, 0)

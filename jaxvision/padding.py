@@ -1,0 +1,171 @@
+"""What lies beyond the border of a picture.
+
+A picture is (h, w), one grey plane, or (..., h, w, bands), each band of each image a plane of its
+own; values are relative or in any unit, which they keep. Integers become floating numbers of the
+same value. Every border except "constant" is linear in the picture, along one axis
+
+    ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
+
+with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
+The names are those of Szeliski, Computer Vision, section 3.2.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Shaped
+
+from ._types import as_float
+
+Picture = Shaped[Array | np.ndarray, "*picture"]
+Filtered = Float[Array, "*filtered"]
+Widths = tuple[tuple[int, int], tuple[int, int]]
+
+# name: what stands beyond (a b c d), then the names of others
+BORDERS = {
+    "zero": '0 0 | a b c d | 0 0; numpy and scipy "constant" with 0',
+    "constant": 'x x | a b c d | x x, x = fill; numpy and scipy "constant"',
+    "clamp": 'a a | a b c d | d d; numpy "edge", scipy "nearest"',
+    "wrap": 'c d | a b c d | a b; numpy "wrap", scipy "wrap" (pictures: "grid-wrap")',
+    "mirror": 'b a | a b c d | d c; numpy "symmetric", scipy "reflect"',
+    "extend": (
+        '2a-c 2a-b | a b c d | 2d-c 2d-b; numpy "reflect" with reflect_type="odd", '
+        'scipy.signal padtype "odd"'
+    ),
+    "normalised_zero": "zero, and the filter divides by that of a picture of ones; not in numpy",
+}
+
+
+class Ghosts(NamedTuple):
+    """One axis continued, from `before` samples ahead of it to `after` behind it: each a NumPy
+    array of length before + n + after. `own` is 0 where a value from outside is to stand."""
+
+    source: np.ndarray
+    own: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def check_border(border: str) -> None:
+    """Raises `ValueError` for an unknown border; its message lists all, with the names that numpy
+    and scipy give them."""
+    if border not in BORDERS:
+        known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
+        raise ValueError(f"border must be one of the following, got {border!r}. {known}.")
+
+
+def check_picture(picture: Picture) -> None:
+    """Raises `ValueError` for a picture of fewer than two axes or without pixels."""
+    shape = jnp.shape(picture)
+    if len(shape) < 2 or 0 in shape:
+        raise ValueError(
+            "a picture must be (h, w) or (..., h, w, bands) with at least one pixel, got shape "
+            f"{shape}."
+        )
+
+
+def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
+    """The border of an axis of n samples, as the coefficients of the module's equation.
+
+    With "constant" and "normalised_zero" they are those of "zero".
+    """
+    i = np.arange(-before, n + after)
+    inside = (i >= 0) & (i < n)
+    own, first, last = np.ones(len(i)), np.zeros(len(i)), np.zeros(len(i))
+    if border == "wrap":
+        source = i % n
+    elif border == "mirror":
+        source = i % (2 * n)
+        source = np.minimum(source, 2 * n - 1 - source)
+    elif border == "extend" and n > 1:
+        # f climbs by f[n-1] - f[0] each n - 1 samples; every second stretch is turned about
+        stretch, offset = np.divmod(i, n - 1)
+        turned = stretch % 2 == 1
+        source = np.where(inside, i, np.where(turned, n - 1 - offset, offset))
+        own = np.where(turned & ~inside, -1.0, 1.0)
+        first = np.where(inside, 0.0, np.where(turned, 1 - stretch, -stretch))
+        last = np.where(inside, 0.0, np.where(turned, 1 + stretch, stretch))
+    else:
+        source = np.clip(i, 0, n - 1)
+        if border not in ("clamp", "extend"):
+            own = inside.astype(float)
+    return Ghosts(source, own, first, last)
+
+
+def pad(
+    picture: Picture,
+    widths: Widths,
+    *,
+    border: str = "mirror",
+    fill: Float[Array | np.ndarray, "..."] | float = 0.0,
+) -> Filtered:
+    """The picture, continued by ((top, bottom), (left, right)) pixels: the two axes of its plane
+    grow by as much.
+
+    `fill`: () or (bands,), what stands outside with border "constant", in the picture's unit.
+    "normalised_zero" pads with 0: it is the filter that divides. `ValueError` for a picture of
+    fewer than two axes or without pixels, a negative width or an unknown border.
+    """
+    image, restore = as_planes(picture)
+    check_border(border)
+    if min(min(pair) for pair in widths) < 0:
+        raise ValueError(f"widths must be >= 0, got {widths}.")
+    outside = jnp.asarray(fill, image.dtype) if border == "constant" else jnp.zeros((), image.dtype)
+    for axis, (before, after) in zip((1, 2), widths, strict=True):
+        image = continued(image, axis, before, after, border, outside)
+    return restore(image)
+
+
+def continued(
+    image: Float[Array, "images h w bands"],
+    axis: int,
+    before: int,
+    after: int,
+    border: str,
+    outside: Float[Array, "..."],
+) -> Float[Array, "images _ _ bands"]:
+    """One axis of a stack of images continued: only the two strips that are new are gathered."""
+    n = image.shape[axis]
+    rule = ghosts(border, n, before, after)
+    first_sample, last_sample = (lax.slice_in_dim(image, k, k + 1, axis=axis) for k in (0, n - 1))
+
+    def strip(chosen: slice) -> Float[Array, "images rows columns bands"]:
+        source, own, first, last = (values[chosen] for values in rule)
+        line = (1, -1, 1, 1) if axis == 1 else (1, 1, -1, 1)
+        values = jnp.take(image, source, axis=axis)
+        if not own.all():
+            return jnp.broadcast_to(outside.astype(image.dtype), values.shape)
+        if (own != 1).any() or first.any() or last.any():
+            a, b, c = (jnp.asarray(v.reshape(line), image.dtype) for v in (own, first, last))
+            values = a * values + b * first_sample + c * last_sample
+        return values
+
+    parts = [image]
+    if before:
+        parts = [strip(slice(0, before)), *parts]
+    if after:
+        parts = [*parts, strip(slice(n + before, None))]
+    if len(parts) == 1:
+        return image
+    # joined as whole rows of numbers: copies of a few bands at a time are slow
+    joined = jnp.concatenate([p.reshape(*p.shape[:2], -1) for p in parts], axis=axis)
+    rows = image.shape[1] + (before + after) * (axis == 1)
+    return joined.reshape(image.shape[0], rows, -1, image.shape[-1])
+
+
+def as_planes(
+    picture: Picture,
+) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
+    """A picture as a stack of floating images, and the way back to its own axes.
+
+    `ValueError` for fewer than two axes or no pixels.
+    """
+    check_picture(picture)
+    image, shape = as_float(picture), jnp.shape(picture)
+    if len(shape) == 2:
+        return image[None, :, :, None], lambda stack: stack[0, :, :, 0]
+    batch = shape[:-3]
+    return image.reshape(-1, *shape[-3:]), lambda stack: stack.reshape(*batch, *stack.shape[1:])

@@ -1,0 +1,366 @@
+"""Looking at an image as numbers: the picture, a histogram per channel, a scan line, the grid of
+values about a pixel, the surface over the plane (Szeliski, Computer Vision, fig. 3.3). The edge of
+the library: eager, NumPy in, matplotlib loaded on first use.
+
+Values are DN (integer images) or relative (floating ones). What cannot be shown raises
+`InputError`, one sentence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .errors import InputError
+from .histogram import exact_histogram
+from .point_ops import srgb_encode
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+
+INK = {
+    "grey": "0.25",
+    "red": "tab:red",
+    "green": "tab:green",
+    "blue": "tab:blue",
+    "alpha": "tab:purple",
+}
+OTHER_INKS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+NOT_A_NUMBER = (1.0, 0.0, 1.0)  # the colour of NaN pixels: no natural image is full of magenta
+BINS = 256
+HIGH_DYNAMIC_RANGE = 1000.0  # above this ratio of values the histogram's axis is logarithmic
+SURFACE_SIDE = 72  # most facets along a side of the surface
+BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of squeezing the rest
+
+
+@dataclass(frozen=True)
+class BandSummary:
+    """One channel in numbers, over its finite values; all NaN where there are none.
+
+    `black`: how many values are <= 0. `saturated`: how many are >= white.
+    """
+
+    name: str
+    minimum: float
+    maximum: float
+    mean: float
+    standard_deviation: float
+    median: float
+    black: int
+    saturated: int
+    nan: int
+    infinite: int
+
+
+def band_names(bands: int) -> tuple[str, ...]:
+    """grey; grey, alpha; red, green, blue (, alpha); band 0, band 1 ... for any other number."""
+    known = {
+        1: ("grey",),
+        2: ("grey", "alpha"),
+        3: ("red", "green", "blue"),
+        4: ("red", "green", "blue", "alpha"),
+    }
+    return known.get(bands) or tuple(f"band {i}" for i in range(bands))
+
+
+def summarise(image: np.ndarray, *, white: float | None = None) -> tuple[BandSummary, ...]:
+    """Range, moments and the counts of black, saturated and undefined values of each channel.
+
+    `image`: (h, w) or (h, w, bands), integer or floating. `white`: the value at which a pixel
+    counts as saturated, in the unit of the image (default: the top code of the integer type; 1 for
+    floating images).
+    """
+    pixels = _checked(image)
+    limit = _white(pixels, white)
+    names = band_names(pixels.shape[-1])
+    return tuple(_summary(name, pixels[..., i], limit) for i, name in enumerate(names))
+
+
+def inspect(
+    image: np.ndarray,
+    *,
+    row: int | None = None,
+    at: tuple[int, int] | None = None,
+    white: float | None = None,
+    title: str = "",
+) -> "Figure":
+    """One figure of five views of an image.
+
+    `image`: (h, w) or (h, w, bands); 1 to 4 bands are grey, grey and alpha, RGB and RGBA. `row`:
+    the scan line (default: that of `at`). `at`: (row, column) of the pixel whose surroundings are
+    printed (default: the middle). `white`: see `summarise`. Rows count from the top, from 0.
+    """
+    from matplotlib.figure import Figure
+
+    pixels = _checked(image)
+    height, width, _ = pixels.shape
+    place = (height // 2, width // 2) if at is None else at
+    line = place[0] if row is None else row
+    if not 0 <= line < height:
+        raise InputError(f"row {line} is outside the image; it has rows 0 to {height - 1}.")
+    if not (0 <= place[0] < height and 0 <= place[1] < width):
+        raise InputError(
+            f"pixel ({place[0]}, {place[1]}) is outside the image; it has rows 0 to {height - 1} "
+            f"and columns 0 to {width - 1}."
+        )
+    limit = _white(pixels, white)
+    picture, how = _as_picture(pixels, limit)
+    rows, columns = (_window(*pair) for pair in zip(place, (height, width), strict=True))
+
+    figure = Figure(figsize=(13, 8.4), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08, wspace=0.04, hspace=0.05)  # type: ignore[union-attr]
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.05, 1, 1))
+    _draw_picture(figure.add_subplot(grid[0, 0]), picture, how, line, rows, columns)
+    _draw_histogram(figure.add_subplot(grid[0, 1]), pixels, limit)
+    _draw_scan_line(figure.add_subplot(grid[0, 2]), pixels, line)
+    _draw_numbers(figure.add_subplot(grid[1, 0]), pixels, picture, rows, columns)
+    _draw_surface(figure.add_subplot(grid[1, 1], projection="3d"), pixels)  # type: ignore[arg-type]
+    _draw_summary(figure.add_subplot(grid[1, 2]), summarise(pixels, white=limit), limit)
+    shape = f"{height} × {width}" + (f" × {pixels.shape[2]}" if pixels.shape[2] > 1 else "")
+    figure.suptitle(f"{title}   {shape}, {pixels.dtype}".strip(), fontsize=12)
+    return figure
+
+
+# ------------------------------------------------ the image
+
+
+def _checked(image: np.ndarray) -> np.ndarray:
+    """(h, w, bands) of a numeric dtype."""
+    pixels = np.asarray(image)
+    if pixels.ndim not in (2, 3) or 0 in pixels.shape:
+        raise InputError(
+            f"an image is (h, w) or (h, w, bands) with at least one pixel, got {pixels.shape}."
+        )
+    if pixels.dtype.kind not in "uif":
+        raise InputError(f"an image holds integers or floating numbers, got {pixels.dtype}.")
+    return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def _white(pixels: np.ndarray, white: float | None) -> float:
+    if white is not None:
+        return float(white)
+    return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
+
+
+def _summary(name: str, band: np.ndarray, white: float) -> BandSummary:
+    finite = band[np.isfinite(band)].astype(float)
+    known = finite if finite.size else np.array([np.nan])
+    return BandSummary(
+        name=name,
+        minimum=float(known.min()),
+        maximum=float(known.max()),
+        mean=float(known.mean()),
+        standard_deviation=float(known.std()),
+        median=float(np.median(known)),
+        black=int((band <= 0).sum()),
+        saturated=int((band >= white).sum()),
+        nan=int(np.isnan(band).sum()),
+        infinite=int(np.isinf(band).sum()),
+    )
+
+
+def _colours(pixels: np.ndarray) -> np.ndarray:
+    """The bands that are light: alpha left out."""
+    return pixels[..., : {2: 1, 4: 3}.get(pixels.shape[-1], pixels.shape[-1])]
+
+
+def _as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
+    """(h, w, 3) in [0, 1], NaN marked, and in words how it came about."""
+    colours = _colours(pixels).astype(float)
+    how = ""
+    if colours.shape[-1] not in (1, 3):
+        how = f"mean of {colours.shape[-1]} bands, "
+        colours = colours.mean(axis=-1, keepdims=True)
+    finite = colours[np.isfinite(colours)]
+    brightest = float(np.quantile(finite, 0.99)) if finite.size else 0.0
+    if pixels.dtype.kind == "f" and finite.size and finite.max() > white and brightest > 0:
+        shown = np.asarray(srgb_encode(jnp.asarray(np.maximum(colours, 0) / brightest)))
+        how += f"sRGB of value / {brightest:.3g}"
+    else:
+        shown = colours / white
+        how += "as stored" if white == 1 else f"value / {white:.6g}"
+    picture = np.broadcast_to(np.clip(shown, 0, 1), (*shown.shape[:2], 3)).copy()
+    picture[np.isnan(colours).any(axis=-1)] = NOT_A_NUMBER
+    return np.nan_to_num(picture), how
+
+
+def _window(centre: int, size: int) -> range:
+    """Up to 7 neighbours about a pixel, inside the image."""
+    side = min(7, size)
+    start = min(max(centre - side // 2, 0), size - side)
+    return range(start, start + side)
+
+
+def _ink(name: str, index: int) -> str:
+    return INK.get(name, OTHER_INKS[index % len(OTHER_INKS)])
+
+
+# ------------------------------------------------ the views
+
+
+def _draw_picture(
+    axis: "Axes", picture: np.ndarray, how: str, line: int, rows: range, columns: range
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    axis.imshow(picture, interpolation="nearest" if max(picture.shape) < 200 else "antialiased")
+    axis.axhline(line, color="gold", lw=1)
+    corner = columns.start - 0.5, rows.start - 0.5
+    axis.add_patch(Rectangle(corner, len(columns), len(rows), fill=False, ec="cyan", lw=1.2))
+    axis.set(xlabel="column", ylabel="row", title=f"picture ({how})")
+
+
+def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
+    """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range)."""
+    bands, names = pixels.shape[-1], band_names(pixels.shape[-1])
+    values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
+    finite = values[np.isfinite(values)]
+    positive = finite[finite > 0]
+    logarithmic = (
+        pixels.dtype.kind == "f"
+        and positive.size > 0
+        and positive.max() > HIGH_DYNAMIC_RANGE * np.quantile(positive, 0.01)
+    )
+    if logarithmic:
+        values = np.log10(np.where(values > 0, values, np.nan))
+        finite = np.log10(positive)
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+    if pixels.dtype.kind in "ui":
+        width = max(1, int(np.ceil((max(high, white if white <= 255 else high) + 1) / BINS)))
+        low, high = min(low, 0.0), min(low, 0.0) + width * BINS
+    elif low == high:
+        low, high = low - 0.5, high + 0.5
+    counts, edges = _counts(values, (float(low), float(high)))
+    ceiling = BEFORE_NOTE * max(float(np.quantile(counts, 0.995)), 1.0)
+    for i, name in enumerate(names):
+        axis.stairs(
+            counts[i], edges, color=_ink(name, i), label=name, fill=bands == 1, lw=1.0, alpha=0.9
+        )
+    if counts.max() > BEFORE_NOTE * ceiling:
+        band, place = np.unravel_index(counts.argmax(), counts.shape)
+        axis.set_ylim(0, ceiling)
+        where = edges[place] if unit == "DN" else (edges[place] + edges[place + 1]) / 2
+        axis.text(
+            *(0.97, 0.97),
+            f"highest bin: {counts.max():,} at {10**where if logarithmic else where:.4g}",
+            transform=axis.transAxes,
+            ha="right",
+            va="top",
+            fontsize=8,
+            color=_ink(names[band], int(band)),
+        )
+    axis.set_xlim(edges[0], edges[-1])
+    label = f"log10 of the value ({unit})" if logarithmic else f"value ({unit})"
+    width = edges[1] - edges[0]
+    axis.set(xlabel=label, ylabel=f"pixels per bin of {width:.3g}", title="histogram")
+    axis.grid(alpha=0.3)
+
+
+def _counts(values: np.ndarray, value_range: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    histogram = exact_histogram(values, bins=BINS, value_range=value_range)
+    return np.asarray(histogram.counts), np.asarray(histogram.edges)
+
+
+def _draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
+    for i, name in enumerate(band_names(pixels.shape[-1])):
+        values = pixels[line, :, i].astype(float)
+        axis.plot(
+            np.where(np.isfinite(values), values, np.nan),
+            color=_ink(name, i),
+            lw=1.0,
+            marker="." if len(values) < 40 else "",
+            label=name,
+        )
+    unit = "DN" if pixels.dtype.kind in "ui" else "relative"
+    axis.set(xlabel="column", ylabel=f"value ({unit})", title=f"scan line: row {line}")
+    axis.margins(x=0)
+    if pixels.shape[-1] <= len(OTHER_INKS):
+        axis.legend(fontsize=8, loc="best")
+    axis.grid(alpha=0.3)
+
+
+def _draw_numbers(
+    axis: "Axes", pixels: np.ndarray, picture: np.ndarray, rows: range, columns: range
+) -> None:
+    """Each pixel its own cell, its values printed one below the other."""
+    cells = [[_printed(pixels[i, j]) for j in columns] for i in rows]
+    longest = max(len(number) for line in cells for cell in line for number in cell)
+    stacked = max(len(cell) for line in cells for cell in line)
+    size = min(10.0, 46.0 / longest, 30.0 / stacked)
+    axis.imshow(
+        picture[rows.start : rows.stop, columns.start : columns.stop],
+        extent=(columns.start - 0.5, columns.stop - 0.5, rows.stop - 0.5, rows.start - 0.5),
+        interpolation="nearest",
+    )
+    for i, line in zip(rows, cells, strict=True):
+        for j, cell in zip(columns, line, strict=True):
+            dark = picture[i, j] @ (0.2126, 0.7152, 0.0722) < 0.5
+            axis.text(
+                *(j, i),
+                "\n".join(cell),
+                ha="center",
+                va="center",
+                fontsize=size,
+                color="white" if dark else "black",
+                linespacing=1.05,
+            )
+    axis.set_xticks(list(columns))
+    axis.set_yticks(list(rows))
+    names = band_names(pixels.shape[-1])
+    order = "" if len(names) == 1 else f" ({', '.join(names[:4])} from above)"
+    axis.set(xlabel="column", ylabel="row", title=f"values{order}")
+
+
+def _printed(pixel: np.ndarray) -> list[str]:
+    """The values of one pixel, at most four."""
+    shown: Sequence[Any] = pixel[:4].tolist()
+    return [f"{v:.3g}" if isinstance(v, float) else str(v) for v in shown]
+
+
+def _draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
+    """The mean of the colour bands as a height, each facet the mean of a block of pixels."""
+    height, width, _ = pixels.shape
+    colours = _colours(pixels).astype(float)
+    step = max(1, -(-max(height, width) // SURFACE_SIDE))
+    heights = np.where(np.isfinite(colours), colours, 0).mean(axis=-1)
+    y, x = np.arange(0, height, step), np.arange(0, width, step)
+    sums = np.add.reduceat(np.add.reduceat(heights, y, axis=0), x, axis=1)
+    area = np.outer(np.diff(y, append=height), np.diff(x, append=width))
+    if min(len(x), len(y)) > 1:
+        columns, rows = np.meshgrid(x, y)
+        axis.plot_surface(columns, rows, sums / area, cmap="viridis", rstride=1, cstride=1, lw=0)
+    unit = "DN" if pixels.dtype.kind in "ui" else "relative"
+    axis.set(xlabel="column", ylabel="row", title=f"surface: mean of bands ({unit})")
+    axis.invert_yaxis()
+    axis.view_init(elev=50, azim=-75)
+    axis.tick_params(labelsize=8)
+
+
+def _draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> None:
+    """The numbers of `summarise` as a table: a column a band."""
+    rows = ["min", "max", "mean", "s.d.", "median", "≤ 0", f"≥ {white:.6g}", "NaN", "inf"]
+    shown = bands[:4]
+    cells = zip(*(_cells(band) for band in shown), strict=True)
+    table = axis.table(
+        [list(line) for line in cells],
+        rowLabels=rows,
+        colLabels=[band.name for band in shown],
+        loc="center",
+        cellLoc="right",
+        bbox=[0.16, 0.04, 0.84, 0.92],  # type: ignore[arg-type]
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)
+    axis.set_axis_off()
+    more = "" if len(bands) <= 4 else f" (first 4 of {len(bands)} bands)"
+    axis.set_title(f"in numbers{more}")
+
+
+def _cells(band: BandSummary) -> list[str]:
+    moments = (band.minimum, band.maximum, band.mean, band.standard_deviation, band.median)
+    counts = (band.black, band.saturated, band.nan, band.infinite)
+    return [f"{v:.5g}" for v in moments] + [f"{n:,}" for n in counts]

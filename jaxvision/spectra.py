@@ -1,0 +1,161 @@
+"""Spectra: a value per wavelength, (..., bands), on a grid of wavelengths, (bands,) in m.
+
+An RGB colour is a spectrum of three bands, so whatever takes `bands` takes both; `project` and its
+two namesakes turn the many bands of a physical spectrum into the few of a camera or an observer.
+Integrals are the sums of CIE 15:2018, section 7: value times width of the band. Tables to feed
+these functions (illuminants, reflectances, sensitivities, observers) come from `colour_data`.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._types import Scalar, Spectrum
+
+Wavelengths = Float[Array, " bands"]
+Responses = Float[Array, "bands channels"]
+
+LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
+_TWO_H_C_SQUARED = 1.1910429723971884e-16  # W m^2, the SI of 2019
+_H_C_OVER_K = 1.4387768775039337e-2  # m K
+
+# CIE 167:2005: the polynomial's coefficients from six neighbours, and two values beyond each end.
+_SPRAGUE = (
+    np.array(
+        [
+            [0, 0, 24, 0, 0, 0],
+            [2, -16, 0, 16, -2, 0],
+            [-1, 16, -30, 16, -1, 0],
+            [-9, 39, -70, 66, -33, 7],
+            [13, -64, 126, -124, 61, -12],
+            [-5, 25, -50, 50, -25, 5],
+        ]
+    )
+    / 24
+)
+_SPRAGUE_BEFORE = (
+    np.array([[884, -1960, 3033, -2648, 1080, -180], [508, -540, 488, -367, 144, -24]]) / 209
+)
+
+
+def interpolate_spectrum(
+    values: Spectrum,
+    known: Wavelengths,
+    wanted: Float[Array, " wanted"],
+    *,
+    method: str = "linear",
+    outside: str = "clamp",
+) -> Float[Array, "... wanted"]:
+    """Spectra given at the wavelengths `known` (ascending, m), at those `wanted`: (..., wanted).
+
+    `method`: "linear", or "sprague", the quintic of CIE 167:2005 for smooth spectra, which takes
+    `known` as evenly spaced and at least six. `outside` of `known`: "clamp" continues the end
+    values (CIE 15:2018, 7.2.3), "zero" ends the spectrum (sensitivities). `ValueError` for an
+    unknown option or too few bands.
+    """
+    bands = known.shape[0]
+    least = {"linear": 2, "sprague": 6}
+    if method not in least or outside not in ("clamp", "zero"):
+        raise ValueError(
+            'method must be "linear" or "sprague" and outside "clamp" or "zero", '
+            f"got {method!r} and {outside!r}."
+        )
+    if bands < least[method]:
+        raise ValueError(f"{method} interpolation takes {least[method]} bands, got {bands}.")
+    interval = jnp.clip(jnp.searchsorted(known, wanted, side="right") - 1, 0, bands - 2)
+    start, end = known[interval], known[interval + 1]
+    t = jnp.clip((wanted - start) / (end - start), 0, 1)
+    if method == "linear":
+        taps, weights = values, jnp.stack([1 - t, t])
+    else:
+        before = values[..., :6] @ jnp.asarray(_SPRAGUE_BEFORE.T, values.dtype)
+        after = values[..., -6:] @ jnp.asarray(_SPRAGUE_BEFORE[::-1, ::-1].T, values.dtype)
+        taps = jnp.concatenate([before, values, after], axis=-1)
+        weights = jnp.asarray(_SPRAGUE.T, t.dtype) @ jnp.stack([t**n for n in range(6)])
+    if outside == "zero":
+        weights = weights * ((wanted >= known[0]) & (wanted <= known[-1])).astype(t.dtype)[None]
+    neighbours = jnp.stack([taps[..., interval + n] for n in range(len(weights))], axis=-2)
+    return jnp.sum(jnp.broadcast_to(weights, neighbours.shape) * neighbours, axis=-2)
+
+
+def band_widths(wavelengths: Wavelengths) -> Wavelengths:
+    """What each sample of a spectrum stands for, in m: half the distance to both neighbours, an end
+    sample a full step.
+
+    On an even grid all are the step, so that an integral is the plain sum times the step, as CIE
+    15:2018 has it. `wavelengths`: ascending, at least two, else `ValueError`.
+    """
+    if wavelengths.shape[0] < 2:
+        raise ValueError(f"wavelengths must hold at least two, got {wavelengths.shape[0]}.")
+    step = jnp.diff(wavelengths)
+    return (jnp.append(step, step[-1]) + jnp.insert(step, 0, step[0])) / 2
+
+
+def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Array, "..."]:
+    """The sum of value times band width: (..., bands) to (...), in the spectrum's unit times m."""
+    return spectrum @ band_widths(wavelengths)
+
+
+def spectrum_to_camera(
+    spectrum: Spectrum, wavelengths: Wavelengths, sensitivities: Responses
+) -> Float[Array, "... channels"]:
+    """What each channel collects: the integral of spectrum times sensitivity, (..., channels).
+
+    `spectrum`: (..., bands) per m of wavelength. `sensitivities`: (bands, channels). The result has
+    the unit of spectrum times sensitivity times m: W m^-3 and electrons per J give electrons per
+    m^2 and second.
+    """
+    return spectrum @ (sensitivities * band_widths(wavelengths)[:, None])
+
+
+def spectrum_to_xyz(
+    spectrum: Spectrum, wavelengths: Wavelengths, observer: Responses
+) -> Float[Array, "... 3"]:
+    """Absolute tristimulus values X, Y, Z = K_m times the integral of spectrum times observer.
+
+    `spectrum`: (..., bands) W m^-2 sr^-1 per m gives Y in cd m^-2, W m^-2 per m gives lux.
+    `observer`: (bands, 3), as `colour_data.observer` gives it. Source: CIE 15:2018, section 7.1.
+    """
+    return LUMINOUS_EFFICACY * spectrum_to_camera(spectrum, wavelengths, observer)
+
+
+def reflectance_to_xyz(
+    reflectance: Spectrum, wavelengths: Wavelengths, observer: Responses, illuminant: Wavelengths
+) -> Float[Array, "... 3"]:
+    """Tristimulus values of a reflecting object relative to a perfect white, whose Y is 1.
+
+    `reflectance`: (..., bands) relative, 1 for perfect white. `observer`: (bands, 3). `illuminant`:
+    (bands,) relative; its scale cancels. Source: CIE 15:2018, section 7.1.
+    """
+    weights = observer * (illuminant * band_widths(wavelengths))[:, None]
+    return reflectance @ (weights / jnp.sum(weights[:, 1]))
+
+
+def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
+    """Planck's law, 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1): spectral radiance (bands,)
+    in W m^-2 sr^-1 per m, with the constants of the SI of 2019.
+
+    `temperature`: () K; at 0 and below nothing shines.
+    """
+    warm = temperature > 0
+    x = _H_C_OVER_K / (wavelengths * jnp.where(warm, temperature, 1))
+    radiance = (_TWO_H_C_SQUARED * 1e30) / (1e6 * wavelengths) ** 5 * jnp.exp(-x) / -jnp.expm1(-x)
+    return jnp.where(warm, radiance, 0)
+
+
+def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths:
+    """CIE daylight, S_0 + M_1 S_1 + M_2 S_2: relative power (bands,), 100 at 560 nm.
+
+    `basis`: (bands, 3), as `colour_data.daylight_basis` gives it. `temperature`: () correlated
+    colour temperature in K, clamped to CIE's range of 4000 to 25000 K; D65 is at 6504 K (6500 K on
+    the scale of 1931). M_1 and M_2 are not rounded. Source: CIE 15:2018, section 4.1.2.
+    """
+    inverse = 1e3 / jnp.clip(temperature, 4000, 25000)
+    low = 0.244063 + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
+    high = 0.237040 + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
+    x = jnp.where(temperature <= 7000, low, high)
+    y = -3 * x**2 + 2.870 * x - 0.275
+    divisor = 0.0241 + 0.2562 * x - 0.7341 * y
+    m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / divisor
+    m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / divisor
+    return basis[:, 0] + m1 * basis[:, 1] + m2 * basis[:, 2]

@@ -1,0 +1,192 @@
+r"""An unoccluded rectangular light on a Lambert floor, 512 x 512: error against time of the closed
+form, of quadrature, of Monte Carlo, and of Mitsuba 3's direct integrator (llvm_ad_rgb).
+
+    DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s \
+        tests/benchmarks/bench_area_light.py
+
+Equal work: both intersect the floor and integrate one light; Mitsuba also traces the shadow ray of
+each of its samples, which meets nothing. Its time at error 1e-3 is extrapolated from 64 and 256
+samples with the exponent those show. Floats are 32 bits on both sides; the truth is ours in 64.
+"""
+
+import os
+import time
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import (
+    Lambert,
+    MonteCarlo,
+    Pinhole,
+    Plane,
+    Quadrature,
+    RectangleLight,
+    Scene,
+    Surface,
+    as_dtype,
+    camera_ray,
+    hit_shape,
+    look_at,
+    render,
+)
+from jaxvision.lights.polygon import rectangle_irradiance
+from jaxvision.optics import pixel_grid
+
+pytestmark = pytest.mark.benchmark
+
+SIDE, FIELD, ALBEDO, RADIANCE = 512, 40.0, 0.5, 10.0
+EYE, CENTRE, EDGE_U, EDGE_V = np.array([0, 3.0, 5.0]), [0, 1.5, 0], [1.2, 0, 0], [0, 0, 0.8]
+ROUNDS = 7
+
+
+def interleaved(rivals):
+    """Median seconds of each, warmed up, in turn."""
+    for call in rivals.values():
+        call()
+    seconds = {name: [] for name in rivals}
+    for _ in range(ROUNDS):
+        for name, call in rivals.items():
+            start = time.perf_counter()
+            call()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: float(np.median(taken)) for name, taken in seconds.items()}
+
+
+def scene_and_view(dtype):
+    rotation = look_at(jnp.asarray(EYE), jnp.zeros(3), jnp.asarray([0.0, 1, 0]))
+    pitch = 2 * np.tan(np.radians(FIELD) / 2) / SIDE
+    view = Pinhole(EYE, rotation, 1.0, pitch, resolution=(SIDE, SIDE))
+    corner = np.array(CENTRE) - np.array(EDGE_U) / 2 - np.array(EDGE_V) / 2
+    lamp = RectangleLight(corner, EDGE_U, EDGE_V, [RADIANCE])  # u x v points down: -y
+    floor = Surface(Plane([0, 0, 0], [0, 1, 0]), Lambert([ALBEDO / np.pi]))
+    return as_dtype((Scene([floor], [lamp]), view), dtype)
+
+
+def floor_picture(scene, view, irradiance):
+    """Radiance of the floor alone, the light itself not in view: (SIDE, SIDE)."""
+    floor, up = scene.surfaces[0], scene.surfaces[0].shape.normal
+
+    def pixel(row, column):
+        ray = camera_ray(view, row, column)
+        hit = hit_shape(ray, [floor.shape], jnp.zeros((), int))
+        point = ray.origin + hit.distance * ray.direction
+        return (floor.material.diffuse * irradiance(scene.lights[0], point, up))[0]
+
+    rows, columns = pixel_grid(view)
+    return jax.vmap(lambda row: jax.vmap(lambda column: pixel(row, column))(columns))(rows)
+
+
+def mitsuba_rival():
+    """(render(samples) -> (SIDE, SIDE) array) of the same scene."""
+    if "DRJIT_LIBLLVM_PATH" not in os.environ:
+        pytest.skip("name Mitsuba's LLVM library in DRJIT_LIBLLVM_PATH")
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    import drjit
+
+    transform = mi.ScalarTransform4f
+    place = np.eye(4)
+    place[:3, 0], place[:3, 1] = np.array(EDGE_U) / 2, np.array(EDGE_V) / 2
+    place[:3, 2], place[:3, 3] = [0, -1, 0], CENTRE
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": ALBEDO}}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {
+                "type": "perspective",
+                "fov": FIELD,
+                "to_world": transform().look_at(EYE.tolist(), [0, 0, 0], [0, 1, 0]),
+                "film": {
+                    "type": "hdrfilm",
+                    "width": SIDE,
+                    "height": SIDE,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "luminance",
+                    "component_format": "float32",
+                },
+                "sampler": {"type": "multijitter", "sample_count": 64},
+            },
+            "floor": {
+                "type": "rectangle",
+                "to_world": transform().rotate([1, 0, 0], -90).scale(500),
+                "bsdf": grey,
+            },
+            "lamp": {
+                "type": "rectangle",
+                "to_world": transform(place.tolist()),
+                "bsdf": black,
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": RADIANCE}},
+            },
+        }
+    )
+    direct = mi.load_dict(
+        {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True}
+    )
+    seed = iter(range(10**6))
+
+    def draw(samples):
+        image = mi.render(scene, integrator=direct, spp=samples, seed=next(seed))
+        drjit.eval(image)
+        drjit.sync_thread()
+        return image
+
+    return lambda samples: np.asarray(draw(samples), float).reshape(SIDE, SIDE)
+
+
+def test_error_against_time_beside_mitsuba():
+    draw = mitsuba_rival()
+    small, exact = scene_and_view(jnp.float32), scene_and_view(jnp.float64)
+    truth = np.asarray(jax.jit(partial(floor_picture, irradiance=rectangle_irradiance))(*exact))
+
+    rivals, pictures = {}, {}
+
+    def add(name, function):
+        begin = time.perf_counter()
+        compiled = jax.jit(function).lower(*small).compile()
+        cold = time.perf_counter() - begin
+        pictures[name] = np.asarray(compiled(*small), float).reshape(SIDE, SIDE)
+        rivals[name] = lambda: jax.block_until_ready(compiled(*small))
+        print(f"{name:24s} compile {cold:5.2f} s")
+
+    add("closed form", partial(floor_picture, irradiance=rectangle_irradiance))
+    for order in (2, 3, 4, 6, 8):
+        rule = Quadrature(order)
+        add(
+            f"quadrature {order} x {order}", lambda s, v, rule=rule: render(s, v, rule=rule)[..., 0]
+        )
+    for count in (16, 64):
+        rule = MonteCarlo(jax.random.key(0), count)
+        add(f"Monte Carlo {count}", lambda s, v, rule=rule: render(s, v, rule=rule)[..., 0])
+
+    def total(scene, view):
+        return floor_picture(scene, view, rectangle_irradiance).mean()
+
+    gradient = jax.jit(jax.grad(lambda scene, view: total(scene, view)))
+    rivals["closed form, gradient"] = lambda: jax.block_until_ready(gradient(*small))
+    for samples in (64, 256):
+        pictures[f"Mitsuba {samples}"] = draw(samples)
+        rivals[f"Mitsuba {samples}"] = lambda samples=samples: draw(samples)
+
+    # where the camera sees the floor and not the lamp's back
+    in_view = np.abs(pictures["Mitsuba 256"] / truth - 1) < 0.3
+    in_view &= np.abs(pictures["quadrature 8 x 8"] / truth - 1) < 0.3
+    assert in_view.mean() > 0.7
+    error = {k: float(np.sqrt(np.mean((x / truth - 1)[in_view] ** 2))) for k, x in pictures.items()}
+    seconds = interleaved(rivals)
+
+    rate = np.log(error["Mitsuba 64"] / error["Mitsuba 256"]) / np.log(4)
+    at_aim = seconds["Mitsuba 256"] * (error["Mitsuba 256"] / 1e-3) ** (1 / rate)
+    print(f"\n{'method':24s} {'ms':>9s} {'rms error':>10s} {'Mitsuba at 1e-3 / this':>24s}")
+    for name in rivals:
+        ratio = f"{at_aim / seconds[name]:.0f}" if error.get(name, 1) <= 1e-3 else "-"
+        print(f"{name:24s} {1e3 * seconds[name]:9.2f} {error.get(name, np.nan):10.1e} {ratio:>24s}")
+    print(f"Mitsuba's error falls as samples^-{rate:.2f}; at 1e-3 it takes {at_aim:.1f} s")
+    assert error["closed form"] < 1e-5
+    assert error["quadrature 4 x 4"] < 1e-3
+    best = min(seconds[k] for k in rivals if error.get(k, 1) <= 1e-3 and "Mitsuba" not in k)
+    assert at_aim / best > 1000

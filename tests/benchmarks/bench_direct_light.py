@@ -1,0 +1,195 @@
+r"""Direct light as an exact sum, 512 x 512, 8 spheres and a plane, 3 points, Phong, unshadowed,
+beside Mitsuba 3 (llvm_ad_rgb) doing the same: a Python integrator that sums all emitters without
+shadow rays, and a Python BSDF that is our `PhongBRDF`.
+
+    DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s \
+        tests/benchmarks/bench_direct_light.py
+
+Cast shadows are not part of this workload on either side.
+"""
+
+import os
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import (
+    Pinhole,
+    Plane,
+    PointLight,
+    Scene,
+    Sphere,
+    Surface,
+    as_dtype,
+    look_at,
+    render,
+)
+from jaxvision.brdf.phong import PhongBRDF
+
+pytestmark = pytest.mark.benchmark
+
+SIDE, FIELD, ROUNDS = 512, 42.0, 15
+EYE, TARGET = np.array([0, 3.2, 6.0]), np.array([0, 0.2, 0.0])
+RNG = np.random.default_rng(0)
+RADII = RNG.uniform(0.35, 0.58, 8)
+CENTRES = np.stack(
+    [np.tile([-1.4, 0, 1.4], 3)[:8], 1.1 * RADII, np.repeat([-1.4, 0, 1.4], 3)[:8]], axis=-1
+)
+KD, KS = RNG.uniform(0.03, 0.2, (9, 3)), RNG.uniform(0.05, 0.6, (9, 1)) * np.ones((1, 3))
+EXPONENTS = RNG.uniform(5, 60, 9)
+LAMPS = [([3, 5, 3], [30, 28, 25]), ([-3, 4, 2], [15, 18, 25]), ([0.5, 6, -3], [20, 20, 20])]
+
+
+def interleaved(rivals):
+    """Median seconds of each, warmed up, in turn."""
+    for call in rivals.values():
+        call()
+    seconds = {name: [] for name in rivals}
+    for _ in range(ROUNDS):
+        for name, call in rivals.items():
+            start = time.perf_counter()
+            call()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: float(np.median(taken)) for name, taken in seconds.items()}
+
+
+def ours():
+    shapes = [Sphere(c, r) for c, r in zip(CENTRES, RADII, strict=True)]
+    shapes.append(Plane([0, 0, 0], [0, 1, 0]))
+    surfaces = [
+        Surface(shape, PhongBRDF(*fields))
+        for shape, *fields in zip(shapes, KD, KS, EXPONENTS, strict=True)
+    ]
+    lights = [PointLight(*lamp) for lamp in LAMPS]
+    rotation = look_at(jnp.asarray(EYE), jnp.asarray(TARGET), jnp.asarray([0.0, 1, 0]))
+    pitch = 2 * np.tan(np.radians(FIELD) / 2) / SIDE
+    view = Pinhole(EYE, rotation, 1.0, pitch, resolution=(SIDE, SIDE))
+    return as_dtype((Scene(surfaces, lights), view), jnp.float32)
+
+
+def mitsuba_rival():
+    """render() -> image, of the same scene."""
+    if "DRJIT_LIBLLVM_PATH" not in os.environ:
+        pytest.skip("name Mitsuba's LLVM library in DRJIT_LIBLLVM_PATH")
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    import drjit as dr
+
+    class MirrorLobe(mi.BSDF):
+        """k_d + k_s [s.v]+ ** n, times the cosine of incidence."""
+
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.kd, self.ks = mi.Color3f(props["kd"]), mi.Color3f(props["ks"])
+            self.exponent = mi.Float(props["n"])
+            self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [self.m_flags]
+
+        def eval(self, ctx, si, wo, active=True):
+            seen, lit = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+            mirrored = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
+            cosine = dr.maximum(dr.dot(mirrored, wo), 1e-12)
+            value = self.kd + self.ks * dr.exp(self.exponent * dr.log(cosine))
+            return dr.select(active & (seen > 0) & (lit > 0), value * lit, 0)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return mi.BSDFSample3f(), mi.Color3f(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), mi.Float(0)
+
+    class SumOfEmitters(mi.SamplingIntegrator):
+        """Every emitter once, no shadow rays."""
+
+        def sample(self, scene, sampler, ray, medium=None, active=True):
+            si = scene.ray_intersect(ray, active)
+            lit, context, total = si.is_valid(), mi.BSDFContext(), mi.Spectrum(0)
+            bsdf = si.bsdf()
+            for emitter in scene.emitters():
+                ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), lit)
+                use = lit & (ds.pdf > 0)
+                value = bsdf.eval(context, si, si.to_local(ds.d), use)
+                total += dr.select(use, value * weight, 0)
+            return total, lit, []
+
+    mi.register_bsdf("mirrorlobe", MirrorLobe)
+    mi.register_integrator("sumofemitters", SumOfEmitters)
+    transform = mi.ScalarTransform4f
+
+    def coat(i):
+        return {
+            "type": "mirrorlobe",
+            "n": float(EXPONENTS[i]),
+            "kd": mi.ScalarColor3f(KD[i].tolist()),
+            "ks": mi.ScalarColor3f(KS[i].tolist()),
+        }
+
+    contents = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": FIELD,
+            "to_world": transform().look_at(EYE.tolist(), TARGET.tolist(), [0, 1, 0]),
+            "film": {
+                "type": "hdrfilm",
+                "width": SIDE,
+                "height": SIDE,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+        },
+        "ground": {
+            "type": "rectangle",
+            "to_world": transform().rotate([1, 0, 0], -90).scale(1000),
+            "bsdf": coat(8),
+        },
+    }
+    for i in range(8):
+        contents[f"ball{i}"] = {
+            "type": "sphere",
+            "center": CENTRES[i].tolist(),
+            "radius": float(RADII[i]),
+            "bsdf": coat(i),
+        }
+    for i, (position, intensity) in enumerate(LAMPS):
+        contents[f"lamp{i}"] = {
+            "type": "point",
+            "position": position,
+            "intensity": {"type": "rgb", "value": intensity},
+        }
+    scene, integrator = mi.load_dict(contents), mi.load_dict({"type": "sumofemitters"})
+
+    def draw():
+        image = mi.render(scene, integrator=integrator, spp=1)
+        dr.eval(image)
+        dr.sync_thread()
+        return image
+
+    return draw
+
+
+def test_the_sum_over_three_points_beside_mitsuba():
+    draw = mitsuba_rival()
+    arguments = ours()
+    begin = time.perf_counter()
+    compiled = jax.jit(render).lower(*arguments).compile()
+    print(f"\ncompile {time.perf_counter() - begin:.2f} s")
+    difference = np.abs(np.asarray(compiled(*arguments)) - np.asarray(draw()))
+    off = (difference.max(axis=-1) > 1e-3).mean()
+    print(f"pixels that differ by more than 1e-3: {100 * off:.2f} % (silhouettes)")
+    assert off < 0.02
+    assert np.median(difference) < 1e-5
+    seconds = interleaved(
+        {"jaxvision": lambda: jax.block_until_ready(compiled(*arguments)), "Mitsuba": draw}
+    )
+    for name, taken in seconds.items():
+        print(f"{name:10s} {1e3 * taken:8.2f} ms, {seconds['Mitsuba'] / taken:5.2f} times as fast")
+    assert seconds["jaxvision"] < seconds["Mitsuba"]

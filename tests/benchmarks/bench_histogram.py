@@ -1,0 +1,69 @@
+"""Histogram, equalisation and CLAHE of an 8-bit image against OpenCV, matching against
+scikit-image: time, and how many levels apart the results are.
+
+    pytest tests/benchmarks/bench_histogram.py -m benchmark -s
+"""
+
+import time
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import histogram
+
+ROUNDS = 41
+
+
+def interleaved(rivals: dict[str, Callable[[], object]]) -> dict[str, tuple[float, float]]:
+    """(first call, median of the later ones) in seconds of each, the rounds taking turns."""
+    first, seconds = {}, {name: [] for name in rivals}
+    for name, run in rivals.items():
+        start = time.perf_counter()
+        jax.block_until_ready(run())
+        first[name] = time.perf_counter() - start
+    for _ in range(ROUNDS):
+        for name, run in rivals.items():
+            start = time.perf_counter()
+            jax.block_until_ready(run())
+            seconds[name].append(time.perf_counter() - start)
+    return {name: (first[name], float(np.median(seconds[name]))) for name in rivals}
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize("side", [512, 2048])
+def test_against_opencv_and_scikit_image(side):
+    cv2 = pytest.importorskip("cv2")
+    data = pytest.importorskip("skimage.data")
+    exposure = pytest.importorskip("skimage.exposure")
+    codes = np.ascontiguousarray(np.tile(data.camera(), (side // 512, side // 512)))
+    other = np.ascontiguousarray(codes.T) // 2 + 30
+    ours, others = jnp.asarray(codes), jnp.asarray(other)
+    clahe = cv2.createCLAHE(2.0, (8, 8))
+    pairs = {
+        "histogram": (
+            lambda: histogram.exact_histogram(ours).counts,
+            lambda: cv2.calcHist([codes], [0], None, [256], [0, 256]).ravel(),
+            0,
+        ),
+        "equalise": (lambda: histogram.equalise(ours), lambda: cv2.equalizeHist(codes), 3.0),
+        "CLAHE 8 x 8": (lambda: histogram.equalise_locally(ours), lambda: clahe.apply(codes), 2.0),
+        "match": (
+            lambda: histogram.match_histogram(ours, others),
+            lambda: exposure.match_histograms(codes, other),
+            1.0,
+        ),
+    }
+    print(f"\n{side} x {side}, 8 bit      ours      peer  ratio   aim  first call  levels apart")
+    for name, (mine, theirs, aim) in pairs.items():
+        apart = np.abs(np.asarray(mine(), int) - np.asarray(theirs(), int)).max()
+        jax.clear_caches()
+        taken = interleaved({"ours": mine, "peer": theirs})
+        (first, fast), (_, peer) = taken["ours"], taken["peer"]
+        print(
+            f"{name:16s} {1e3 * fast:8.3f} ms {1e3 * peer:6.3f} ms {fast / peer:6.2f} "
+            f"{aim or 3:5.1f} {first:9.2f} s {apart:9d}"
+        )
+        assert apart <= 1

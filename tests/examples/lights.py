@@ -1,0 +1,97 @@
+"""Lights of every kind, and the integrals over them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision import (
+    DirectionalLight,
+    Lambert,
+    LightFieldLight,
+    MonteCarlo,
+    Phong,
+    PointLight,
+    Quadrature,
+    Ray,
+    RectangleLight,
+    Scene,
+    Sphere,
+    Surface,
+    Window,
+    as_vec,
+    environment_map,
+)
+from jaxvision.lights.harmonics import irradiance_coefficients
+
+RNG = np.random.default_rng(6)
+
+
+def unit(*v):
+    v = np.asarray(v, float)
+    return jnp.asarray(v / np.linalg.norm(v))
+
+
+N, WO = unit(0.1, -0.2, 1), unit(-0.4, -0.5, 0.8)
+POINT = jnp.asarray([0.2, 0.1, -0.3])
+UP, U = unit(0.05, 0.1, 1), jnp.asarray([0.31, 0.62])
+WINDOW = Window([-0.5, 0.6, 1], [1.1, 0.1, 0], [-0.1, -1.2, 0.1])
+FOCAL = Window([-2, 2.1, 2], [4.0, 0.1, 0], [0, -4.1, 0.1])
+RECTANGLE = RectangleLight(WINDOW.corner, WINDOW.edge_u, WINDOW.edge_v, [0.4, 0.7])
+SKY = environment_map(RNG.uniform(0.2, 1, size=(3, 6, 2)))
+FIELD = LightFieldLight(RNG.uniform(0.2, 1, size=(2, 2, 2, 3, 2)), WINDOW, FOCAL)
+RAY = Ray(POINT, UP)
+RULE = Quadrature(2)
+PHONG = Phong([0.2, 0.1], [0.3, 0.2], 9.0)
+KEY = jax.random.key(5)
+LAMP, SUN = PointLight([1, 2, -3], [0.3, 0.2]), DirectionalLight([0.3, 0.2, -1], [0.2, 0.1])
+BALL = Scene([Surface(Sphere([0.1, 0.2, 3], 1.0), Lambert([0.2, 0.1]))], [RECTANGLE])
+
+
+def arriving(wi):
+    return jnp.stack([1 + wi[2], 2 - wi[0]])
+
+
+OPTIONS = {"radiance_from": arriving, "normal": N, "wo": WO}
+
+EXAMPLES = {
+    "capture.render_light_field": (
+        (BALL, WINDOW, FOCAL),
+        {"resolution": (1, 2, 1, 2), "rule": RULE},
+    ),
+    "lights.direction_pdf": ((RECTANGLE, POINT, UP), {}),
+    "lights.direction_sample": ((RECTANGLE, POINT, U), {}),
+    "lights.incident": ((LAMP, as_vec(POINT)), {}),
+    "lights.incident_samples": ((FIELD, POINT), {"rule": RULE}),
+    "lights.irradiance": ((RECTANGLE, POINT, N), {"rule": MonteCarlo(KEY, 2)}),
+    "lights.nearest_seen": (([RECTANGLE, SKY], RAY), {}),
+    "lights.radiance_from": ((SKY, POINT, UP), {}),
+    "lights.seen": ((FIELD, RAY), {}),
+    "lights.directional.from_directional_light": ((SUN, POINT), {}),
+    "lights.environment.environment_node": ((SKY, POINT, U), {}),
+    "lights.environment.environment_pdf": ((SKY, POINT, UP), {}),
+    "lights.environment.environment_radiance": ((SKY, UP), {}),
+    "lights.environment.environment_sample": ((SKY, POINT, U), {}),
+    "lights.harmonics.harmonic_irradiance": ((SKY, irradiance_coefficients(SKY), N), {}),
+    "lights.harmonics.harmonics": ((N,), {}),
+    "lights.harmonics.irradiance_coefficients": ((SKY,), {}),
+    "lights.light_field.light_field_pdf": ((FIELD, POINT, UP), {}),
+    "lights.light_field.light_field_radiance": ((FIELD, RAY), {}),
+    "lights.light_field.light_field_ray": ((WINDOW, FOCAL, jnp.asarray([0.3, 0.4, 0.5, 0.6])), {}),
+    "lights.light_field.light_field_sample": ((FIELD, POINT, U), {}),
+    "lights.light_field.light_field_seen": ((FIELD, RAY), {}),
+    "lights.light_field.refocus": ((FIELD, jnp.asarray([0.1, 0.2, 1.9])), {"order": 2}),
+    "lights.point.from_point_light": ((LAMP, POINT), {}),
+    "lights.polygon.angle_over_sine": ((jnp.asarray([0.3, 1e-9]), jnp.asarray([-0.2, 0.9])), {}),
+    "lights.polygon.rectangle_irradiance": ((RECTANGLE, POINT, unit(0.9, 0.1, 0.2)), {}),
+    "lights.rectangle.rectangle_pdf": ((RECTANGLE, POINT, UP), {}),
+    "lights.rectangle.rectangle_sample": ((RECTANGLE, POINT, U), {}),
+    "lights.rectangle.rectangle_seen": ((RECTANGLE, RAY), {}),
+    "lights.rectangle.window_of": ((RECTANGLE,), {}),
+    "lights.window.crossing": ((RAY, WINDOW), {}),
+    "lights.window.hit_window": ((RAY, WINDOW), {}),
+    "lights.window.window_pdf": ((WINDOW, POINT, UP), {}),
+    "lights.window.window_sample": ((WINDOW, POINT, U), {}),
+    "shading.hemisphere_radiance": ((PHONG,), OPTIONS | {"polar": 4, "azimuths": 8}),
+    "shading.lit_radiance": ((KEY, PHONG, RECTANGLE, POINT, N, WO), {"samples": 3}),
+    "shading.sampled_radiance": ((KEY, PHONG), OPTIONS | {"samples": 3}),
+}

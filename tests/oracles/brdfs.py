@@ -1,0 +1,126 @@
+"""Every BRDF family as its source prints it: one pair of directions, NumPy and angles, nothing of
+the library's rearrangements. Local frame; each returns f_r as a list of bands."""
+
+import cmath
+import math
+from itertools import pairwise
+
+import numpy as np
+
+
+def angle(u, v):
+    return math.acos(max(-1.0, min(1.0, float(np.dot(u, v)))))
+
+
+def with_lobe(wi, kd, ks, lobe, kind, constant):
+    factor = {"shading": 1 / wi[2], "brdf": 1.0, "normalised": constant}[kind]
+    return np.asarray(kd) + np.asarray(ks) * lobe * factor
+
+
+def lambert(wi, wo, *, kd):
+    return np.asarray(kd)
+
+
+def phong(wi, wo, *, kd, ks, n, kind):
+    mirror = 2 * wi[2] * np.array([0, 0, 1.0]) - wi
+    return with_lobe(wi, kd, ks, max(0.0, mirror @ wo) ** n, kind, (n + 2) / (2 * math.pi))
+
+
+def gaussian(wi, wo, *, kd, ks, c, kind):
+    theta = angle(2 * wi[2] * np.array([0, 0, 1.0]) - wi, wo)
+    return with_lobe(wi, kd, ks, math.exp(-((c * theta) ** 2)), kind, None)
+
+
+def blinn(wi, wo, *, kd, ks, n, kind):
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    constant = (n + 2) * (n + 4) / (8 * math.pi * (2 ** (-n / 2) + n))
+    return with_lobe(wi, kd, ks, h[2] ** n, kind, constant)
+
+
+def fresnel(cos_i, eta, k):
+    """Unpolarised reflectance from the complex amplitudes; k = 0 is a dielectric."""
+    m = complex(eta, k)
+    cos_t = cmath.sqrt(1 - (1 - cos_i**2) / m**2)
+    s = (cos_i - m * cos_t) / (cos_i + m * cos_t)
+    p = (m * cos_i - cos_t) / (m * cos_i + cos_t)
+    return (abs(s) ** 2 + abs(p) ** 2) / 2
+
+
+def smith_lambda(w, alpha, distribution):
+    """Heitz (2014), equations 68 and 72, with the slope of the direction's own azimuth."""
+    sin_t = math.hypot(w[0], w[1])
+    if sin_t == 0:
+        return 0.0
+    a_o = math.hypot(alpha[0] * w[0], alpha[1] * w[1]) / sin_t
+    a = 1 / (a_o * (sin_t / w[2]))
+    if distribution == "ggx":
+        return (-1 + math.sqrt(1 + 1 / a**2)) / 2
+    return (math.erf(a) - 1) / 2 + math.exp(-a * a) / (2 * a * math.sqrt(math.pi))
+
+
+def facets(h, alpha, distribution):
+    cos, phi = h[2], math.atan2(h[1], h[0])
+    tan2 = (1 - cos**2) / cos**2
+    e = tan2 * (math.cos(phi) ** 2 / alpha[0] ** 2 + math.sin(phi) ** 2 / alpha[1] ** 2)
+    scale = math.pi * alpha[0] * alpha[1] * cos**4
+    return math.exp(-e) / scale if distribution == "beckmann" else 1 / (scale * (1 + e) ** 2)
+
+
+def torrance_sparrow(
+    wi, wo, *, kd, ks, alpha, eta=None, k=None, distribution="ggx", shadowing="smith"
+):
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    d = float(wo @ h)
+    if shadowing == "smith":
+        g = 1 / (1 + sum(smith_lambda(w, alpha, distribution) for w in (wi, wo)))
+    else:
+        g = min(1.0, 2 * h[2] * wo[2] / d, 2 * h[2] * wi[2] / d)
+    f = 1.0 if eta is None else np.array([fresnel(d, *index) for index in zip(eta, k, strict=True)])
+    lobe = f * facets(h, alpha, distribution) * g / (4 * wi[2] * wo[2])
+    return np.asarray(kd) + np.asarray(ks) * lobe
+
+
+def oren_nayar(wi, wo, *, kd, sigma, full):
+    """The paper's equations 27 to 30, in angles."""
+    t_i, t_o = math.acos(wi[2]), math.acos(wo[2])
+    phi = math.atan2(wi[1], wi[0]) - math.atan2(wo[1], wo[0])
+    a, b = max(t_i, t_o), min(t_i, t_o)
+    v, rho = sigma**2, np.asarray(kd) * math.pi
+    if not full:
+        return np.asarray(kd) * (
+            1
+            - 0.5 * v / (v + 0.33)
+            + 0.45 * v / (v + 0.09) * max(0, math.cos(phi)) * math.sin(a) * math.tan(b)
+        )
+    c1 = 1 - 0.5 * v / (v + 0.33)
+    c2 = 0.45 * v / (v + 0.09) * math.sin(a)
+    if math.cos(phi) < 0:
+        c2 = 0.45 * v / (v + 0.09) * (math.sin(a) - (2 * b / math.pi) ** 3)
+    c3 = 0.125 * v / (v + 0.09) * (4 * a * b / math.pi**2) ** 2
+    l1 = c1 + math.cos(phi) * c2 * math.tan(b)
+    l1 += (1 - abs(math.cos(phi))) * c3 * math.tan((a + b) / 2)
+    l2 = 0.17 * rho * v / (v + 0.13) * (1 - math.cos(phi) * (2 * b / math.pi) ** 2)
+    return np.maximum(rho / math.pi * (l1 + l2), 0)
+
+
+def albedo(plain, wo):
+    """The integral of f_r cos over light, over rings of polar angle, split where the lobes
+    bend."""
+    theta_o, phi_o = math.acos(wo[2]), math.atan2(wo[1], wo[0])
+
+    def ring(theta):
+        phi = phi_o + np.linspace(0, 2 * np.pi, 200, endpoint=False)
+        sine = math.sin(theta)
+        directions = np.stack(
+            [sine * np.cos(phi), sine * np.sin(phi), np.full_like(phi, math.cos(theta))], axis=-1
+        )
+        mean = np.mean([plain(wi, wo) for wi in directions], axis=0)
+        return mean * 2 * np.pi * sine * math.cos(theta)
+
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    edges = [0.0, theta_o / 2, theta_o, (theta_o + math.pi / 2) / 2, math.pi / 2]
+    total = 0.0
+    for low, high in pairwise(edges):
+        theta = (low + high) / 2 + (high - low) / 2 * nodes
+        total += (high - low) / 2 * sum(w * ring(t) for t, w in zip(theta, weights, strict=True))
+    return total

@@ -1,0 +1,56 @@
+"""Irradiance from a uniform rectangle in 50 digits: the polygon is cut at the horizon corner by
+corner (Sutherland and Hodgman), and Lambert's contour sum taken with arc cosines. mpmath only."""
+
+import mpmath as mp
+from oracles.exact import dot
+
+
+def cross(a, b):
+    return [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+
+
+def irradiance(corner, edge_u, edge_v, point, normal):
+    """Per unit of radiance; every argument a list of three mpmath numbers."""
+    first = [c - p for c, p in zip(corner, point, strict=True)]
+    along = [a + b for a, b in zip(first, edge_u, strict=True)]
+    across = [a + b for a, b in zip(first, edge_v, strict=True)]
+    opposite = [a + b for a, b in zip(along, edge_v, strict=True)]
+    if dot(cross(edge_u, edge_v), first) >= 0:
+        return mp.mpf(0)
+    polygon = [first, across, opposite, along]  # counterclockwise for the receiver
+    kept = []
+    for i, b in enumerate(polygon):
+        a = polygon[i - 1]
+        height_a, height_b = dot(normal, a), dot(normal, b)
+        if (height_a > 0) != (height_b > 0):
+            t = height_a / (height_a - height_b)
+            kept.append([x + t * (y - x) for x, y in zip(a, b, strict=True)])
+        if height_b > 0:
+            kept.append(b)
+    total = mp.mpf(0)
+    for i, b in enumerate(kept):
+        a = kept[i - 1]
+        area = cross(a, b)
+        size = mp.sqrt(dot(area, area))
+        if size == 0:
+            continue
+        angle = mp.acos(dot(a, b) / mp.sqrt(dot(a, a) * dot(b, b)))
+        total += angle * dot(normal, area) / size
+    return total / 2
+
+
+def gradient(corner, edge_u, edge_v, point, normal):
+    """Derivatives with respect to the same fifteen numbers, in that order, by differences at a
+    precision that makes them exact in 20 digits."""
+    numbers = [*corner, *edge_u, *edge_v, *point, *normal]
+
+    def of(i, x):
+        moved = [*numbers[:i], x, *numbers[i + 1 :]]
+        return irradiance(*(moved[j : j + 3] for j in range(0, 15, 3)))
+
+    step = mp.mpf(10) ** -15
+    return [(of(i, x + step) - of(i, x - step)) / (2 * step) for i, x in enumerate(numbers)]

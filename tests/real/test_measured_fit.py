@@ -1,0 +1,101 @@
+"""Lobes fitted to the Cornell paints and the RGL materials: who wins, and whether the amplitudes
+are what the paint looks like."""
+
+import numpy as np
+import pytest
+
+from fitting import measured_brdf
+from fitting.brdf_calibration import calibrate_brdf
+from fitting.brdf_findings import which_axis_wins
+from fitting.measured_brdf import read_measured_brdf
+
+pytestmark = pytest.mark.real
+
+FILES = {
+    "garnet_red": "brdf_cornell/garnet_red.brdf",
+    "acryl_blue": "brdf_cornell/acryl_blue.brdf",
+    "paper_white": "brdf_rgl/paper_white_rgb.bsdf",
+    "satin_rosaline": "brdf_rgl/satin_rosaline_rgb.bsdf",
+    "golden_yellow": "brdf_rgl/vch_golden_yellow_rgb.bsdf",
+}
+MIRROR = ("phong", "normalised-phong", "gaussian-lobe")
+HALF = ("blinn", "normalised-blinn", "torrance-sparrow", "torrance-sparrow-ggx")
+
+
+@pytest.fixture(scope="module")
+def calibrated(data_folder):
+    """Calibrations by name, each made once."""
+    known = {}
+
+    def of(name):
+        if name not in known:
+            known[name] = calibrate_brdf(read_measured_brdf(data_folder / FILES[name]))
+        return known[name]
+
+    return of
+
+
+def least(calibration, models):
+    return min(calibration.held_out[model].relative for model in models)
+
+
+def test_garnet_red_is_a_coat_of_clear_facets(calibrated):
+    garnet = calibrated("garnet_red")
+    assert garnet.model == "torrance-sparrow"
+    # 17.7 % against 104 %: mirror lobes cannot rise toward grazing angles as the coat does.
+    assert least(garnet, HALF) < 0.25 < 0.8 < least(garnet, MIRROR)
+    assert garnet.held_out["torrance-sparrow-metal"].relative > 3 * least(garnet, HALF)
+    assert 0.1 < garnet.mean[2] < 0.2
+    assert np.sqrt(garnet.covariance[2, 2]) < 0.2
+
+
+def test_the_paint_is_red_and_its_coat_has_no_colour(calibrated):
+    garnet = calibrated("garnet_red")
+    wavelengths = garnet.measured.wavelengths
+    diffuse, specular = garnet.amplitudes.diffuse, garnet.amplitudes.specular
+    assert diffuse[wavelengths > 620].min() > 5 * diffuse[wavelengths < 560].max()
+    assert np.ptp(specular) < 0.25 * specular.mean()
+    assert np.all(np.abs(specular - 1) < 4 * garnet.amplitudes.specular_error)
+
+
+def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
+    acryl = calibrated("acryl_blue")
+    errors = [acryl.held_out[m].relative for m in ("phong", "blinn", "gaussian-lobe")]
+    np.testing.assert_allclose(errors, errors[0], rtol=1e-2)
+    blue = np.argmax(acryl.amplitudes.diffuse)
+    assert 430 <= acryl.measured.wavelengths[blue] <= 480
+
+
+@pytest.mark.slow
+def test_what_wins_on_five_materials(calibrated):
+    all_five = [calibrated(name) for name in FILES]
+    assert [c.model for c in all_five] == [
+        "torrance-sparrow",
+        "phong",
+        "phong",
+        "torrance-sparrow-ggx",
+        "normalised-phong",
+    ]
+    assert least(all_five[3], HALF) < 0.7 * least(all_five[3], MIRROR)
+    assert least(all_five[4], MIRROR) < 0.97 * least(all_five[4], HALF)
+    first, second, third = which_axis_wins(all_five)
+    assert "wins on 2 of 5 (garnet red, satin rosaline rgb)" in first
+    assert "confirms only in part" in first
+    assert "the half vector wins 0 of 10 comparisons" in second
+    assert "garnet red" in third
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["satin_rosaline", "golden_yellow"])
+def test_a_finer_grid_changes_no_error(calibrated, data_folder, monkeypatch, name):
+    """The figures are the table's, not the grid's it was read off on."""
+    coarse = calibrated(name)
+    monkeypatch.setattr(measured_brdf, "HALF_ELEVATIONS", 44)
+    monkeypatch.setattr(measured_brdf, "HALF_AZIMUTHS", 32)
+    fine = calibrate_brdf(read_measured_brdf(data_folder / FILES[name]))
+    assert len(fine.measured.values) > 2 * len(coarse.measured.values)
+    assert fine.model == coarse.model
+    for model in coarse.held_out:
+        np.testing.assert_allclose(
+            fine.held_out[model].relative, coarse.held_out[model].relative, rtol=0.05
+        )

@@ -1,0 +1,244 @@
+"""The families of BRDFs where naive formulas break: grazing, opposite and coincident directions,
+roughness from 1e-4 to 1, exponents to a million; both precisions, values against 50 digits on the
+very floating-point inputs, gradients finite."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from oracles import exact
+
+from jaxvision import as_dtype, brdf
+from jaxvision.brdf import microfacet
+from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
+from jaxvision.brdf.dichromatic import Dichromatic
+from jaxvision.brdf.dichromatic_separation import (
+    body_colour,
+    illuminant_from_planes,
+    plane_normal,
+    separate,
+)
+from jaxvision.brdf.fresnel import Conductor, Dielectric
+from jaxvision.brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
+from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.mirror import Mirror
+from jaxvision.brdf.oren_nayar import OrenNayar
+from jaxvision.brdf.phong import NormalisedPhong, Phong, PhongBRDF
+from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+
+both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+RNG = np.random.default_rng(23)
+
+
+def near_mirror(spread, count=24):
+    """Pairs whose half vectors lie about `spread` radians from the normal, from normal to grazing
+    incidence."""
+    pairs = []
+    while len(pairs) < count:
+        theta = 0.02 + 1.54 * len(pairs) / (count - 1)
+        turn = RNG.uniform(0, 2 * np.pi)
+        wo = np.array([np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.cos(theta)])
+        h = np.append(RNG.normal(size=2) * spread, 1)
+        h /= np.linalg.norm(h)
+        wi = 2 * (h @ wo) * h - wo
+        if wi[2] > 0:
+            pairs.append((wi, wo))
+    return np.array(pairs)
+
+
+def half(wi, wo):
+    total = [a + b for a, b in zip(wi, wo, strict=True)]
+    return [c / exact.length(total) for c in total]
+
+
+def hidden(w, alpha, distribution):
+    """z Lambda of Heitz (2014)."""
+    t = mp.hypot(alpha[0] * w[0], alpha[1] * w[1])
+    a = w[2] / t
+    if distribution == "ggx":
+        return w[2] * (mp.sqrt(1 + 1 / a**2) - 1) / 2
+    return w[2] * ((mp.erf(a) - 1) / 2 + mp.exp(-a * a) / (2 * a * mp.sqrt(mp.pi)))
+
+
+def torrance_sparrow(wi, wo, alpha, distribution, shadowing):
+    h = half(wi, wo)
+    across = (h[0] / alpha[0]) ** 2 + (h[1] / alpha[1]) ** 2
+    scale = mp.pi * alpha[0] * alpha[1]
+    if distribution == "ggx":
+        d = 1 / (scale * (across + h[2] ** 2) ** 2)
+    else:
+        d = mp.exp(-across / h[2] ** 2) / (scale * h[2] ** 4)
+    if shadowing == "smith":
+        parts = [hidden(w, alpha, distribution) / w[2] for w in (wi, wo)]
+        g = 1 / (1 + parts[0] + parts[1])
+    else:
+        facing = exact.dot(wo, h)
+        g = min(1, 2 * h[2] * wo[2] / facing, 2 * h[2] * wi[2] / facing)
+    steepness = across / h[2] ** 2
+    return d * g / (4 * wi[2] * wo[2]), steepness
+
+
+@both_precisions
+@pytest.mark.parametrize("roughness", [1e-4, 1e-2, 0.3, 1.0])
+@pytest.mark.parametrize(
+    ("distribution", "shadowing"), [("ggx", "smith"), ("beckmann", "smith"), ("ggx", "v-cavity")]
+)
+def test_torrance_sparrow_in_ulps(dtype, roughness, distribution, shadowing):
+    """From the two rounded directions to f_r; the exponential of a Beckmann surface magnifies
+    rounding by its own argument. (A half vector's angle by arccos is off by half at 1e-4.)"""
+    alpha = roughness * np.array([1.0, 1.3])
+    material = as_dtype(
+        TorranceSparrow([0.0], [1.0], alpha, distribution=distribution, shadowing=shadowing),
+        dtype,
+    )
+    pairs = jnp.asarray(near_mirror(roughness), dtype)
+    got = quick_jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))(
+        material, pairs[:, 0], pairs[:, 1]
+    )[:, 0]
+    rounded = [exact.number(a) for a in material.roughness]
+    for (wi, wo), value in zip(pairs, got, strict=True):
+        truth, steepness = torrance_sparrow(
+            exact.vector(wi), exact.vector(wo), rounded, distribution, shadowing
+        )
+        assert exact.ulps(value, truth) <= 32 + 8 * float(steepness)
+
+
+@both_precisions
+@pytest.mark.parametrize("exponent", [1.0, 1e3, 1e6])
+def test_blinn_in_ulps(dtype, exponent):
+    material = as_dtype(BlinnBRDF([0.0], [1.0], exponent), dtype)
+    pairs = jnp.asarray(near_mirror(1 / np.sqrt(exponent)), dtype)
+    got = quick_jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))(
+        material, pairs[:, 0], pairs[:, 1]
+    )[:, 0]
+    for (wi, wo), value in zip(pairs, got, strict=True):
+        cos = half(exact.vector(wi), exact.vector(wo))[2]
+        argument = abs(exponent * mp.log(cos))
+        assert exact.ulps(value, cos**exponent) <= 8 + 4 * float(argument)
+
+
+@both_precisions
+def test_masking_at_grazing_angles_in_ulps(dtype):
+    """z Lambda(w) down to z = 1e-7, where Lambda itself is 1e7. Of a Beckmann surface it is a
+    difference that underflows far from grazing: there it counts in units of z."""
+    alpha = jnp.asarray([0.1, 0.4], dtype)
+    for z in (1e-7, 1e-4, 0.05, 0.5):
+        w = jnp.asarray([0.6, 0.8, z], dtype)
+        for distribution in ("ggx", "beckmann"):
+            got = microfacet.hidden_cosine(w, alpha, distribution=distribution)
+            truth = hidden(exact.vector(w), exact.vector(alpha), distribution)
+            error = abs(exact.number(got) - truth)
+            assert error <= 8 * float(jnp.finfo(dtype).eps) * (truth + exact.number(w[2]) / 4)
+
+
+def microfacets(**options):
+    return [TorranceSparrow([0.1], [1.0], alpha, **options) for alpha in (0.0, 1e-4, 1.0)]
+
+
+# Materials of one structure, the extremes of each parameter.
+MATERIALS = {
+    "lambert": [Lambert([0.3])],
+    "mirror": [Mirror([0.9])],
+    "phong": [Phong([0.3], [0.5], 1e6), Phong([0.0], [0.0], 0.0)],
+    "phong brdf": [PhongBRDF([0.3], [0.5], 1e6), PhongBRDF([0.0], [1.0], 0.0)],
+    "normalised phong": [NormalisedPhong([0.3], [0.5], n) for n in (0.0, 1e6)],
+    "gaussian": [GaussianLobe([0.3], [0.5], c) for c in (0.0, 1e3)],
+    "gaussian brdf": [GaussianLobeBRDF([0.3], [0.5], c) for c in (0.0, 1e3)],
+    "blinn": [Blinn([0.3], [0.5], n) for n in (0.0, 1e6)],
+    "normalised blinn": [NormalisedBlinn([0.3], [0.5], n) for n in (0.0, 1e6)],
+    "ggx": microfacets(interface=Conductor([0.2], [3.0])),
+    "beckmann, v-cavity": microfacets(
+        interface=Dielectric([1.5]), distribution="beckmann", shadowing="v-cavity"
+    ),
+    "oren-nayar": [OrenNayar([0.3], sigma) for sigma in (0.0, 1.0)],
+    "full oren-nayar": [OrenNayar([0.3], sigma, form="full") for sigma in (0.0, 1.0)],
+    "dichromatic": [Dichromatic(Lambert([0.3]), Blinn([0.0], [1.0], 9.0), [1.0], [0.0])],
+    "beckmann": microfacets(distribution="beckmann"),
+}
+EDGES = {
+    "both along the normal": ([0, 0, 1], [0, 0, 1]),
+    "mirror": ([0.6, 0, 0.8], [-0.6, 0, 0.8]),
+    "retro": ([0.6, 0, 0.8], [0.6, 0, 0.8]),
+    "grazing light": ([1, 0, 1e-7], [0, 0, 1]),
+    "grazing view": ([0, 0, 1], [0, 1, 1e-7]),
+    "grazing both, across": ([1, 0, 1e-7], [-1, 0, 1e-7]),
+    "grazing both, back": ([1, 0, 1e-7], [1, 0, 1e-7]),
+    "light below": ([0, 0, -1], [0, 0, 1]),
+    "opposite": ([0.6, 0, -0.8], [-0.6, 0, 0.8]),
+    "in the surface": ([1, 0, 0], [-1, 0, 0]),
+    "no direction": ([0, 0, 0], [0, 0, 1]),
+}
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "beckmann")) for name in MATERIALS],
+)
+def test_all_five_functions_are_finite_at_every_edge(dtype, name):
+    """Values not negative, and gradients in the material and both directions finite."""
+    materials = as_dtype(jax.tree.map(lambda *x: jnp.stack(x), *MATERIALS[name]), dtype)
+    wi, wo = (jnp.asarray([pair[i] for pair in EDGES.values()], dtype) for i in (0, 1))
+    corners = jnp.asarray(
+        [[a, b, c] for a in (0, 0.999) for b in (0, 0.5) for c in (0, 0.999)], dtype
+    )
+
+    def of_a_pair(m, i, o):
+        return jnp.stack([brdf.evaluate(m, i, o)[0], brdf.shading(m, i, o)[0], brdf.pdf(m, i, o)])
+
+    def of_a_view(m, o):
+        return brdf.albedo(m, o)[0]
+
+    def of_a_sample(m, o, u):
+        return jnp.stack(brdf.sample(m, o, u))
+
+    def everything(m):
+        each = jax.vmap(jax.jacrev(of_a_pair, argnums=(0, 1, 2)), in_axes=(None, 0, 0))
+        samples = jax.vmap(jax.jacrev(of_a_sample, argnums=(0, 1)), in_axes=(None, 0, None))
+        return (
+            jax.vmap(of_a_pair, in_axes=(None, 0, 0))(m, wi, wo),
+            each(m, wi, wo),
+            jax.vmap(samples, in_axes=(None, None, 0))(m, wo, corners),
+        )
+
+    def albedos(m):
+        views = jax.vmap(jax.value_and_grad(of_a_view, argnums=(0, 1)), in_axes=(None, 0))
+        return views(m, wo)
+
+    values, *slopes = quick_jit(jax.vmap(everything))(materials)
+    assert (values >= 0).all()
+    shine, *albedo_slopes = quick_jit(jax.vmap(albedos))(materials)
+    assert (shine >= 0).all()
+    for leaf in jax.tree.leaves((values, slopes, shine, albedo_slopes)):
+        assert jnp.isfinite(leaf).all()
+        assert leaf.dtype == dtype
+
+
+@both_precisions
+def test_separation_of_degenerate_pictures_is_finite(dtype):
+    """Black, of one colour, along the illuminant, and negative by noise."""
+    light = jnp.asarray([1, 0.9, 0.7], dtype)
+    rows = jnp.stack([0 * light, light, 1 - light, -light / 100])
+
+    def everything(image):
+        normal, sizes = plane_normal(image)
+        return (
+            separate(image, light),
+            separate(image, light, body=light),
+            body_colour(image, light),
+            normal,
+            sizes,
+        )
+
+    slope = jax.grad(lambda x: separate(x, light).residual.sum())
+    degenerate = quick_jit(jax.vmap(everything))(
+        jnp.stack([0 * rows, jnp.broadcast_to(light, rows.shape), rows])
+    )
+    firmness = quick_jit(illuminant_from_planes)(0 * rows[:2])
+    for leaf in jax.tree.leaves((degenerate, quick_jit(slope)(rows), firmness)):
+        assert jnp.isfinite(leaf).all()
+        assert leaf.dtype == dtype

@@ -1,0 +1,168 @@
+"""Colour conversions where a naive formula loses digits: near greys, near black, far apart.
+
+Values against 50 digits on the very floating-point inputs, the error in units of the last place of
+the largest term that enters; gradients finite.
+"""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from oracles import exact
+
+from jaxvision import colour_spaces as cs
+from jaxvision.compositing import over, unpremultiply
+from jaxvision.point_ops import filmic, log_curve, reinhard, srgb_decode, srgb_encode
+
+both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+RNG = np.random.default_rng(17)
+QUICK = {"xla_backend_optimization_level": 0}
+WHITE = [0.95045, 1.0, 1.08906]
+
+
+def eps(dtype):
+    return float(jnp.finfo(dtype).eps)
+
+
+def numbers(x):
+    return [exact.number(v) for v in x]
+
+
+def lightness(t):
+    return mp.cbrt(t) if t > mp.mpf(216) / 24389 else t * mp.mpf(841) / 108 + mp.mpf(4) / 29
+
+
+@both_precisions
+def test_lab_and_luv_of_near_greys_and_near_blacks(dtype):
+    """Lab takes differences of nearly equal cube roots: an error of 500 ulp(f) in a*, of a
+    conditioning that no formula escapes. u' - u'_n over one denominator keeps its digits."""
+    white = jnp.asarray(WHITE, dtype)
+    xn, yn, zn = numbers(white)
+    colours = [
+        scale * (np.asarray(WHITE) * (1 + 1e-3 * RNG.normal(size=3)))
+        for scale in (1e-12, 1e-6, 0.00885, 0.00886, 0.2, 1.0, 100.0)
+    ]
+    xyz = jnp.asarray(colours, dtype)
+    lab, luv = (
+        jax.jit(f, compiler_options=QUICK)(xyz, white) for f in (cs.xyz_to_lab, cs.xyz_to_luv)
+    )
+    for colour, got_lab, got_luv in zip(xyz, lab, luv, strict=True):
+        x, y, z = numbers(colour)
+        fx, fy, fz = (lightness(v) for v in (x / xn, y / yn, z / zn))
+        true_lab = [116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)]
+        for got, truth, size in zip(got_lab, true_lab, (116 * fy, 500 * fx, 200 * fy), strict=True):
+            assert abs(exact.number(got) - truth) <= 4 * eps(dtype) * size
+        total, total_n = x + 15 * y + 3 * z, xn + 15 * yn + 3 * zn
+        scale = 13 * true_lab[0]
+        u = scale * (4 * x / total - 4 * xn / total_n)
+        v = scale * (9 * y / total - 9 * yn / total_n)
+        # L* itself carries 4 eps (116 f) / L*, the difference of products 4 eps of one product
+        of_lightness = 116 * fy / true_lab[0]
+        for got, truth, share in ((got_luv[1], u, 4 * xn), (got_luv[2], v, 9 * yn)):
+            bound = abs(truth) * of_lightness + scale * share / total_n
+            assert abs(exact.number(got) - truth) <= 6 * eps(dtype) * bound
+
+
+def chroma_weight(c):
+    return mp.sqrt(c**7 / (c**7 + mp.mpf(25) ** 7))
+
+
+def hue(a, b):
+    return mp.mpf(0) if a == b == 0 else mp.atan2(b, a) % (2 * mp.pi)
+
+
+def delta_e(first, second):
+    """Sharma's equations in the order of the paper."""
+    l1, a1, b1 = numbers(first)
+    l2, a2, b2 = numbers(second)
+    g = (1 - chroma_weight((mp.hypot(a1, b1) + mp.hypot(a2, b2)) / 2)) / 2
+    a1, a2 = (1 + g) * a1, (1 + g) * a2
+    c1, c2, h1, h2 = mp.hypot(a1, b1), mp.hypot(a2, b2), hue(a1, b1), hue(a2, b2)
+    dh = h2 - h1
+    if c1 * c2 == 0:
+        dh = mp.mpf(0)
+    elif dh > mp.pi:
+        dh -= 2 * mp.pi
+    elif dh < -mp.pi:
+        dh += 2 * mp.pi
+    d_hue = 2 * mp.sqrt(c1 * c2) * mp.sin(dh / 2)
+    mean_l, mean_c, mean_h = (l1 + l2) / 2, (c1 + c2) / 2, (h1 + h2) / 2
+    if c1 * c2 == 0:
+        mean_h = h1 + h2
+    elif abs(h1 - h2) > mp.pi:
+        mean_h += mp.pi if h1 + h2 < 2 * mp.pi else -mp.pi
+    deg = mp.pi / 180
+    t = 1 - mp.mpf("0.17") * mp.cos(mean_h - 30 * deg) + mp.mpf("0.24") * mp.cos(2 * mean_h)
+    t += mp.mpf("0.32") * mp.cos(3 * mean_h + 6 * deg) - mp.mpf("0.2") * mp.cos(
+        4 * mean_h - 63 * deg
+    )
+    theta = 30 * deg * mp.exp(-(((mean_h / deg - 275) / 25) ** 2))
+    r_t = -2 * chroma_weight(mean_c) * mp.sin(2 * theta)
+    s_l = 1 + mp.mpf("0.015") * (mean_l - 50) ** 2 / mp.sqrt(20 + (mean_l - 50) ** 2)
+    light, c = (l2 - l1) / s_l, (c2 - c1) / (1 + mp.mpf("0.045") * mean_c)
+    h = d_hue / (1 + mp.mpf("0.015") * mean_c * t)
+    return mp.sqrt(light * light + c * c + h * h + r_t * c * h)
+
+
+@both_precisions
+def test_delta_e_2000_of_greys_and_close_colours(dtype):
+    """Chroma from 0 to 1e4, whose 7th power float32 cannot hold. The hue of each colour is rounded
+    to eps of a turn, which the chroma turns into a difference of its own size."""
+    pairs = [
+        ([50, 0, 0], [50, 0, 0]),
+        ([50, 0, 0], [51, 1e-4, 0]),
+        ([0, 0, 0], [100, 0, 0]),
+        ([50, 1e4, -1e4], [60, 9e3, -1.1e4]),
+        ([30, 20, -70], [30.01, 20.01, -70.02]),
+        ([30, 1e-8, 1e-8], [30, -1e-8, 1e-8]),
+    ]
+    first, second = (jnp.asarray([pair[i] for pair in pairs], dtype) for i in (0, 1))
+    both = jax.jit(jax.vmap(jax.value_and_grad(cs.delta_e_2000)), compiler_options=QUICK)
+    found, slope = both(first, second)
+    assert jnp.isfinite(slope).all()
+    for got, one, two in zip(found, first, second, strict=True):
+        truth = delta_e(one, two)
+        chroma = max(mp.hypot(*numbers(x)[1:]) for x in (one, two))
+        assert abs(exact.number(got) - truth) <= eps(dtype) * (40 * truth + 16 * chroma)
+
+
+@both_precisions
+@pytest.mark.parametrize("strength", [1e-3, 255.0, 1e6])
+def test_tone_curves_in_ulps(dtype, strength):
+    x = jnp.asarray([1e-30, 1e-7, 0.18, 1.0, 1e6, 1e30], dtype)
+    s = jnp.asarray(strength, dtype)
+    for got, curved, value in zip(reinhard(x), log_curve(x, s), x, strict=True):
+        v = exact.number(value)
+        assert exact.ulps(got, v / (1 + v)) <= 2
+        assert exact.ulps(curved, mp.log1p(exact.number(s) * v) / mp.log1p(exact.number(s))) <= 4
+    for got, value in zip(filmic(x), x, strict=True):
+        v = exact.number(value)
+        constants = [mp.mpf(c) for c in ("2.51", "0.03", "2.43", "0.59", "0.14")]
+        a, b, c, d, e = constants
+        assert exact.ulps(got, min(v * (a * v + b) / (v * (c * v + d) + e), mp.mpf(1))) <= 6
+
+
+@both_precisions
+def test_srgb_in_ulps(dtype):
+    """exponent 1 / 2.4 is rounded to the dtype: |log x| / 2.4 units, 4 at most here."""
+    x = jnp.asarray(np.geomspace(0.0032, 50, 40), dtype)
+    for got, value in zip(srgb_encode(x), x, strict=True):
+        truth = mp.mpf("1.055") * exact.number(value) ** (1 / mp.mpf("2.4")) - mp.mpf("0.055")
+        assert exact.ulps(got, truth) <= 8
+    x = jnp.asarray(np.geomspace(0.041, 5, 40), dtype)
+    for got, value in zip(srgb_decode(x), x, strict=True):
+        truth = ((exact.number(value) + mp.mpf("0.055")) / mp.mpf("1.055")) ** mp.mpf("2.4")
+        assert exact.ulps(got, truth) <= 12
+
+
+@both_precisions
+def test_a_thousand_faint_layers(dtype):
+    """Coverage of n layers of alpha a is 1 - (1 - a)^n: rounding adds up to n eps / 2 at most."""
+    alpha, n = 1e-3, 1000
+    layer = jnp.asarray([alpha / 2, alpha], dtype)
+    stacked = jax.lax.fori_loop(0, n, lambda _, below: over(layer, below), jnp.zeros(2, dtype))
+    covered = -mp.expm1(n * mp.log1p(-exact.number(layer[1])))
+    assert abs(exact.number(stacked[1]) - covered) <= n * eps(dtype) / 2
+    colour = unpremultiply(stacked)
+    assert abs(float(colour[0]) - 0.5) <= n * eps(dtype)

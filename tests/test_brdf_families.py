@@ -1,0 +1,423 @@
+"""Every family of BRDFs under the same laws: one table, one compiled function for each.
+
+Reciprocity, energy and reduction to the isotropic case where a family promises them, and the
+figure where it does not; samples against their density; albedo against adaptive quadrature and
+against the estimate that the sampler makes.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import brdfs
+from scipy import stats
+
+from jaxvision import (
+    AmbientLight,
+    DirectionalLight,
+    Orthographic,
+    Scene,
+    Sphere,
+    Surface,
+    brdf,
+    mirror_direction,
+    outgoing_radiance,
+    render,
+)
+from jaxvision._numerics import dot
+from jaxvision.brdf import microfacet
+from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
+from jaxvision.brdf.dichromatic import Dichromatic
+from jaxvision.brdf.fresnel import Conductor, Dielectric
+from jaxvision.brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
+from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.mirror import Mirror
+from jaxvision.brdf.oren_nayar import OrenNayar
+from jaxvision.brdf.phong import NormalisedPhong, Phong, PhongBRDF
+from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+from jaxvision.hemisphere import local_frame, product_nodes, to_world
+from jaxvision.scene import Material
+
+RNG = np.random.default_rng(17)
+KD, KS, ONE = [0.06, 0.1], [0.5, 0.4], [1.0]
+GLASS, GOLD = Dielectric([1.5, 1.5]), Conductor([0.2, 0.4], [3.1, 2.4])
+
+# name: (material, the same thing in plain NumPy for one pair of directions)
+FAMILIES = {
+    "lambert": (Lambert(KD), partial(brdfs.lambert, kd=KD)),
+    "phong shading": (
+        Phong(KD, KS, 12.0),
+        partial(brdfs.phong, kd=KD, ks=KS, n=12, kind="shading"),
+    ),
+    "phong brdf": (PhongBRDF(KD, KS, 12.0), partial(brdfs.phong, kd=KD, ks=KS, n=12, kind="brdf")),
+    "normalised phong": (
+        NormalisedPhong(KD, KS, 12.0),
+        partial(brdfs.phong, kd=KD, ks=KS, n=12, kind="normalised"),
+    ),
+    "gaussian shading": (
+        GaussianLobe(KD, KS, 2.5),
+        partial(brdfs.gaussian, kd=KD, ks=KS, c=2.5, kind="shading"),
+    ),
+    "gaussian brdf": (
+        GaussianLobeBRDF(KD, KS, 2.5),
+        partial(brdfs.gaussian, kd=KD, ks=KS, c=2.5, kind="brdf"),
+    ),
+    "blinn shading": (
+        Blinn(KD, KS, 40.0),
+        partial(brdfs.blinn, kd=KD, ks=KS, n=40, kind="shading"),
+    ),
+    "blinn brdf": (BlinnBRDF(KD, KS, 40.0), partial(brdfs.blinn, kd=KD, ks=KS, n=40, kind="brdf")),
+    "normalised blinn": (
+        NormalisedBlinn(KD, KS, 40.0),
+        partial(brdfs.blinn, kd=KD, ks=KS, n=40, kind="normalised"),
+    ),
+    "ggx": (
+        TorranceSparrow(KD, ONE, 0.3, interface=GLASS),
+        partial(brdfs.torrance_sparrow, kd=KD, ks=1, alpha=(0.3, 0.3), eta=[1.5, 1.5], k=[0, 0]),
+    ),
+    "anisotropic ggx": (
+        TorranceSparrow(KD, ONE, [0.2, 0.6], interface=GOLD),
+        partial(
+            brdfs.torrance_sparrow, kd=KD, ks=1, alpha=(0.2, 0.6), eta=[0.2, 0.4], k=[3.1, 2.4]
+        ),
+    ),
+    "anisotropic beckmann": (
+        TorranceSparrow(KD, KS, [0.5, 0.25], distribution="beckmann"),
+        partial(brdfs.torrance_sparrow, kd=KD, ks=KS, alpha=(0.5, 0.25), distribution="beckmann"),
+    ),
+    "v-cavity beckmann": (
+        TorranceSparrow(KD, ONE, 0.4, distribution="beckmann", shadowing="v-cavity"),
+        partial(
+            brdfs.torrance_sparrow,
+            kd=KD,
+            ks=1,
+            alpha=(0.4, 0.4),
+            distribution="beckmann",
+            shadowing="v-cavity",
+        ),
+    ),
+    "oren-nayar": (OrenNayar(KD, 0.5), partial(brdfs.oren_nayar, kd=KD, sigma=0.5, full=False)),
+    "full oren-nayar": (
+        OrenNayar(KD, 0.5, form="full"),
+        partial(brdfs.oren_nayar, kd=KD, sigma=0.5, full=True),
+    ),
+    "dichromatic": (
+        Dichromatic(Lambert([0.3]), NormalisedPhong([0.0], ONE, 20.0), [0.2, 0.5], [0.6, 0.5]),
+        partial(brdfs.phong, kd=[0.06, 0.15], ks=[0.6, 0.5], n=20, kind="normalised"),
+    ),
+}
+NOT_RECIPROCAL = {"phong shading", "gaussian shading", "blinn shading"}
+every_family = pytest.mark.parametrize("name", FAMILIES)
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+# One compiled function of each kind for all materials of one structure.
+EVALUATE = quick_jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))
+PDF = quick_jit(jax.vmap(brdf.pdf, in_axes=(None, 0, None)))
+SAMPLE = quick_jit(jax.vmap(brdf.sample, in_axes=(None, None, 0)))
+ALBEDO = quick_jit(jax.vmap(brdf.albedo, in_axes=(None, 0)))
+
+
+def towards(theta, phi):
+    """Unit vectors (..., 3) at polar angle and azimuth."""
+    theta, phi = np.broadcast_arrays(theta, phi)
+    return np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
+    )
+
+
+def random_pairs(count):
+    theta, phi = RNG.uniform(0, 1.55, (2, count)), RNG.uniform(0, 2 * np.pi, (2, count))
+    wi, wo = towards(theta, phi)
+    return jnp.asarray(wi), jnp.asarray(wo)
+
+
+PAIRS = random_pairs(200)
+VIEWS = jnp.asarray(towards([0.0, 0.7, 1.2, 1.45], [0.0, 0.4, 2.0, 4.0]))
+
+
+@every_family
+def test_against_plain_numpy(name):
+    material, plain = FAMILIES[name]
+    pairs = zip(*map(np.asarray, PAIRS), strict=True)
+    expected = np.array([plain(wi, wo) for wi, wo in pairs])
+    got = EVALUATE(material, *PAIRS)
+    assert got.shape == (200, 2)
+    assert (got >= 0).all()
+    np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-14)
+
+
+@every_family
+def test_dark_where_either_side_lies_below(name):
+    material, _ = FAMILIES[name]
+    wi, wo = PAIRS
+    flip = jnp.asarray([[1.0, 1.0, -1.0]])
+    for pair in ((wi * flip, wo), (wi, wo * flip), (wi * flip, wo * flip)):
+        assert (EVALUATE(material, *pair) == 0).all()
+
+
+@every_family
+def test_reciprocity(name):
+    """Where promised, to rounding; of the shading forms the ratio is that of the cosines."""
+    material, _ = FAMILIES[name]
+    wi, wo = PAIRS
+    there, back = EVALUATE(material, wi, wo), EVALUATE(material, wo, wi)
+    if name in NOT_RECIPROCAL:
+        specular = there - jnp.asarray([KD]), back - jnp.asarray([KD])
+        sides = specular[0] * wi[:, 2:], specular[1] * wo[:, 2:]
+        np.testing.assert_allclose(*sides, rtol=1e-9, atol=1e-14)
+        assert float(jnp.abs(there / back - 1).max()) > 0.5
+    else:
+        np.testing.assert_allclose(there, back, rtol=1e-11, atol=1e-15)
+
+
+@every_family
+def test_turning_both_about_the_normal(name):
+    """Nothing changes, unless the surface is anisotropic."""
+    material, _ = FAMILIES[name]
+    c, s = np.cos(1.1), np.sin(1.1)
+    turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    wi, wo = PAIRS
+    before, after = EVALUATE(material, wi, wo), EVALUATE(material, wi @ turn.T, wo @ turn.T)
+    if "anisotropic" in name:
+        assert float(jnp.abs(after / before - 1).max()) > 0.5
+    else:
+        np.testing.assert_allclose(after, before, rtol=1e-10, atol=1e-15)
+
+
+@every_family
+def test_albedo_against_adaptive_quadrature(name):
+    """Closed azimuths are exact; the two-dimensional rules err by what they promise."""
+    material, plain = FAMILIES[name]
+    got = ALBEDO(material, VIEWS)
+    tolerance = 2e-4 if isinstance(material, TorranceSparrow | OrenNayar) else 1e-6
+    for view in (1, 2):
+        expected = brdfs.albedo(plain, np.asarray(VIEWS[view]))
+        np.testing.assert_allclose(got[view], expected, rtol=tolerance)
+
+
+@every_family
+def test_the_density_integrates_to_one(name):
+    """Over the whole sphere: below the surface lie the samples that carry no light."""
+    material, _ = FAMILIES[name]
+    node, weight = np.polynomial.legendre.leggauss(128)
+    theta = np.pi / 2 * (node + 1)
+    weights = np.repeat(np.pi / 2 * weight * np.sin(theta) * 2 * np.pi / 128, 128)
+    around = towards(theta[:, None], 2 * np.pi * np.arange(128) / 128).reshape(-1, 3)
+    for wo in VIEWS[:3]:  # about the viewer, where half vectors crowd or thin out
+        nodes = jax.vmap(to_world, in_axes=(None, 0))(local_frame(wo), jnp.asarray(around))
+        density = PDF(material, nodes, wo)
+        assert (density >= 0).all()
+        np.testing.assert_allclose(density @ weights, 1, atol=2e-3)
+
+
+@every_family
+def test_samples_follow_their_density(name):
+    """Chi-square over 12 x 16 cells of equal solid angle on the whole sphere."""
+    material, _ = FAMILIES[name]
+    wo, count, rows, columns, fine = VIEWS[1], 40_000, 12, 16, 12
+    u = jnp.asarray(RNG.uniform(size=(count, 3)))
+    w = np.asarray(SAMPLE(material, wo, u))
+    np.testing.assert_allclose(np.linalg.norm(w, axis=1), 1, rtol=1e-9)
+    phi = np.arctan2(w[:, 1], w[:, 0]) % (2 * np.pi)
+    observed, *_ = np.histogram2d(
+        w[:, 2], phi, bins=(rows, columns), range=((-1, 1), (0, 2 * np.pi))
+    )
+    z = -1 + (np.arange(rows * fine) + 0.5) * 2 / (rows * fine)
+    azimuth = (np.arange(columns * fine) + 0.5) * 2 * np.pi / (columns * fine)
+    grid = towards(np.arccos(z)[:, None], azimuth).reshape(-1, 3)
+    density = np.asarray(PDF(material, jnp.asarray(grid), wo))
+    expected = density.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
+    expected *= count * 4 * np.pi / (rows * columns)
+    many = expected > 10
+    few_seen, few_meant = observed[~many].sum(), expected[~many].sum()
+    chi = ((observed - expected)[many] ** 2 / expected[many]).sum()
+    if few_meant > 1:
+        chi += (few_seen - few_meant) ** 2 / few_meant
+    assert stats.chi2.sf(chi, many.sum()) > 1e-4
+
+
+@every_family
+def test_the_samplers_estimate_is_the_albedo(name):
+    """f cos / pdf, averaged: within four of its own standard errors."""
+    material, _ = FAMILIES[name]
+    for view in (1, 2):
+        wo = VIEWS[view]
+        u = jnp.asarray(RNG.uniform(size=(20_000, 3)))
+        wi = SAMPLE(material, wo, u)
+        density = PDF(material, wi, wo)[:, None]
+        value = EVALUATE(material, wi, jnp.broadcast_to(wo, wi.shape)) * jnp.maximum(wi[:, 2:], 0)
+        weight = jnp.where(density > 0, value / jnp.where(density > 0, density, 1), 0)
+        error = weight.std(axis=0) / np.sqrt(len(u))
+        gap = jnp.abs(weight.mean(axis=0) - ALBEDO(material, VIEWS)[view])
+        assert (gap <= 4 * error + 1e-4).all()
+
+
+# ------------------------------------------------ energy
+
+
+CLOSED = {  # families that promise albedo <= pi k_d + k_s, at their limit pi k_d + k_s = 1
+    **{f"normalised phong {n}": NormalisedPhong([0.0], ONE, n) for n in (0.0, 1.0, 10.0, 1e3, 1e6)},
+    **{f"normalised blinn {n}": NormalisedBlinn([0.0], ONE, n) for n in (0.0, 1.0, 10.0, 1e3, 1e6)},
+    **{
+        f"{d} {s} {a}": TorranceSparrow([0.0], ONE, a, distribution=d, shadowing=s)
+        for d in ("ggx", "beckmann")
+        for s in ("smith", "v-cavity")
+        for a in (1e-3, 0.1, 0.5, 1.0)
+    },
+}
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_no_more_is_reflected_than_arrives(name):
+    """Albedo from the normal to grazing, with the coefficients at the limit of the promise."""
+    views = jnp.asarray(towards(np.concatenate([np.linspace(0, 1.5, 12), [1.55, 1.57]]), 0.3))
+    got = np.asarray(ALBEDO(CLOSED[name], views))
+    assert (got > 0).all()
+    assert got.max() <= 1 + (2e-3 if "v-cavity" in name else 1e-4)
+
+
+def test_white_furnace():
+    """Albedo 1 returns everything: Lambert from everywhere, a smooth Oren-Nayar, the normalised
+    lobes along the normal, a polished Torrance-Sparrow, and a mirror."""
+    views = VIEWS[:3]
+    white = [Lambert([1 / np.pi]), OrenNayar([1 / np.pi], 0.0), TorranceSparrow([0.0], ONE, 1e-3)]
+    for material in white:
+        np.testing.assert_allclose(ALBEDO(material, views), 1, rtol=1e-5)
+    for material in (NormalisedPhong([0.0], ONE, 7.0), NormalisedBlinn([0.0], ONE, 7.0)):
+        np.testing.assert_allclose(ALBEDO(material, views[:1]), 1, rtol=1e-9)
+
+
+def test_what_the_textbook_lobes_and_the_full_oren_nayar_do_to_energy():
+    """The measured figures where nothing is promised. Energy: what of light from `wi` goes out,
+    which for a lobe that is not reciprocal is not its albedo."""
+    grazing = jnp.asarray(towards(np.array([1.5]), 0.0))
+    nodes, weights = product_nodes(64, 128)
+
+    def sent_out(material):
+        wi = jnp.broadcast_to(grazing, nodes.shape)
+        return float((weights * nodes[:, 2]) @ EVALUATE(material, wi, jnp.asarray(nodes))[:, 0])
+
+    # k_s such that a normal view sees albedo 1
+    np.testing.assert_allclose(sent_out(Phong([0.0], [11 / (2 * np.pi)], 10.0)), 2.09, atol=0.01)
+    np.testing.assert_allclose(
+        sent_out(PhongBRDF([0.0], [12 / (2 * np.pi)], 10.0)), 0.161, atol=0.001
+    )
+    views = jnp.asarray(towards(np.linspace(0, 1.57, 14), 0.3))
+    for form, sigma, highest in (("qualitative", 0.2, 1.015), ("full", 0.3, 1.051)):
+        rough = ALBEDO(OrenNayar([1 / np.pi], sigma, form=form), views)
+        np.testing.assert_allclose(rough.max(), highest, atol=0.002)
+
+
+# ------------------------------------------------ a family of the user's own
+
+
+class Unregistered(Material):
+    """What nobody knows."""
+
+
+class Retroreflector(Material):
+    """k times the cosine between `wi` and `wo`: light goes back where it came from."""
+
+    strength: jax.Array
+
+
+def test_a_family_registered_by_a_script_works_everywhere():
+    """Five lines outside the library, and it is evaluated, sampled, integrated, summed and
+    rendered: nothing but its own equation was written."""
+    brdf.register(
+        Retroreflector,
+        evaluate=lambda m, wi, wo: jnp.where(
+            (wi.z > 0) & (wo.z > 0), m.strength * jnp.maximum(dot(wi, wo), 0), 0
+        ),
+    )
+    material = Retroreflector(jnp.asarray([0.2, 0.3]))
+    np.testing.assert_allclose(
+        ALBEDO(material, VIEWS[:1])[0], 2 * np.pi / 3 * material.strength, rtol=1e-4
+    )
+    u = jnp.asarray(RNG.uniform(size=3))
+    wi = brdf.sample(material, VIEWS[1], u)
+    np.testing.assert_allclose(brdf.pdf(material, wi, VIEWS[1]), wi[2] / np.pi, rtol=1e-12)
+    ball = Surface(Sphere([0, 0, 3], 1.0), material)
+    light = DirectionalLight([0, 0, -1], [1.0, 2.0])
+    view = Orthographic([0, 0, 0], np.eye(3), 0.5, resolution=(3, 3))
+    picture = quick_jit(lambda scene: render(scene, view))(Scene([ball], [light]))
+    # Seen along the light, wi = wo: f_r = k, times the irradiance and its cosine.
+    np.testing.assert_allclose(picture[1, 1], [0.2, 0.6], rtol=1e-12)
+    offset = float(picture[0, 1, 0])
+    np.testing.assert_allclose(picture[0, 1], [offset, 3 * offset], rtol=1e-12)
+    assert 0 < offset < 0.2
+
+
+def test_the_table_names_what_is_missing():
+    with pytest.raises(TypeError, match="Unregistered is no known material"):
+        brdf.evaluate(Unregistered(), *(w[0] for w in PAIRS))
+    with pytest.raises(ValueError, match="pdf without sample"):
+        brdf.register(Retroreflector, evaluate=brdf.evaluate, pdf=brdf.pdf)
+
+
+# ------------------------------------------------ the mirror
+
+
+def test_a_mirror_sends_all_light_one_way():
+    """No density; the sample is the mirror direction and its weight the albedo."""
+    material, wo = Mirror([0.9, 0.8]), VIEWS[1]
+    s = brdf.sample(material, wo, jnp.asarray([0.1, 0.2, 0.3]))
+    np.testing.assert_allclose(s, mirror_direction(jnp.asarray([0.0, 0, 1]), wo), rtol=1e-15)
+    np.testing.assert_array_equal(brdf.albedo(material, wo), [0.9, 0.8])
+    np.testing.assert_array_equal(brdf.evaluate(material, s, wo), [0, 0])
+    np.testing.assert_array_equal(brdf.pdf(material, s, wo), 0)
+
+
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+def test_facets_cover_the_surface_once_and_all_that_is_seen_is_seen(distribution):
+    """The integrals that define D and G1 (Heitz 2014, equations 3 and 14): the facets' areas
+    project to the surface's, and the visible ones to what the viewer sees of it."""
+    t, dt = np.polynomial.legendre.leggauss(200)
+    theta = np.pi / 4 * (t + 1)
+    weights = np.repeat(np.pi / 4 * dt * np.sin(theta) * 2 * np.pi / 128, 128)
+    h = jnp.asarray(towards(theta[:, None], 2 * np.pi * np.arange(128) / 128).reshape(-1, 3))
+    alpha = jnp.asarray([0.3, 0.5])
+    d = quick_jit(
+        jax.vmap(partial(microfacet.normal_distribution, alpha=alpha, distribution=distribution))
+    )(h)
+    np.testing.assert_allclose(weights @ (d * h[:, 2]), 1, rtol=1e-9)
+    for wo in VIEWS[1:]:
+        seen = float(wo[2]) + float(microfacet.hidden_cosine(wo, alpha, distribution=distribution))
+        facing = weights @ (d * jnp.maximum(h @ wo, 0))
+        np.testing.assert_allclose(seen, facing, rtol=2e-4)
+
+
+def test_neutral_and_shared_coefficients():
+    """k_s of one band serves all bands; one array may be k_a and k_d, and its gradient is then
+    the sum of both roles."""
+    wi, wo = PAIRS[0][0], PAIRS[1][0]
+    neutral = brdf.evaluate(PhongBRDF(KD, [0.3], 5.0), wi, wo)
+    spelled = brdf.evaluate(PhongBRDF(KD, [0.3, 0.3], 5.0), wi, wo)
+    np.testing.assert_array_equal(neutral, spelled)
+
+    def seen(shared, ambient):
+        material = Phong(shared, [0.3], 5.0, ambient=ambient)
+        light = DirectionalLight(wi, [1.0, 1.0])
+        up = jnp.asarray([0.0, 0.0, 1.0])
+        return outgoing_radiance(
+            material, [light], jnp.zeros(3), up, wo, ambient=AmbientLight([0.5, 0.5])
+        ).sum()
+
+    kd = jnp.asarray(KD)
+    apart = jax.grad(seen, argnums=(0, 1))(kd, kd)
+    np.testing.assert_allclose(jax.grad(lambda k: seen(k, k))(kd), sum(apart), rtol=1e-15)
+
+
+def test_the_tangent_turns_an_anisotropic_surface():
+    """In the world: turning the tangent is turning the light and the view the other way."""
+    material, _ = FAMILIES["anisotropic ggx"]
+    up = jnp.asarray([0.0, 0.0, 1.0])
+    wi, wo = PAIRS[0][0], PAIRS[1][0]
+    tangent = jnp.asarray([np.cos(0.8), np.sin(0.8), 0.4])  # its part along the normal is ignored
+    c, s = np.cos(-0.8), np.sin(-0.8)
+    turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    got = brdf.reflect(material, up, wi, wo, tangent=tangent)
+    np.testing.assert_allclose(got, brdf.shading(material, turn @ wi, turn @ wo), rtol=1e-12)
+    assert float(jnp.abs(got / brdf.reflect(material, up, wi, wo) - 1).max()) > 0.01

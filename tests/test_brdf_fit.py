@@ -1,0 +1,361 @@
+"""Lobes fitted to measured reflectance: optima against scipy, truths found again, errors of every
+incidence predicted unseen, refusals in words.
+
+Samples are `oracles.brdfs`': NumPy, angles, nothing of the library's.
+"""
+
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from oracles import brdfs
+from typer.testing import CliRunner
+
+from fitting import cli
+from fitting.brdf_calibration import (
+    calibrate_brdf,
+    errors,
+    prediction_of_held_out,
+)
+from fitting.brdf_fit import fit_model
+from fitting.measured_brdf import from_samples, read_measured_brdf
+from fitting.measured_reflectance import material_section, materials_section
+from fitting.posterior import SamplingOptions
+from fitting.reflectance_models import INDEX, MODELS, REFLECTANCES, unit_brdf
+from fitting.report import as_json
+from fitting.shared_shape import fit_shared_shape
+from jaxvision._vector import as_vec
+from jaxvision.brdf.measured import BRDFSamples
+from jaxvision.errors import InputError
+from jaxvision.measured_files import write_cornell
+
+KD, KS = np.array([0.05, 0.1, 0.2]), np.array([0.6, 0.5, 0.4])
+SHAPES = {"exponent": 60.0, "concentration": 6.0, "roughness": 0.3}
+
+
+def oracle(model, wi, wo, kd, ks, shape):
+    """f_r of one pair of directions by `oracles.brdfs`, one band per amplitude."""
+    k = {"kd": kd, "ks": ks}
+    index = {"eta": [INDEX] * len(kd), "k": [0.0] * len(kd)}
+    facets = {"alpha": (shape, shape), **k}
+    return {
+        "lambert": lambda: brdfs.lambert(wi, wo, kd=kd),
+        "oren-nayar": lambda: brdfs.oren_nayar(wi, wo, kd=kd, sigma=shape, full=False),
+        "phong": lambda: brdfs.phong(wi, wo, n=shape, kind="shading", **k),
+        "normalised-phong": lambda: brdfs.phong(wi, wo, n=shape, kind="normalised", **k),
+        "gaussian-lobe": lambda: brdfs.gaussian(wi, wo, c=shape, kind="shading", **k),
+        "blinn": lambda: brdfs.blinn(wi, wo, n=shape, kind="shading", **k),
+        "normalised-blinn": lambda: brdfs.blinn(wi, wo, n=shape, kind="normalised", **k),
+        "torrance-sparrow": lambda: brdfs.torrance_sparrow(
+            wi, wo, distribution="beckmann", **index, **facets
+        ),
+        "torrance-sparrow-ggx": lambda: brdfs.torrance_sparrow(wi, wo, **index, **facets),
+        "torrance-sparrow-metal": lambda: brdfs.torrance_sparrow(wi, wo, **facets),
+    }[model]()
+
+
+def angles():
+    """Five incidences, 40 viewers each, a third of them near the mirror direction."""
+    rng = np.random.default_rng(0)
+    theta_i = np.repeat(np.radians([10.0, 25, 40, 55, 70]), 40)
+    theta_o, phi_o = rng.uniform(0.02, 1.3, 200), rng.uniform(-np.pi, np.pi, 200)
+    near = np.arange(200) % 3 == 0
+    theta_o[near] = np.clip(theta_i[near] + 0.15 * rng.standard_normal(near.sum()), 0.01, 1.35)
+    phi_o[near] = np.pi + 0.2 * rng.standard_normal(near.sum())
+    return theta_i, np.full(200, 0.3), theta_o, phi_o + 0.3
+
+
+def directions(theta, phi):
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def samples_of(model, *, noise=0.0, seed=1):
+    """Samples of a model with relative noise, as a Cornell file would hold them."""
+    theta_i, phi_i, theta_o, phi_o = angles()
+    shape = None if model == "lambert" else SHAPES[REFLECTANCES[model].shape.name]
+    values = np.array(
+        [
+            oracle(model, i, o, KD, KS, shape)
+            for i, o in zip(directions(theta_i, phi_i), directions(theta_o, phi_o), strict=True)
+        ]
+    )
+    values *= np.exp(noise * np.random.default_rng(seed).standard_normal(values.shape))
+    metres = jnp.asarray([450e-9, 550e-9, 650e-9])
+    return BRDFSamples(*(jnp.asarray(a) for a in (theta_i, phi_i, theta_o, phi_o, values)), metres)
+
+
+def measured(model, **options):
+    return from_samples(model, samples_of(model, **options), weights=np.ones(200))
+
+
+@pytest.fixture(scope="module")
+def noisy_phong():
+    return measured("phong", noise=0.05)
+
+
+@pytest.fixture(scope="module")
+def calibration(noisy_phong):
+    return calibrate_brdf(noisy_phong)
+
+
+# ---------------------------------------------------------------- fits
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_is_found_again(model):
+    """Without noise nothing is left over, whichever incidence was left out."""
+    fit = fit_model(measured(model), model, index=INDEX)
+    lobe = REFLECTANCES[model].axis != "none"
+    for found in (fit.whole, *fit.without):
+        np.testing.assert_allclose(found.diffuse, KD, rtol=2e-3)
+        np.testing.assert_allclose(found.specular, KS if lobe else 0, rtol=2e-3)
+        if model != "lambert":
+            np.testing.assert_allclose(
+                found.shape, SHAPES[REFLECTANCES[model].shape.name], rtol=1e-3
+            )
+    assert errors(measured(model), prediction_of_held_out(measured(model), fit)).relative < 1e-3
+
+
+@pytest.mark.parametrize("objective", ["cosine", "cube-root"])
+def test_the_optimum_is_scipys(noisy_phong, objective):
+    """Blinn's lobe on Phong's samples: residuals that are no noise."""
+    fit = fit_model(noisy_phong, "blinn", objective=objective, index=INDEX)
+    wi, wo = (
+        np.stack([np.asarray(c) for c in (v.x, v.y, v.z)]) for v in (noisy_phong.wi, noisy_phong.wo)
+    )
+    half = (wi + wo)[2] / np.linalg.norm(wi + wo, axis=0)
+
+    def predicted(p):
+        return np.exp(p[:3]) + np.exp(p[3:6]) * (half ** np.exp(p[6]) / wi[2])[:, None]
+
+    def residuals(p):
+        if objective == "cosine":
+            return (wi[2][:, None] * (predicted(p) - noisy_phong.values)).ravel()
+        x, y = (wi[2][:, None] * v for v in (predicted(p), noisy_phong.values))
+        dark = 1e-3 * np.sqrt(np.mean(y**2))
+        there, here = np.cbrt(x + dark), np.cbrt(y + dark)
+        return (there - here).ravel()
+
+    start = np.log([*KD, *KS, 240.0])
+    reference = scipy.optimize.least_squares(residuals, start, xtol=1e-14, ftol=1e-14)
+    found = np.log([*fit.whole.diffuse, *fit.whole.specular, fit.whole.shape])
+    np.testing.assert_allclose(np.sum(residuals(found) ** 2), 2 * reference.cost, rtol=1e-5)
+    np.testing.assert_allclose(found, reference.x, atol=5e-3)
+
+
+def test_amplitudes_stay_positive_and_bands_share_one_shape():
+    """Against scipy's NNLS at the shape that was found, a band of which wants less than nothing."""
+    rng = np.random.default_rng(2)
+    x = np.linspace(0, 3, 80)
+    y = np.stack([1 + 2 * np.exp(-2 * x), 0.3 - np.exp(-2 * x), 3 * np.exp(-2 * x)], axis=1)
+    y += 0.02 * rng.standard_normal(y.shape)
+    weights = rng.uniform(0.5, 2, y.shape)
+
+    def columns(logs):
+        return jnp.exp(-jnp.exp(logs)[:, None] * x[None])
+
+    found = fit_shared_shape(
+        columns, jnp.ones(80), jnp.asarray(y), jnp.asarray(weights), lower=-2.0, upper=3.0
+    )
+    np.testing.assert_allclose(np.exp(found.shape), 2, rtol=0.05)
+    design = np.column_stack([np.ones(80), np.exp(-np.exp(found.shape) * x)])
+    total = 0.0
+    for band in range(3):
+        root = np.sqrt(weights[:, band])
+        expected, norm = scipy.optimize.nnls(design * root[:, None], y[:, band] * root)
+        np.testing.assert_allclose(found.amplitudes[band], expected, rtol=1e-7, atol=1e-9)
+        total += norm**2
+    np.testing.assert_allclose(found.cost, total, rtol=1e-9)
+
+
+def test_a_held_out_incidence_does_not_touch_the_fit_that_predicts_it(noisy_phong):
+    samples = samples_of("phong", noise=0.05)
+    own = noisy_phong.incidence == 2
+    values = np.where(own[:, None], 7.0, np.asarray(samples.values))
+    changed = BRDFSamples(
+        *(getattr(samples, n) for n in ("theta_i", "phi_i", "theta_o", "phi_o")),
+        jnp.asarray(values),
+    )
+    again = from_samples("changed", changed, weights=np.ones(200))
+    before, after = (fit_model(m, "phong", index=INDEX) for m in (noisy_phong, again))
+    np.testing.assert_array_equal(before.without[2].predicted, after.without[2].predicted)
+    assert not np.allclose(before.without[1].predicted, after.without[1].predicted)
+
+
+# ---------------------------------------------------------------- what is reported
+
+
+def test_metrics_by_hand():
+    """Two bands of a constant error: RMS, relative RMS, cube roots, with unequal weights."""
+    theta = np.repeat(np.radians([0.0, 20, 40, 60]), 6)
+    values = np.tile([0.125, 1.0], (24, 1)) / np.cos(theta)[:, None]
+    arrays = [jnp.asarray(a) for a in (theta, 0 * theta, theta, 0 * theta, values)]
+    weights = np.linspace(1, 2, 24)
+    of = from_samples("flat", BRDFSamples(*arrays), weights=weights)
+    found = errors(of, np.tile([1.0, 8.0], (24, 1)) / np.cos(theta)[:, None])
+    np.testing.assert_allclose(found.rms, np.sqrt((0.875**2 + 7**2) / 2), rtol=1e-12)
+    np.testing.assert_allclose(found.relative, 7, rtol=1e-12)
+    np.testing.assert_allclose(found.by_incidence, 7, rtol=1e-12)
+    np.testing.assert_allclose(found.cube_root, np.sqrt((0.5**2 + 1**2) / 2), rtol=1e-12)
+
+
+def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
+    # Phong and a Gaussian lobe of c^2 = n / 2 are alike; both are right here.
+    assert calibration.model in ("phong", "gaussian-lobe")
+    assert calibration.held_out["phong"].relative < 0.1
+    assert calibration.held_out["torrance-sparrow"].relative > 0.15
+    again = calibrate_brdf(calibration.measured, model="phong")
+    truth = np.log([KD.mean(), KS.mean(), SHAPES["exponent"]])
+    deviation = np.sqrt(np.diagonal(again.covariance))
+    assert np.all(np.abs(np.log(again.mean) - truth) < 4 * deviation)
+    assert np.all(deviation < 0.2)
+    assert again.posterior.method == "Laplace"
+    np.testing.assert_allclose(again.amplitudes.diffuse.mean(), again.mean[0])
+
+
+def test_misfit_widens_the_intervals(calibration):
+    """A model that is wrong moves with the incidences it has seen: its errors say so."""
+    right = calibrate_brdf(calibration.measured, model="phong")
+    wrong = calibrate_brdf(calibration.measured, model="torrance-sparrow-metal")
+    widths = [np.sqrt(np.diagonal(c.covariance))[1:] for c in (right, wrong)]
+    assert np.all(widths[1] > 2 * widths[0])
+
+
+def test_draws_have_the_jackknife_covariance(calibration):
+    laplace = calibrate_brdf(calibration.measured, model="blinn")
+    drawn = calibrate_brdf(
+        calibration.measured, model="blinn", sampling=SamplingOptions(walkers=16, steps=4000)
+    )
+    assert drawn.posterior.method == "emcee"
+    logs = np.log(drawn.posterior.samples)
+    width = np.sqrt(np.diagonal(laplace.covariance))
+    np.testing.assert_allclose(logs.std(axis=0), width, rtol=0.25)
+    np.testing.assert_allclose(
+        (np.median(logs, axis=0) - np.log(laplace.mean)) / width, 0, atol=0.4
+    )
+
+
+def test_a_matt_surface_reports_no_lobe():
+    matt = calibrate_brdf(measured("lambert", noise=0.02), model="lambert")
+    assert [p.name for p in matt.space] == ["diffuse"]
+    shiny = calibrate_brdf(matt.measured, model="oren-nayar")
+    assert "roughness" in shiny.open_parameters
+    section = material_section(shiny)
+    assert section.estimates[1].value is None
+    assert abs(section.estimates[0].value / KD.mean() - 1) < 0.02
+    assert any("roughness" in sentence for sentence in section.findings)
+
+
+def test_sections_read_and_draw(calibration):
+    other = calibrate_brdf(measured("torrance-sparrow", noise=0.05))
+    assert other.model in ("torrance-sparrow", "torrance-sparrow-ggx")
+    sections = [materials_section([calibration, other]), material_section(calibration)]
+    words = " ".join(sections[0].findings)
+    assert "on 1 of 2 (torrance-sparrow)" in words
+    assert "confirms only in part" in words
+    assert json.loads(as_json(sections, seed=0, settings={}))["sections"][0]["tables"]
+    for picture in (p for section in sections for p in section.pictures):
+        assert all(axis.has_data() for axis in picture.draw().axes)
+
+
+def test_unit_lobes_are_the_oracles():
+    """One row of the table each, at angles of its own."""
+    wi, wo = (
+        directions(np.array([0.3, 1.1]), np.zeros(2)),
+        directions(np.array([0.5, 0.9]), np.array([2.8, 3.3])),
+    )
+    for model in MODELS[1:]:
+        shape = SHAPES[REFLECTANCES[model].shape.name]
+        body = np.array([1.0 if REFLECTANCES[model].axis == "none" else 0.0])
+        expected = [
+            oracle(model, i, o, body, np.ones(1), shape)[0] for i, o in zip(wi, wo, strict=True)
+        ]
+        found = unit_brdf(
+            model, jnp.asarray(shape), as_vec(jnp.asarray(wi)), as_vec(jnp.asarray(wo)), INDEX
+        )
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def run(*arguments):
+    result = CliRunner().invoke(cli.app, ["brdf", *(str(a) for a in arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    lines = [x for x in result.stderr.strip().splitlines() if x.startswith("jaxvision-fit:")]
+    return result.exit_code, " ".join(lines)
+
+
+def with_values(change):
+    samples = samples_of("lambert")
+    values = change(np.array(samples.values))
+    angles = (samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o)
+    return BRDFSamples(*angles, jnp.asarray(values), samples.wavelengths)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda v: v * np.nan, "0 of 200 samples are finite"),
+        (lambda v: -v, "no value is positive"),
+        (lambda v: v * [1, 1, -1], "mean of a band is not positive"),
+    ],
+)
+def test_useless_values_are_refused(change, expected):
+    with pytest.raises(InputError, match=expected):
+        from_samples("bad", with_values(change), weights=np.ones(200))
+
+
+def test_one_incidence_is_refused():
+    samples = samples_of("lambert")
+    same = BRDFSamples(
+        0 * samples.theta_i + 0.5, samples.phi_i, samples.theta_o, samples.phi_o, samples.values
+    )
+    with pytest.raises(InputError, match="stands at 1 elevation;"):
+        from_samples("one", same, weights=np.ones(200))
+
+
+def test_bad_files_and_options_end_in_one_sentence(tmp_path):
+    good, copy = tmp_path / "a" / "paint.brdf", tmp_path / "b" / "paint.brdf"
+    for path in (good, copy):
+        path.parent.mkdir()
+        write_cornell(path, samples_of("lambert"))
+    empty, junk = tmp_path / "empty.brdf", tmp_path / "junk.bsdf"
+    empty.write_text("")
+    junk.write_bytes(b"junk")
+    cases = [
+        ((tmp_path / "none.brdf",), "no such file"),
+        ((empty,), "count of wavelengths"),
+        ((junk,), "not an RGL tensor file"),
+        ((good, tmp_path / "rig"), "no file of measured reflectance"),
+        ((good, copy), "two files have this name"),
+        ((good, "--index", "0.9"), "index = 0.9"),
+        ((good, "--fit-gamma"), "--fit-gamma is for images"),
+        ((tmp_path / "a", "--objective", "cosine"), "--objective is for files"),
+        ((tmp_path / "a", tmp_path / "b"), "a second rig"),
+        ((tmp_path / "paint.txt",), "no such rig"),
+    ]
+    for arguments, expected in cases:
+        status, sentence = run(*arguments)
+        assert status == 2, arguments
+        assert sentence.count("jaxvision-fit:") == 1
+        assert expected in sentence, sentence
+    assert run(good, "--model", "mirror")[0] == 2
+
+
+def test_the_command_offers_every_model():
+    assert {model.value for model in cli.Model} == set(MODELS)
+
+
+def test_a_cornell_file_comes_back_as_it_was_written(tmp_path):
+    write_cornell(tmp_path / "paint.brdf", samples_of("phong"))
+    read = read_measured_brdf(Path(tmp_path / "paint.brdf"))
+    np.testing.assert_allclose(read.values, samples_of("phong").values, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(read.incidences), [10, 25, 40, 55, 70], atol=1e-9)
+    assert read.bands == ("450 nm", "550 nm", "650 nm")
+    assert np.all((read.azimuth >= 0) & (read.azimuth <= np.pi))

@@ -1,0 +1,226 @@
+"""Conversions against colour-science, the standard library's, published pairs, and their own
+inverses; finite at black, white and greys."""
+
+import colorsys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import colour_data
+from jaxvision import colour_spaces as cs
+from jaxvision.errors import InputError
+
+colour = pytest.importorskip("colour")
+
+RNG = np.random.default_rng(12)
+GREYS = [[v, v, v] for v in (0.0, 1e-6, 0.008, 0.2, 1.0)]
+PURE = [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1.0, 1.0, 0], [0, 1.0, 1.0], [1.0, 0, 1.0]]
+RGB = np.concatenate([RNG.uniform(size=(40, 3)), GREYS, PURE])
+XYZ = np.concatenate([RNG.uniform(size=(40, 3)), 1e-3 * RNG.uniform(size=(20, 3))])
+WHITE = np.asarray(colour_data.white_point("D65"))
+XY = np.array([0.3127, 0.3290])
+SPACES = [
+    "sRGB",
+    "Adobe RGB (1998)",
+    "Display P3",
+    "ITU-R BT.2020",
+    "ProPhoto RGB",
+    "ACES2065-1",
+    "ACEScg",
+]
+
+# Correctness needs no optimised code: this compiles three times faster.
+QUICK = {"xla_backend_optimization_level": 0}
+
+
+def run(function, *arrays, **options):
+    """One compiled call on float64 arrays."""
+    call = jax.jit(lambda *x: function(*x, **options), compiler_options=QUICK)
+    return np.asarray(call(*map(jnp.asarray, arrays)))
+
+
+def same(ours, theirs, digits=12):
+    theirs = np.asarray(theirs)
+    atol = 10.0**-digits * np.abs(theirs).max()
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=atol)
+
+
+# ------------------------------------------------ matrices
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_working_spaces_as_colour_science_derives_them(name):
+    space = colour.RGB_COLOURSPACES[name].copy()
+    space.use_derived_transformation_matrices(True)
+    same(run(cs.rgb_to_xyz, RGB, space=name), RGB @ space.matrix_RGB_to_XYZ.T)
+    same(run(cs.xyz_to_rgb, XYZ, space=name), XYZ @ space.matrix_XYZ_to_RGB.T)
+    same(run(cs.luminance, RGB, space=name), RGB @ space.matrix_RGB_to_XYZ[1])
+
+
+def test_srgb_matrix_as_printed():
+    """IEC 61966-2-1 prints four decimals, of a white rounded in its own way."""
+    printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    np.testing.assert_allclose(colour_data.rgb_to_xyz_matrix("sRGB"), printed, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["Bradford", "CAT02", "Von Kries"])
+def test_adaptation_as_colour_science(method):
+    warm = np.asarray(colour_data.white_point("A"))
+    ours = run(cs.adapt, XYZ, WHITE, warm, method=method)
+    theirs = colour.adaptation.chromatic_adaptation_VonKries(XYZ, WHITE, warm, transform=method)
+    same(ours, theirs)
+    same(run(cs.adapt, WHITE, WHITE, warm, method=method), warm, digits=14)
+
+
+@pytest.mark.parametrize("adaptation", ["Bradford", None])
+def test_change_of_space_as_colour_science(adaptation):
+    source, target = (colour.RGB_COLOURSPACES[name].copy() for name in ("sRGB", "ProPhoto RGB"))
+    for space in (source, target):
+        space.use_derived_transformation_matrices(True)
+    ours = run(
+        cs.change_rgb_space, RGB, source="sRGB", target="ProPhoto RGB", adaptation=adaptation
+    )
+    theirs = colour.RGB_to_RGB(RGB, source, target, chromatic_adaptation_transform=adaptation)
+    same(ours, theirs)
+
+
+def test_any_matrix():
+    matrix = RNG.normal(size=(3, 3))
+    same(run(cs.apply_matrix, RGB.reshape(3, 17, 3), matrix), RGB.reshape(3, 17, 3) @ matrix.T)
+
+
+# ------------------------------------------------ CIE
+
+
+def test_chromaticity_as_colour_science():
+    same(run(cs.xyz_to_xyy, XYZ), colour.XYZ_to_xyY(XYZ))
+    xyy = colour.XYZ_to_xyY(XYZ)
+    same(run(cs.xyy_to_xyz, xyy), colour.xyY_to_XYZ(xyy))
+    np.testing.assert_array_equal(run(cs.xyz_to_xyy, np.zeros(3)), 0)
+    np.testing.assert_array_equal(run(cs.xyy_to_xyz, np.array([0.3, 0.0, 0.5])), 0)
+
+
+def test_lab_and_luv_as_colour_science():
+    """The white there is derived from its chromaticity, as ours."""
+    same(run(cs.xyz_to_lab, XYZ, WHITE), colour.XYZ_to_Lab(XYZ, XY))
+    same(run(cs.xyz_to_luv, XYZ, WHITE), colour.XYZ_to_Luv(XYZ, XY))
+    lab, luv = colour.XYZ_to_Lab(XYZ, XY), colour.XYZ_to_Luv(XYZ, XY)
+    same(run(cs.lab_to_xyz, lab, WHITE), colour.Lab_to_XYZ(lab, XY))
+    same(run(cs.luv_to_xyz, luv, WHITE), colour.Luv_to_XYZ(luv, XY), digits=10)
+    np.testing.assert_array_equal(run(cs.luv_to_xyz, np.zeros(3), WHITE), 0)
+
+
+def test_lch_as_colour_science():
+    lab = colour.XYZ_to_Lab(XYZ, XY)
+    theirs = np.asarray(colour.models.Lab_to_LCHab(lab))
+    theirs[:, 2] = np.deg2rad(theirs[:, 2])
+    same(run(cs.to_lch, lab), theirs)
+    same(run(cs.from_lch, theirs), lab)
+    np.testing.assert_array_equal(run(cs.to_lch, np.array([50.0, 0, 0])), [50, 0, 0])
+
+
+# Sharma, Wu, Dalal 2005, table 1: L a b, L a b, difference
+SHARMA = np.array(
+    [
+        [50, 2.6772, -79.7751, 50, 0, -82.7485, 2.0425],
+        [50, 3.1571, -77.2803, 50, 0, -82.7485, 2.8615],
+        [50, 2.8361, -74.0200, 50, 0, -82.7485, 3.4412],
+        [50, 2.5, 0, 50, 0, -2.5, 4.3065],
+        [50, 2.5, 0, 73, 25, -18, 27.1492],
+        [50, 2.5, 0, 58, 24, 15, 19.4535],
+        [60.2574, -34.0099, 36.2677, 60.4626, -34.1751, 39.4387, 1.2644],
+        [2.0776, 0.0795, -1.1350, 0.9033, -0.0636, -0.5514, 0.9082],
+    ]
+)
+
+
+def test_delta_e_2000_as_published():
+    ours = run(cs.delta_e_2000, SHARMA[:, :3], SHARMA[:, 3:6])
+    np.testing.assert_allclose(ours, SHARMA[:, 6], atol=5e-5)
+
+
+def test_delta_e_as_colour_science():
+    first, second = (
+        np.concatenate([RNG.uniform([0, -80, -80], [100, 80, 80], size=(200, 3)), [[50, 0, 0]] * 2])
+        for _ in range(2)
+    )
+    second[-1] = [60, 3, -4]
+    same(run(cs.delta_e_2000, first, second), colour.delta_E(first, second, method="CIE 2000"))
+    same(run(cs.delta_e_76, first, second), colour.delta_E(first, second, method="CIE 1976"))
+    same(run(cs.delta_e_2000, second, first), run(cs.delta_e_2000, first, second))
+
+
+# ------------------------------------------------ hexagons and video
+
+
+def test_hsv_and_hsl_as_the_standard_library():
+    hsv = [colorsys.rgb_to_hsv(*rgb) for rgb in RGB]
+    same(run(cs.rgb_to_hsv, RGB), hsv)
+    same(run(cs.hsv_to_rgb, np.array(hsv)), RGB)
+    hls = np.array([colorsys.rgb_to_hls(*rgb) for rgb in RGB])
+    hsl = hls[:, [0, 2, 1]]
+    same(run(cs.rgb_to_hsl, RGB), hsl, digits=9)  # near black and white its saturation is 0 / 0
+    same(run(cs.hsl_to_rgb, hsl), RGB)
+    turned = np.add(hsv, [1.0, 0, 0])
+    same(run(cs.hsv_to_rgb, turned), RGB)
+
+
+@pytest.mark.parametrize("standard", ["ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020"])
+def test_ycbcr_as_colour_science(standard):
+    weights = colour.WEIGHTS_YCBCR[standard]
+    for levels, bits in (("full", 8), ("legal", 8), ("legal", 10)):
+        legal = levels == "legal"
+        options = {"standard": standard, "levels": levels, "bits": bits}
+        theirs = colour.RGB_to_YCbCr(RGB, K=weights, out_legal=legal, out_bits=bits)
+        same(run(cs.rgb_to_ycbcr, RGB, **options), theirs)
+        same(run(cs.ycbcr_to_rgb, np.asarray(theirs), **options), RGB)
+    with pytest.raises(ValueError, match=r"levels must be .full. or .legal.*'studio' and 8"):
+        cs.rgb_to_ycbcr(jnp.asarray(RGB), levels="studio")
+
+
+# ------------------------------------------------ edges
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
+    white = jnp.asarray(WHITE, dtype)
+    chain = {
+        "lab": lambda x: cs.xyz_to_lab(cs.rgb_to_xyz(x), white),
+        "luv": lambda x: cs.xyz_to_luv(cs.rgb_to_xyz(x), white),
+        "luv back": lambda x: cs.luv_to_xyz(x * 100, white),
+        "lch": lambda x: cs.to_lch(cs.xyz_to_lab(x, jnp.ones_like(white))),
+        "exact grey lch": lambda x: cs.to_lch(
+            jnp.stack([x[..., 0], 0 * x[..., 1], 0 * x[..., 2]], axis=-1)
+        ),
+        "xyy": cs.xyz_to_xyy,
+        "xyz": cs.xyy_to_xyz,
+        "hsv": cs.rgb_to_hsv,
+        "hsl": cs.rgb_to_hsl,
+        "hsv back": cs.hsv_to_rgb,
+        "hsl back": cs.hsl_to_rgb,
+        "ycbcr": cs.rgb_to_ycbcr,
+        "2000": lambda x: cs.delta_e_2000(x * 100, x[..., ::-1] * 100),
+        "2000, equal": lambda x: cs.delta_e_2000(x * 100, x * 100),
+        "76, equal": lambda x: cs.delta_e_76(x, x),
+        "adapted": lambda x: cs.adapt(x, white, white[::-1]),
+    }
+    for name, function in chain.items():
+        both = jax.jit(
+            lambda x, f=function: (f(x), jax.vmap(jax.grad(lambda c: f(c).sum()))(x)),
+            compiler_options=QUICK,
+        )
+        value, slope = both(jnp.asarray([*GREYS, [2.0, 2.0, 2.0], [-0.1, 0.0, 0.1]], dtype))
+        assert value.dtype == dtype, name
+        assert jnp.isfinite(value).all(), name
+        assert jnp.isfinite(slope).all(), name
+
+
+def test_unknown_names_list_the_known():
+    with pytest.raises(InputError, match=r"No RGB space 'scrgb'; use one of .*ITU-R BT.2020"):
+        cs.rgb_to_xyz(jnp.asarray(RGB), space="scrgb")
+    with pytest.raises(InputError, match=r"No chromatic adaptation 'x'.*Bradford"):
+        cs.adapt(*map(jnp.asarray, (XYZ, WHITE, WHITE)), method="x")
+    with pytest.raises(InputError, match=r"No luma standard 'x'.*BT.709"):
+        cs.rgb_to_ycbcr(jnp.asarray(RGB), standard="x")

@@ -1,0 +1,133 @@
+"""The algebra of Porter and Duff against a picture of actual coverage, and its laws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import loops
+
+from jaxvision import compositing as c
+
+RNG = np.random.default_rng(6)
+
+
+def layer(*shape):
+    alpha = RNG.uniform(size=(*shape, 1))
+    return jnp.asarray(np.concatenate([RNG.uniform(size=(*shape, 3)) * alpha, alpha], axis=-1))
+
+
+A, B, C = layer(4, 5), layer(4, 5), layer(4, 5)
+
+# Which of the four regions (neither, only A, only B, both) shows what: table 1 of the paper.
+PICTURES = {
+    "clear": "0000",
+    "front": "0A0A",
+    "back": "00BB",
+    "over": "0ABA",
+    "back over": "0ABB",
+    "in": "000A",
+    "back in": "000B",
+    "out": "0A00",
+    "back out": "00B0",
+    "atop": "00BA",
+    "back atop": "0A0B",
+    "xor": "0AB0",
+}
+
+
+@pytest.mark.parametrize("operator", PICTURES)
+def test_operators_are_what_uncorrelated_coverage_shows(operator):
+    """A pixel as four regions of area (1-a)(1-b), a(1-b), (1-a)b, ab, each of one plain colour."""
+    found = np.asarray(c.composite(A, B, operator=operator))
+    for i, j in np.ndindex(4, 5):
+        a, b = float(A[i, j, 3]), float(B[i, j, 3])
+        areas = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
+        straight = {"0": np.zeros(4), "A": A[i, j] / a, "B": B[i, j] / b}
+        expected = sum(
+            area * np.asarray(straight[shown])
+            for area, shown in zip(areas, PICTURES[operator], strict=True)
+        )
+        np.testing.assert_allclose(found[i, j], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_plus_dissolves_one_picture_into_the_other():
+    mixed = c.composite(
+        c.dissolve(A, jnp.asarray(0.3)), c.dissolve(B, jnp.asarray(0.7)), operator="plus"
+    )
+    np.testing.assert_allclose(mixed, 0.3 * np.asarray(A) + 0.7 * np.asarray(B), rtol=1e-14)
+
+
+def test_over_is_associative_and_not_commutative():
+    left, right = c.over(c.over(A, B), C), c.over(A, c.over(B, C))
+    np.testing.assert_allclose(left, right, rtol=1e-13)
+    assert np.abs(c.over(A, B) - c.over(B, A)).max() > 0.1
+
+
+def test_layers_fold_from_the_back():
+    stack = jnp.stack([A, B, C])
+    np.testing.assert_allclose(c.flatten(stack), c.over(A, c.over(B, C)), rtol=1e-14)
+    np.testing.assert_array_equal(c.flatten(stack[:1]), A)
+
+
+def test_nothing_and_everything():
+    nothing, opaque = jnp.zeros_like(A), c.premultiply(A[..., :3], jnp.ones((4, 5, 1)))
+    np.testing.assert_array_equal(c.over(nothing, A), A)
+    np.testing.assert_array_equal(c.over(A, nothing), A)
+    np.testing.assert_array_equal(c.over(opaque, A), opaque)
+
+
+def test_straight_and_premultiplied():
+    straight = jnp.asarray(RNG.uniform(size=(4, 5, 3)))
+    alpha = A[..., 3:]
+    premultiplied = c.premultiply(straight, alpha)
+    np.testing.assert_allclose(c.unpremultiply(premultiplied), straight, rtol=1e-14)
+    np.testing.assert_array_equal(premultiplied[..., 3:], alpha)
+    darker = c.darken(premultiplied, jnp.asarray(0.5))
+    np.testing.assert_allclose(c.unpremultiply(darker), straight / 2, rtol=1e-14)
+    np.testing.assert_array_equal(darker[..., 3:], alpha)
+
+
+def test_files_are_composited_in_linear_light():
+    """White at half coverage over black is half the light, code 188, not code 128."""
+    white = c.layer_from_srgb(jnp.asarray([1.0, 1.0, 1.0, 0.5]))
+    black = c.layer_from_srgb(jnp.asarray([0.0, 0.0, 0.0, 1.0]))
+    seen = c.layer_to_srgb(c.over(white, black))
+    np.testing.assert_allclose(seen[:3], loops.srgb_encode(0.5), rtol=1e-13)
+    assert round(float(seen[0]) * 255) == 188
+    rgba = jnp.asarray(RNG.uniform(0.05, 1, size=(3, 3, 4)))
+    np.testing.assert_allclose(c.layer_to_srgb(c.layer_from_srgb(rgba)), rgba, rtol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_uncovered_pixels_have_no_colour_and_no_slope(dtype):
+    for light in (0.0, 0.3):
+        empty = jnp.asarray([light, light, light, 0.0], dtype)
+        value, slope = jax.value_and_grad(lambda x: c.layer_to_srgb(x).sum())(empty)
+        assert value == 0
+        assert value.dtype == dtype
+        assert jnp.isfinite(slope).all()
+    faint = jnp.asarray([1e-30, 1e-30, 1e-30, 1e-30], dtype)
+    assert jnp.isfinite(jax.grad(lambda x: c.unpremultiply(x).sum())(faint)).all()
+
+
+def test_alpha_outside_its_range_is_named_and_defined_under_a_trace():
+    wrong = A.at[0, 0, 3].set(1.5).at[1, 1, 3].set(-0.1).at[2, 2, 3].set(jnp.nan)
+    for call in (
+        lambda: c.over(wrong, B),
+        lambda: c.over(B, wrong),
+        lambda: c.unpremultiply(wrong),
+        lambda: c.premultiply(B[..., :3], wrong[..., 3:]),
+    ):
+        with pytest.raises(ValueError, match=r"alpha must lie in \[0, 1\]: 3 of 20 values do not"):
+            call()
+    traced = jax.jit(c.over)(wrong, B)
+    np.testing.assert_allclose(traced[0, 0], wrong[0, 0] - 0.5 * B[0, 0], rtol=1e-14)
+
+
+def test_bad_calls_are_named():
+    with pytest.raises(ValueError, match=r"operator must be one of clear, front.*got 'under'"):
+        c.composite(A, B, operator="under")
+    with pytest.raises(ValueError, match=r"same channels.*\(4, 5, 4\) and \(4, 5, 3\)"):
+        c.over(A, B[..., :3])
+    with pytest.raises(ValueError, match="same channels"):
+        c.over(A[..., :1], B[..., :1])

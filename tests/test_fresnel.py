@@ -1,0 +1,101 @@
+"""Fresnel reflectance against the complex amplitudes in 50 digits, and known angles."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from oracles import exact
+
+from jaxvision.brdf.fresnel import (
+    Conductor,
+    Dielectric,
+    Schlick,
+    fresnel,
+    fresnel_conductor,
+    fresnel_dielectric,
+    fresnel_schlick,
+)
+
+both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+COSINES = [0.0, 1e-6, 1e-3, 0.1, 0.5547001962252291, 0.7, 0.99, 1.0]
+
+
+def amplitudes(cos_i, eta, k=0):
+    """Unpolarised reflectance from the amplitudes of both polarisations, any complex index."""
+    m = mp.mpc(eta, k)
+    cos_t = mp.sqrt(1 - (1 - cos_i**2) / m**2)
+    s = (cos_i - m * cos_t) / (cos_i + m * cos_t)
+    p = (m * cos_i - cos_t) / (m * cos_i + cos_t)
+    return (abs(s) ** 2 + abs(p) ** 2) / 2
+
+
+@both_precisions
+@pytest.mark.parametrize("eta", [1.5, 1.0001, 0.9999, 2.4, 0.6])
+def test_dielectrics_in_ulps(dtype, eta):
+    """Nearly equal indices too, where c - g would cancel. Near the critical angle the square root
+    magnifies what rounding does to eta^2 - 1 + c^2: that conditioning is allowed for."""
+    index = jnp.asarray([eta], dtype)
+    got = quick_jit(jax.vmap(fresnel_dielectric, in_axes=(0, None)))(
+        jnp.asarray(COSINES, dtype), index
+    )[:, 0]
+    for c, value in zip(jnp.asarray(COSINES, dtype), got, strict=True):
+        n, cos = exact.number(index[0]), exact.number(c)
+        truth = amplitudes(cos, n)
+        g_squared = abs(n**2 - 1 + cos**2)
+        assert exact.ulps(value, truth) <= 16 + 8 * float(1 / mp.sqrt(g_squared))
+
+
+@both_precisions
+@pytest.mark.parametrize("index", [(0.2, 3.1), (2.5, 3.0), (0.05, 0.4), (1.5, 1e-4), (5.0, 9.0)])
+def test_conductors_in_ulps(dtype, index):
+    eta, k = (jnp.asarray([x], dtype) for x in index)
+    got = quick_jit(jax.vmap(fresnel_conductor, in_axes=(0, None, None)))(
+        jnp.asarray(COSINES, dtype), eta, k
+    )[:, 0]
+    for c, value in zip(jnp.asarray(COSINES, dtype), got, strict=True):
+        truth = amplitudes(exact.number(c), exact.number(eta[0]), exact.number(k[0]))
+        assert exact.ulps(value, truth) <= 32
+
+
+def test_known_angles():
+    """Normal incidence on glass 4 %, no p-polarised light at Brewster's angle, all beyond the
+    critical one."""
+    glass = jnp.asarray([1.5])
+    np.testing.assert_allclose(fresnel_dielectric(jnp.asarray(1.0), glass), 0.04, rtol=1e-14)
+    brewster = np.cos(np.arctan(1.5))
+    r_s = (1 - 1.5**2) / (brewster + np.sqrt(1.5**2 - 1 + brewster**2)) ** 2
+    at_brewster = fresnel_dielectric(jnp.asarray(brewster), glass)
+    np.testing.assert_allclose(at_brewster, r_s**2 / 2, rtol=1e-13)
+    beyond = jnp.asarray(np.cos(np.arcsin(1 / 1.5)) - 1e-6)
+    np.testing.assert_array_equal(fresnel_dielectric(beyond, 1 / glass), 1)
+
+
+def test_schlick_is_near_the_truth_and_dispatch_picks_the_right_one():
+    c = jnp.asarray(0.3)
+    np.testing.assert_allclose(
+        fresnel_schlick(c, jnp.asarray([0.04])), 0.04 + 0.96 * 0.7**5, rtol=1e-14
+    )
+    eta, k = jnp.asarray([1.5, 0.3]), jnp.asarray([0.0, 2.0])
+    both = fresnel(Conductor(eta, k), c)
+    np.testing.assert_allclose(both[0], fresnel(Dielectric([1.5]), c)[0], rtol=1e-13)
+    np.testing.assert_allclose(fresnel(Schlick([0.04]), c), both[0], atol=0.03)
+
+
+@both_precisions
+def test_gradients_are_finite_everywhere(dtype):
+    cosines = jnp.asarray([-0.5, 0, 1e-8, 0.6, 0.8, 1, 1.5], dtype)
+    indices = jnp.asarray([0.6, 0.8, 1.0, 1.5], dtype)  # 0.6: critical at cos 0.8
+
+    def total(c, eta):
+        k = eta / 2
+        parts = fresnel_dielectric(c, eta), fresnel_conductor(c, eta, k), fresnel_schlick(c, k)
+        return sum(part.sum() for part in parts)
+
+    slopes = quick_jit(jax.vmap(jax.grad(total, argnums=(0, 1)), in_axes=(0, None)))(
+        cosines, indices
+    )
+    assert all(jnp.isfinite(s).all() for s in slopes)

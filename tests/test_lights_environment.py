@@ -1,0 +1,205 @@
+"""The environment map: which way it looks, its samples against its density, its irradiance."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from jaxvision import InputError, MonteCarlo, Quadrature, environment_map
+from jaxvision.hemisphere import product_nodes
+from jaxvision.io import read_environment, write_image
+from jaxvision.lights import direction_pdf, direction_sample, irradiance, radiance_from
+from jaxvision.lights.environment import environment_radiance
+from jaxvision.lights.harmonics import harmonic_irradiance, harmonics, irradiance_coefficients
+
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+H, W = 8, 16
+RNG = np.random.default_rng(8)
+PICTURE = RNG.gamma(0.5, size=(H, W, 2))
+SKY = environment_map(PICTURE)
+POINT = jnp.zeros(3)
+look = quick_jit(environment_radiance)
+
+
+def toward(theta, phi):
+    return jnp.asarray([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+
+
+def pixel(row, column):
+    """Direction of a pixel's centre, from the convention in words."""
+    return toward(np.pi * (row + 0.5) / H, np.pi - 2 * np.pi * (column + 0.5) / W)
+
+
+def sphere(polar, azimuths):
+    """Directions and weights over the whole sphere."""
+    up, weights = product_nodes(polar, azimuths)
+    return np.concatenate([up, up * [1, 1, -1]]), np.concatenate([weights, weights])
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 7), (4, 15), (7, 8)])
+def test_pixel_centres_are_the_samples(row, column):
+    np.testing.assert_allclose(look(SKY, pixel(row, column)), PICTURE[row, column], rtol=1e-12)
+
+
+def test_orientation():
+    """Middle column +x, a quarter of the width to the left +y, top row +z."""
+    picture = np.zeros((H, W, 1))
+    picture[3:5, 7:9] = 1  # about the middle
+    np.testing.assert_allclose(look(environment_map(picture), jnp.eye(3)[0]), 1, rtol=1e-12)
+    left = np.roll(picture, -W // 4, axis=1)
+    np.testing.assert_allclose(look(environment_map(left), jnp.eye(3)[1]), 1, rtol=1e-12)
+    top = np.zeros((H, W, 1))
+    top[0] = 1
+    np.testing.assert_allclose(look(environment_map(top), jnp.eye(3)[2]), 1, rtol=1e-12)
+
+
+def test_rotation_turns_the_map():
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the map's x axis is the world's z
+    turned = environment_map(PICTURE, rotation=turn)
+    for d in (toward(0.4, 1.0), toward(2.0, -2.0)):
+        np.testing.assert_allclose(look(turned, turn.T @ d), look(SKY, d), rtol=1e-12)
+        drawn = direction_sample(turned, POINT, jnp.asarray([0.3, 0.7])).direction
+        straight = direction_sample(SKY, POINT, jnp.asarray([0.3, 0.7])).direction
+        np.testing.assert_allclose(drawn, turn.T @ straight, rtol=1e-12)
+
+
+def test_no_seam_and_no_jump_across_the_poles():
+    for angle in (0.1, 1.3, 2.9):
+        a, b = toward(angle, np.pi - 1e-9), toward(angle, -np.pi + 1e-9)
+        np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
+    for pole in (0.0, np.pi):
+        a, b = toward(pole + 1e-9, 0.7), toward(pole - 1e-9, 0.7)
+        np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
+def test_samples_follow_their_density(kind):
+    """Chi-square over the pixels; the density integrates to 1; radiance / density is the weight."""
+    picture = PICTURE
+    if kind == "one bright pixel":
+        picture = (
+            np.where(np.arange(W)[:, None] == 3, 1.0, 0.0) * (np.arange(H) == 0)[:, None, None]
+        )
+    elif kind == "black":
+        picture = np.zeros_like(PICTURE)
+    elif kind == "odd width":
+        picture = PICTURE[:, :15]
+    sky = environment_map(picture)
+    h, w = picture.shape[:2]
+    u = jax.random.uniform(jax.random.key(2), (20_000, 2))
+
+    def weigh(u):
+        drawn = direction_sample(sky, POINT, u)
+        wi = drawn.direction
+        return drawn, direction_pdf(sky, POINT, wi), radiance_from(sky, POINT, wi)
+
+    drawn, density, arriving = quick_jit(jax.vmap(weigh))(u)
+    np.testing.assert_allclose(arriving / density[:, None], drawn.irradiance, rtol=1e-7)
+    cells = np.cos(np.pi * np.arange(h) / h) - np.cos(np.pi * np.arange(1, h + 1) / h)
+    expected = np.asarray(sky.density) * cells[:, None] * 2 * np.pi / w
+    np.testing.assert_allclose(expected.sum(), 1, rtol=1e-12)
+    x, y, z = np.asarray(drawn.direction).T
+    rows = np.clip((np.arccos(np.clip(z, -1, 1)) / np.pi * h).astype(int), 0, h - 1)
+    columns = ((np.pi - np.arctan2(y, x)) / (2 * np.pi) * w).astype(int) % w
+    counts = np.bincount(rows * w + columns, minlength=h * w)
+    likely = expected.reshape(-1) * len(u) > 5
+    rest = counts[~likely].sum(), expected.reshape(-1)[~likely].sum() * len(u)
+    seen, wanted = counts[likely], expected.reshape(-1)[likely] * len(u)
+    if rest[1] > 0:
+        seen, wanted = np.append(seen, rest[0]), np.append(wanted, rest[1])
+    assert stats.chisquare(seen, wanted * seen.sum() / wanted.sum()).pvalue > 1e-3
+
+
+def test_white_sky_is_pi_and_rules_agree():
+    normal = toward(0.7, 0.3)
+    white = environment_map(np.full((H, W, 1), 2.0))
+    np.testing.assert_allclose(
+        irradiance(white, POINT, normal, rule=Quadrature(64)), [2 * np.pi], rtol=1e-3
+    )
+    # a hemisphere rule, blind to the library's own nodes, over the rough sky
+    nodes, weights = sphere(200, 400)
+    radiance = jax.vmap(lambda d: look(SKY, d))(jnp.asarray(nodes))
+    cosine = np.maximum(nodes @ np.asarray(normal), 0)
+    truth = (np.asarray(radiance) * (weights * cosine)[:, None]).sum(0)
+    got = irradiance(SKY, POINT, normal, rule=Quadrature(64))
+    np.testing.assert_allclose(got, truth, rtol=5e-3)
+    drawn = irradiance(SKY, POINT, normal, rule=MonteCarlo(jax.random.key(1), 8192))
+    np.testing.assert_allclose(drawn, truth, rtol=5e-3)
+
+
+def test_harmonics_are_orthonormal():
+    nodes, weights = sphere(8, 16)
+    basis = np.asarray(jax.vmap(harmonics)(jnp.asarray(nodes)))
+    np.testing.assert_allclose(basis.T @ (weights[:, None] * basis), np.eye(9), atol=1e-13)
+
+
+def test_irradiance_by_harmonics_is_exact_for_a_smooth_sky():
+    """L = 2 + x - 0.5 (3 z^2 - 1): cos+ has the coefficients pi, 2 pi / 3, pi / 4 (Ramamoorthi and
+    Hanrahan, eq. 8), so E = 2 pi + 2 pi / 3 x - pi / 8 (3 z^2 - 1)."""
+    h, w = 128, 256
+    theta, phi = np.pi * (np.arange(h) + 0.5) / h, np.pi - 2 * np.pi * (np.arange(w) + 0.5) / w
+    x = np.sin(theta)[:, None] * np.cos(phi)
+    z = np.cos(theta)[:, None] * np.ones(w)
+    sky = environment_map((2 + x - 0.5 * (3 * z * z - 1))[..., None])
+    coefficients = irradiance_coefficients(sky)
+    for n in (toward(0.3, 0.5), toward(2.0, -1.0)):
+        expected = 2 * np.pi + 2 * np.pi / 3 * n[0] - np.pi / 8 * (3 * n[2] ** 2 - 1)
+        np.testing.assert_allclose(harmonic_irradiance(sky, coefficients, n), expected, rtol=2e-4)
+
+
+def test_error_of_harmonics_stays_within_the_stated_bound():
+    """One bright pixel, the worst case, seen at every angle: 3/32 of its power, at its horizon."""
+    picture = np.zeros((64, 128, 1))
+    picture[32, 64] = 1e4
+    sky = environment_map(picture)
+    solid_angle = 2 * np.sin(np.pi * 32.5 / 64) * np.sin(np.pi / 128) * 2 * np.pi / 128
+    power = 1e4 * solid_angle
+    sun = toward(np.pi * 32.5 / 64, np.pi - 2 * np.pi * 64.5 / 128)
+    side = jnp.cross(sun, jnp.asarray([0.0, 0, 1]))
+    coefficients = irradiance_coefficients(sky)
+    angles = np.linspace(0, np.pi, 61)
+    normals = jnp.asarray(
+        [np.cos(a) * sun + np.sin(a) * side / np.linalg.norm(side) for a in angles]
+    )
+    got = jax.vmap(lambda n: harmonic_irradiance(sky, coefficients, n))(normals)[:, 0]
+    error = np.abs(got - power * np.maximum(np.cos(angles), 0)) / power
+    assert error.max() <= 3 / 32 + 1e-6
+    assert error.max() > 3 / 32 - 1e-3
+    np.testing.assert_allclose(error[0], 1 / 16, rtol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_environment_files_go_there_and_back(tmp_path, suffix):
+    picture = np.asarray(RNG.uniform(0.1, 5, size=(4, 8, 3)), np.float32)
+    write_image(tmp_path / f"sky{suffix}", picture)
+    read = read_environment(tmp_path / f"sky{suffix}")
+    assert read.dtype == np.float32
+    step = 0 if suffix == ".exr" else 2.0**-7  # of a pixel's brightest channel
+    assert (np.abs(read - picture) <= step * picture.max(axis=-1, keepdims=True)).all()
+    sky = environment_map(read)
+    assert sky.density.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    ("picture", "name", "message"),
+    [
+        (np.ones((4, 8, 3), np.uint8), "a.png", "holds? no radiance"),
+        (np.ones((4, 6, 3), np.float32), "a.exr", "4 rows of 6 .* twice as wide as high"),
+        (np.full((4, 8, 3), -1.0, np.float32), "a.exr", "96 of its values are negative"),
+        (np.full((4, 8), np.nan, np.float32), "a.exr", "32 of its values .* not finite"),
+    ],
+)
+def test_files_that_are_no_environment_are_named(tmp_path, picture, name, message):
+    write_image(tmp_path / name, picture)
+    with pytest.raises(InputError, match=message):
+        read_environment(tmp_path / name)
+
+
+def test_wrong_shapes_are_named():
+    with pytest.raises(ValueError, match=r"must have shape \(h, w, bands\), got \(4, 8\)"):
+        environment_map(np.ones((4, 8)))
+    with pytest.raises(ValueError, match=r"EnvironmentMap.rotation .* got \(2, 3\)"):
+        environment_map(PICTURE, rotation=np.ones((2, 3)))

@@ -1,0 +1,279 @@
+"""Files of measured reflectance: layouts against writers of the oracle, round trips, and every way
+a file can be wrong, named in one sentence."""
+
+import struct
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import measured as oracle
+
+from jaxvision import InputError, brdf
+from jaxvision import measured_files as files
+from jaxvision.brdf.half_difference import HalfDifferenceTable, bin_angles, half_difference
+from jaxvision.brdf.measured import BRDFSamples, sample_directions
+
+SHAPE = (12, 10, 8)
+
+
+def reflectance(h, d, p):
+    """Smooth in all three angles, different in the colours, symmetric under phi_d + pi."""
+    base = 0.2 + 0.5 * np.exp(-np.square(np.tan(h * 0.9))) * (1 + 0.3 * np.cos(2 * p) * d)
+    return base[..., None] * np.array([1.0, 0.6, 0.3])
+
+
+def write(folder, name, data):
+    path = folder / name
+    path.write_bytes(data) if isinstance(data, bytes) else path.write_text(data)
+    return path
+
+
+def refused(reader, path, *words):
+    """The message: one sentence, naming the file, with all of the words."""
+    with pytest.raises(InputError) as caught:
+        reader(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert message.endswith(".")
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+# ------------------------------------------------ MERL
+
+
+def test_merl_layout_is_the_published_one(tmp_path):
+    """Each valid bin holds what was written at its angles; marked bins hold the nearest valid
+    value, or zero."""
+    data, valid = oracle.merl_bytes(reflectance, SHAPE)
+    path = write(tmp_path, "paint.binary", data)
+    table = files.read_merl(path)
+    middles = np.meshgrid(*map(np.asarray, bin_angles(table)), indexing="ij")
+    expected = reflectance(*middles)
+    values = np.asarray(table.values)
+    assert 0.5 < valid.mean() < 1
+    np.testing.assert_allclose(values[valid], expected[valid], rtol=1e-14)
+    assert set(values[~valid, 0]) <= set(values[valid, 0])
+    zeroed = np.asarray(files.read_merl(path, invalid="zero").values)
+    assert (zeroed[~valid] == 0).all()
+    np.testing.assert_array_equal(zeroed[valid], values[valid])
+
+
+def test_a_marked_bin_takes_the_nearest_around_the_circle(tmp_path):
+    stored = np.full((3, 1, 1, 8), -1.0)
+    stored[:, 0, 0, 7], stored[:, 0, 0, 4] = 1500, 3000
+    path = write(tmp_path, "few.binary", struct.pack("<3i", 1, 1, 8) + stored.tobytes())
+    red = np.asarray(files.read_merl(path).values)[0, 0, :, 0]
+    np.testing.assert_allclose(red[[0, 1, 3, 5, 7]], [1, 1, 2, 2, 1])
+
+
+def test_merl_file_of_full_size_answers_as_the_published_lookup(tmp_path):
+    """90 x 90 x 180: nearest bin against the published reader's index, linear near the function
+    that was tabulated."""
+    data, _ = oracle.merl_bytes(reflectance)
+    table = files.read_measured(write(tmp_path, "full.binary", data))
+    assert isinstance(table, HalfDifferenceTable)
+    assert table.values.shape == (90, 90, 180, 3)
+    rng = np.random.default_rng(2)
+    wi, wo = oracle.directions(rng, 200, highest=1.4), oracle.directions(rng, 200, highest=1.4)
+    angles = [oracle.half_difference(*pair) for pair in zip(wi, wo, strict=True)]
+    nearest = HalfDifferenceTable(table.values, interpolation="nearest")
+    evaluate = jax.jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
+    expected = np.array([np.asarray(table.values)[oracle.merl_bin(a)] for a in angles])
+    np.testing.assert_array_equal(evaluate(nearest, wi, wo), expected)
+    theta_h, _, theta_d, phi_d = np.array(angles).T
+    everywhere = reflectance(*np.meshgrid(*map(np.asarray, bin_angles(table)), indexing="ij"))
+    curvature = sum(np.abs(np.diff(everywhere, 2, axis=k)).max() for k in range(3))
+    error = np.abs(evaluate(table, wi, wo) - reflectance(theta_h, theta_d, phi_d))
+    assert error.max() < curvature / 8  # the bound of linear interpolation
+    assert curvature < 0.01
+
+
+def test_merl_round_trip(tmp_path):
+    values = np.random.default_rng(1).uniform(0, 5, (*SHAPE, 3))
+    files.write_merl(tmp_path / "a.binary", HalfDifferenceTable(jnp.asarray(values)))
+    np.testing.assert_allclose(files.read_merl(tmp_path / "a.binary").values, values, rtol=1e-15)
+    grey = HalfDifferenceTable(jnp.ones((*SHAPE, 1)))
+    with pytest.raises(InputError, match="holds 3 bands, got 1"):
+        files.write_merl(tmp_path / "b.binary", grey)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.binary"]
+
+
+def test_wrong_merl_files_are_named(tmp_path):
+    data, _ = oracle.merl_bytes(reflectance, SHAPE)
+    swapped, _ = oracle.merl_bytes(reflectance, SHAPE, order=">")
+    values = np.frombuffer(data[12:], "<f8").copy()
+    values[3] = np.nan
+    refused(files.read_merl, tmp_path / "absent.binary", "no such file")
+    refused(files.read_merl, write(tmp_path, "1", b"abc"), "too short")
+    refused(files.read_merl, write(tmp_path, "2", swapped), "big-endian")
+    refused(files.read_merl, write(tmp_path, "3", data[:-8]), "cut short", str(len(data)))
+    refused(files.read_merl, write(tmp_path, "4", data + b"12345678"), "damaged")
+    refused(files.read_merl, write(tmp_path, "5", data[:12] + values.tobytes()), "1 values are not")
+    refused(files.read_merl, write(tmp_path, "6", b"P6 640 480 255 " * 9), "no MERL file")
+    empty = data[:12] + np.full(3 * np.prod(SHAPE), -1.0).tobytes()
+    refused(files.read_merl, write(tmp_path, "7", empty), "not measured")
+    refused(files.read_measured, write(tmp_path, "a.txt", data), "'.txt'", ".bsdf")
+
+
+# ------------------------------------------------ Cornell
+
+CORNELL = """# a comment
+# num wls
+3
+
+400 410
+420   # the wavelengths may take several lines
+# theta i, phi i, theta s, phi_s, spectral sample values
+
+0.5 0.0 0.6 3.0 0.1 0.2 0.3
+0.7 0.1 0.0 -1.0 0.4 0.5 0.6
+"""
+
+
+def test_cornell_columns(tmp_path):
+    samples = files.read_measured(write(tmp_path, "paint.brdf", CORNELL))
+    assert isinstance(samples, BRDFSamples)
+    np.testing.assert_allclose(samples.wavelengths, [400e-9, 410e-9, 420e-9], rtol=1e-15)
+    np.testing.assert_array_equal(samples.theta_i, [0.5, 0.7])
+    np.testing.assert_array_equal(samples.phi_i, [0.0, 0.1])
+    np.testing.assert_array_equal(samples.theta_o, [0.6, 0.0])
+    np.testing.assert_array_equal(samples.phi_o, [3.0, -1.0])
+    np.testing.assert_array_equal(samples.values, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+
+
+def test_cornell_round_trip(tmp_path):
+    rng = np.random.default_rng(4)
+    angles = rng.uniform(0, 1.5, (4, 6))
+    samples = BRDFSamples(*angles, rng.random((6, 3)), np.array([450e-9, 550e-9, 650e-9]))
+    files.write_cornell(tmp_path / "a.brdf", samples, description="Two\nlines")
+    again = files.read_cornell(tmp_path / "a.brdf")
+    for name in ("theta_i", "phi_i", "theta_o", "phi_o", "values"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(samples, name))
+    np.testing.assert_allclose(again.wavelengths, samples.wavelengths, rtol=1e-12)
+    assert (tmp_path / "a.brdf").read_text().startswith("# Two\n# lines\n")
+    with pytest.raises(InputError, match="needs wavelengths"):
+        files.write_cornell(tmp_path / "b.brdf", BRDFSamples(*angles, rng.random((6, 3))))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("0.4 0.5 0.6", "0.4 0.5", ("line 10", "6 columns", "make 7")),
+        ("0.4 0.5 0.6", "0.4 0.5 0.6 0.7", ("line 10", "8 columns")),
+        ("0.4 0.5 0.6", "0.4 nan 0.6", ("line 10", "not a finite number")),
+        ("0.4 0.5 0.6", "0.4 0,5 0.6", ("line 10", "not a row of numbers")),
+        ("0.7 0.1", "40 0.1", ("line 10", "degrees")),
+        ("0.5 0.0", "-0.5 0.0", ("line 9", "pi / 2")),
+        ("3\n", "3.5\n", ("count of wavelengths",)),
+        ("3\n", "4\n", ("4 increasing wavelengths",)),
+        ("400 410", "410 400", ("increasing wavelengths",)),
+        (CORNELL[CORNELL.index("0.5") :], "", ("no samples",)),
+        (CORNELL, "# nothing", ("count of wavelengths",)),
+    ],
+)
+def test_wrong_cornell_files_are_named(tmp_path, old, new, words):
+    assert old in CORNELL
+    refused(files.read_cornell, write(tmp_path, "x.brdf", CORNELL.replace(old, new, 1)), *words)
+
+
+def test_a_binary_file_is_no_cornell_file(tmp_path):
+    refused(files.read_cornell, write(tmp_path, "x.brdf", b"3\n\xff\xfe"), "not a text file")
+
+
+def test_scattered_samples_become_a_table():
+    """Samples of a known lobe at Cornell's angles: the table returns them, and what lies between,
+    reciprocal and mirror-symmetric."""
+    theta = np.radians(np.arange(10, 81, 10.0))
+    axes = np.meshgrid(theta, np.radians(np.arange(0, 80, 8.0)), np.linspace(0, np.pi, 19))
+    theta_i, theta_o, phi = (axis.ravel() for axis in axes)
+
+    def paint(wi, wo):
+        angles = jax.vmap(half_difference)(wi, wo)
+        lobe = jnp.exp(-jnp.square(jnp.tan(angles.theta_h) / 0.3))
+        return (0.1 + 0.5 * lobe * (1 + jnp.square(angles.theta_d)))[:, None]
+
+    blank = BRDFSamples(theta_i, 0 * phi, theta_o, phi, np.zeros((phi.size, 1)), [5e-7])
+    directions = sample_directions(blank)
+    samples = BRDFSamples(theta_i, 0 * phi, theta_o, phi, paint(*directions), [5e-7])
+    table = files.table_of_samples(samples, shape=(40, 16, 8))
+    evaluate = jax.jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
+    np.testing.assert_allclose(evaluate(table, *directions), samples.values, rtol=0.08)
+    np.testing.assert_array_equal(table.wavelengths, [5e-7])
+    rng = np.random.default_rng(6)
+    wi, wo = (jnp.asarray(oracle.directions(rng, phi.size, highest=1.35)) for _ in range(2))
+    found = evaluate(table, wi, wo)
+    error = found / paint(wi, wo) - 1
+    assert jnp.sqrt(jnp.mean(jnp.square(error))) < 0.02
+    flip = np.array([[1.0, -1.0, 1.0]])
+    np.testing.assert_allclose(evaluate(table, wo, wi), found, rtol=1e-9)
+    np.testing.assert_allclose(evaluate(table, wi * flip, wo * flip), found, rtol=1e-9)
+
+
+# ------------------------------------------------ RGL
+
+
+@pytest.mark.parametrize("bands", [None, 5])
+def test_rgl_fields_and_round_trip(tmp_path, bands):
+    """Values against the construction written out over the very fields; written and read again,
+    the material is the same to the file's float32."""
+    fields = oracle.rgl_fields(np.random.default_rng(3), bands=bands)
+    path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
+    material = files.read_measured(path)
+    rng = np.random.default_rng(7)
+    wi, wo = oracle.directions(rng, 20), oracle.directions(rng, 20)
+    shading = jax.jit(jax.vmap(brdf.shading, (None, 0, 0)))
+    expected = [oracle.rgl_shading(fields, *pair)[0] for pair in zip(wi, wo, strict=True)]
+    np.testing.assert_allclose(shading(material, wi, wo), expected, rtol=1e-6)
+    if bands:
+        np.testing.assert_allclose(material.wavelengths, np.linspace(400e-9, 700e-9, 5), rtol=1e-6)
+    files.write_rgl(tmp_path / "again.bsdf", material, description="µ paint")
+    again = files.read_rgl(tmp_path / "again.bsdf")
+    assert jax.tree.structure(again) == jax.tree.structure(material)
+    for new, old in zip(jax.tree.leaves(again), jax.tree.leaves(material), strict=True):
+        np.testing.assert_allclose(new, old, rtol=3e-7, atol=1e-12)
+
+
+def test_symmetry_follows_from_the_span_of_azimuths(tmp_path):
+    for span, symmetry in ((2 * np.pi, 1), (np.pi, 2), (np.pi / 2, 4)):
+        phi = np.linspace(-np.pi, -np.pi + span, 3)
+        fields = oracle.rgl_fields(np.random.default_rng(3), phi=phi)
+        path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
+        assert files.read_rgl(path).symmetry == symmetry
+
+
+def test_unscaled_values_are_taken_as_they_are(tmp_path):
+    fields = oracle.rgl_fields(np.random.default_rng(3)) | {"jacobian": np.array([0], np.uint8)}
+    fields["rgb"] = np.full_like(fields["rgb"], 0.25)
+    material = files.read_rgl(write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields)))
+    up = jnp.asarray([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(brdf.shading(material, up, up), 0.25, rtol=1e-6)
+
+
+def test_wrong_rgl_files_are_named(tmp_path):
+    fields = oracle.rgl_fields(np.random.default_rng(3))
+    data = oracle.tensor_bytes(fields)
+
+    def changed(**new):
+        return write(tmp_path, "x.bsdf", oracle.tensor_bytes(fields | new))
+
+    read = files.read_rgl
+    refused(read, write(tmp_path, "1.bsdf", b"P6 640 480"), "not an RGL tensor file")
+    refused(read, write(tmp_path, "2.bsdf", data[:12] + b"\2\0" + data[14:]), "version (2, 0)")
+    refused(read, write(tmp_path, "3.bsdf", data[:-100]), "cut short")
+    refused(read, write(tmp_path, "4.bsdf", data[:40]), "cut short")
+    swapped = data[:14] + struct.pack(">I", len(fields)) + data[18:]
+    refused(read, write(tmp_path, "5.bsdf", swapped), "big-endian")
+    some = {name: x for name, x in fields.items() if name not in ("rgb", "sigma")}
+    refused(read, write(tmp_path, "6.bsdf", oracle.tensor_bytes(some)), "no field sigma, rgb")
+    refused(read, changed(vndf=fields["vndf"][:, :2]), "'vndf' has shape", "4 elevations")
+    refused(read, changed(rgb=fields["rgb"][:, :, :2]), "'rgb' has shape", "3 bands")
+    refused(read, changed(ndf=np.full((2, 4), np.nan, np.float32)), "'ndf'", "not finite")
+    refused(read, changed(theta_i=fields["theta_i"][::-1]), "'theta_i' does not increase")
+    kind = data.index(b"phi_i") + len("phi_i") + 2
+    refused(
+        read, write(tmp_path, "7.bsdf", data[:kind] + b"\x63" + data[kind + 1 :]), "unknown type 99"
+    )

@@ -1,0 +1,120 @@
+"""Borders against numpy.pad and scipy, on planes and images, and by their definition far outside."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import signal
+
+from jaxvision.padding import BORDERS, ghosts, pad
+
+RNG = np.random.default_rng(4)
+NUMPY = {
+    "zero": {"mode": "constant"},
+    "normalised_zero": {"mode": "constant"},
+    "constant": {"mode": "constant", "constant_values": 0.7},
+    "clamp": {"mode": "edge"},
+    "wrap": {"mode": "wrap"},
+    "mirror": {"mode": "symmetric"},
+    "extend": {"mode": "reflect", "reflect_type": "odd"},
+}
+
+
+@pytest.mark.parametrize("border", BORDERS)
+@pytest.mark.parametrize("size", [(4, 5), (1, 3), (1, 1), (2, 1)])
+def test_equal_to_numpy_also_far_beyond_the_picture(border, size):
+    plane = RNG.normal(size=size)
+    widths = ((3, 9), (11, 0))
+    expected = np.pad(plane, widths, **NUMPY[border])
+    got = pad(plane, widths, border=border, fill=0.7)
+    np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_every_border_was_compared():
+    assert NUMPY.keys() == BORDERS.keys()
+
+
+def test_extend_is_scipys_odd_extension():
+    row = RNG.normal(size=(1, 9))
+    expected = signal._arraytools.odd_ext(row, 6)
+    np.testing.assert_allclose(pad(row, ((0, 0), (6, 6)), border="extend"), expected, atol=1e-14)
+
+
+def test_extend_continues_a_ramp():
+    ramp = np.arange(5.0)[None] * np.ones((3, 1))
+    got = pad(ramp, ((4, 4), (13, 9)), border="extend")
+    np.testing.assert_allclose(got, np.arange(-13.0, 14)[None] * np.ones((11, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("border", BORDERS)
+def test_batch_and_bands_are_planes_of_their_own(border):
+    batch = RNG.normal(size=(2, 3, 4, 5, 2)).astype(np.float32)
+    fill = jnp.asarray([0.25, -3.0], jnp.float32)
+    got = pad(batch, ((2, 1), (0, 3)), border=border, fill=fill)
+    assert got.dtype == jnp.float32
+    assert got.shape == (2, 3, 7, 8, 2)
+    options = dict(NUMPY[border])
+    for i, j, band in np.ndindex(2, 3, 2):
+        if border == "constant":
+            options["constant_values"] = float(fill[band])
+        expected = np.pad(batch[i, j, :, :, band], ((2, 1), (0, 3)), **options)
+        np.testing.assert_allclose(got[i, j, :, :, band], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("border", BORDERS)
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_ghosts_are_what_pad_does(border, n):
+    row = RNG.normal(size=n)
+    rule = ghosts(border, n, 7, 12)
+    by_rule = rule.own * row[rule.source] + rule.first * row[0] + rule.last * row[-1]
+    np.testing.assert_allclose(
+        pad(row[None], ((0, 0), (7, 12)), border=border)[0], by_rule, atol=1e-12
+    )
+    inside = slice(7, 7 + n)
+    assert (rule.source[inside] == np.arange(n)).all()
+    assert (rule.own[inside] == 1).all()
+
+
+def test_integers_and_strides():
+    codes = (255 * RNG.uniform(size=(6, 8, 3))).astype(np.uint8)
+    got = pad(codes[::2, ::-1], ((1, 1), (2, 2)))
+    assert got.dtype == jnp.result_type(float)
+    expected = np.pad(codes[::2, ::-1], ((1, 1), (2, 2), (0, 0)), mode="symmetric")
+    np.testing.assert_array_equal(got, expected)
+
+
+def test_nan_outside_its_ghosts_stays_where_it_is():
+    plane = np.ones((4, 4))
+    plane[0, 0] = np.nan
+    for border in BORDERS:
+        padded = np.asarray(pad(plane, ((2, 2), (2, 2)), border=border))
+        assert np.isnan(padded[2, 2])
+        assert np.isfinite(padded[3:6, 3:6]).all()
+    assert np.isnan(pad(plane, ((2, 2), (2, 2)), border="zero")).sum() == 1
+
+
+def test_transpose_gives_back_what_the_ghosts_took():
+    """<P f, g> = <f, P' g>, by autodiff."""
+    f, g = RNG.normal(size=(3, 4)), RNG.normal(size=(14, 7))
+    for border in set(BORDERS) - {"constant"}:
+        padded, back = jax.vjp(lambda x, b=border: pad(x, ((5, 6), (2, 1)), border=b), f)
+        np.testing.assert_allclose(np.vdot(padded, g), np.vdot(f, back(g)[0]), rtol=1e-12)
+
+
+def test_unknown_border_names_all_of_them_in_three_languages():
+    with pytest.raises(ValueError, match="nearest") as error:
+        pad(np.ones((2, 2)), ((1, 1), (1, 1)), border="edge")
+    words = str(error.value)
+    assert all(f'"{name}"' in words for name in BORDERS)
+    assert all(name in words for name in ("numpy", "scipy", '"edge"', '"symmetric"', '"reflect"'))
+
+
+@pytest.mark.parametrize("shape", [(3,), (0, 4), (2, 3, 0), ()])
+def test_no_picture(shape):
+    with pytest.raises(ValueError, match="at least one pixel"):
+        pad(np.ones(shape), ((1, 1), (1, 1)))
+
+
+def test_negative_width():
+    with pytest.raises(ValueError, match=">= 0"):
+        pad(np.ones((2, 2)), ((1, -1), (0, 0)))

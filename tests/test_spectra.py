@@ -1,0 +1,247 @@
+"""Spectra against colour-science, published tables, and quadrature in many digits; the tables of
+`colour_data` against the library they come from."""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+
+from jaxvision import InputError, colour_data, spectra
+
+colour = pytest.importorskip("colour")
+
+NM = np.arange(380, 785, 5.0)
+GRID = colour_data.nanometres(NM)
+SHAPE = colour.SpectralShape(380, 780, 5)
+RNG = np.random.default_rng(4)
+
+
+def test_grids():
+    np.testing.assert_allclose(colour_data.wavelength_grid(), GRID, rtol=1e-14)
+    assert colour_data.wavelength_grid(first=4e-7, last=7e-7, step=1e-8).shape == (31,)
+    for bad in (3e-9, 0.0, -5e-9):
+        with pytest.raises(InputError, match="whole number of steps"):
+            colour_data.wavelength_grid(step=bad)
+
+
+# ------------------------------------------------ conversions
+
+
+def test_patches_to_xyz_as_colour_science():
+    """All 24 patches under D65: CIE's summation, as `sd_to_XYZ_integration` does it."""
+    ours = spectra.reflectance_to_xyz(
+        colour_data.chart_reflectances(GRID),
+        GRID,
+        colour_data.observer(GRID),
+        colour_data.illuminant("D65", GRID),
+    )
+    cmfs = colour.MSDS_CMFS[colour_data.OBSERVER].copy().align(SHAPE)
+    lamp = colour.SDS_ILLUMINANTS["D65"].copy().align(SHAPE)
+    theirs = [
+        colour.colorimetry.sd_to_XYZ_integration(patch.copy().align(SHAPE), cmfs, lamp) / 100
+        for patch in colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values()
+    ]
+    assert len(theirs) == 24
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10)
+
+
+def test_emission_to_xyz_as_colour_science():
+    """Absolute values of a lamp: K_m = 683 lm / W."""
+    radiance = colour_data.illuminant("A", GRID)
+    ours = spectra.spectrum_to_xyz(radiance, GRID, colour_data.observer(GRID))
+    cmfs = colour.MSDS_CMFS[colour_data.OBSERVER].copy().align(SHAPE)
+    lamp = colour.SDS_ILLUMINANTS["A"].copy().align(SHAPE)
+    theirs = colour.colorimetry.sd_to_XYZ_integration(lamp, cmfs, k=683) * 1e-9
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10)
+
+
+def test_camera_as_a_loop_of_quadrature():
+    """Per band and channel, by hand, and with colour-science's own tables."""
+    lamp = colour.SDS_ILLUMINANTS["D65"]
+    camera = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"]
+    nm = np.arange(400, 705, 5.0)
+    grid = colour_data.nanometres(nm)
+    patches = colour_data.chart_reflectances(grid)
+    light = patches * colour_data.illuminant("D65", grid)[None]
+    ours = spectra.spectrum_to_camera(
+        light, grid, colour_data.camera_sensitivities("Nikon 5100 (NPL)", grid)
+    )
+    chart = list(colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values())
+    theirs = np.zeros((24, 3))
+    for p in range(24):
+        for c in range(3):
+            for wavelength in nm:
+                theirs[p, c] += (
+                    float(chart[p][wavelength])
+                    * float(lamp[wavelength])
+                    * float(camera[wavelength][c])
+                    * 5e-9
+                )
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10)
+
+
+def test_white_point_of_d65():
+    """The perfect white under D65 is at x = 0.31272, y = 0.32903 (CIE 15:2018, table 3)."""
+    white = spectra.reflectance_to_xyz(
+        jnp.ones_like(GRID), GRID, colour_data.observer(GRID), colour_data.illuminant("D65", GRID)
+    )
+    np.testing.assert_allclose(white[:2] / white.sum(), [0.31272, 0.32903], atol=6e-6)
+    np.testing.assert_allclose(white[1], 1, rtol=1e-14)
+    # the published chromaticity has four decimals: 5e-5 / 0.329, in Z of 1.09
+    np.testing.assert_allclose(white, colour_data.white_point("D65"), atol=5e-4)
+
+
+def test_three_bands_are_a_spectrum():
+    """RGB through the same functions: three bands of unit width."""
+    grid = jnp.asarray([1.0, 2.0, 3.0])
+    matrix = jnp.asarray(RNG.uniform(size=(3, 3)))
+    rgb = jnp.asarray(RNG.uniform(size=(4, 5, 3)))
+    np.testing.assert_allclose(
+        spectra.spectrum_to_camera(rgb, grid, matrix), np.asarray(rgb) @ np.asarray(matrix)
+    )
+
+
+def test_widths_and_integral():
+    grid = jnp.asarray([1.0, 2.0, 4.0, 5.0])
+    np.testing.assert_array_equal(spectra.band_widths(grid), [1, 1.5, 1.5, 1])
+    np.testing.assert_allclose(spectra.integrate_spectrum(jnp.ones(4), grid), 5.0)
+    # a smooth hump that is zero at both ends: the sum converges to the integral
+    fine = jnp.linspace(0.0, 1.0, 401)
+    hump = jnp.sin(jnp.pi * fine) ** 2
+    np.testing.assert_allclose(spectra.integrate_spectrum(hump, fine), 0.5, rtol=1e-12)
+    with pytest.raises(ValueError, match="at least two, got 1"):
+        spectra.band_widths(jnp.ones(1))
+
+
+# ------------------------------------------------ interpolation
+
+
+def test_sprague_as_colour_science():
+    nm, wanted = np.arange(400.0, 481.0, 10.0), np.linspace(400.0, 480.0, 97)
+    values = RNG.uniform(size=(2, len(nm)))
+    ours = spectra.interpolate_spectrum(
+        jnp.asarray(values),
+        colour_data.nanometres(nm),
+        colour_data.nanometres(wanted),
+        method="sprague",
+    )
+    theirs = [colour.SpragueInterpolator(nm, row)(wanted) for row in values]
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11)
+
+
+def test_linear_as_numpy_and_both_ends():
+    known = jnp.asarray([4.0, 4.7, 5.1, 6.0]) * 1e-7
+    wanted = jnp.asarray([3.5, 4.0, 4.3, 5.1, 5.7, 6.0, 6.5]) * 1e-7
+    values = jnp.asarray(RNG.uniform(0.1, 1, size=(3, 4)))
+    clamped = [np.interp(wanted, known, row) for row in np.asarray(values)]
+    ended = [np.interp(wanted, known, row, left=0, right=0) for row in np.asarray(values)]
+    np.testing.assert_allclose(spectra.interpolate_spectrum(values, known, wanted), clamped)
+    np.testing.assert_allclose(
+        spectra.interpolate_spectrum(values, known, wanted, outside="zero"), ended
+    )
+
+
+def test_bad_interpolation_is_named():
+    grid, values = jnp.linspace(4e-7, 7e-7, 5), jnp.ones(5)
+    with pytest.raises(ValueError, match=r"method must be .linear. or .sprague.*got 'cubic'"):
+        spectra.interpolate_spectrum(values, grid, grid, method="cubic")
+    with pytest.raises(ValueError, match="sprague interpolation takes 6 bands, got 5"):
+        spectra.interpolate_spectrum(values, grid, grid, method="sprague")
+
+
+# ------------------------------------------------ laws of light
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("temperature", [300.0, 2856.0, 6504.0, 1e5])
+def test_planck_in_many_digits(dtype, temperature):
+    grid = jnp.asarray([3e-7, 5.55e-7, 7.8e-7, 1e-5], dtype)
+    ours = spectra.blackbody(grid, jnp.asarray(temperature, dtype))
+    assert ours.dtype == dtype
+    h, c, k = mp.mpf("6.62607015e-34"), mp.mpf(299792458), mp.mpf("1.380649e-23")
+    for wavelength, value in zip(np.asarray(grid, np.float64), ours, strict=True):
+        x = h * c / (mp.mpf(wavelength) * k * mp.mpf(temperature))
+        truth = 2 * h * c**2 / mp.mpf(wavelength) ** 5 / mp.expm1(x)
+        if truth > 1e-30:  # the exponential magnifies the rounding of its argument
+            tolerance = float(8 * (1 + x) * float(jnp.finfo(dtype).eps))
+            assert abs(float(value) / float(truth) - 1) < tolerance
+        else:
+            assert 0 <= float(value) < 1e-29
+
+
+def test_planck_as_colour_science():
+    """With the constants of the ITS-90, as there."""
+    ours = spectra.blackbody(GRID, jnp.asarray(5000.0))
+    theirs = colour.colorimetry.planck_law(
+        np.asarray(GRID), 5000, c1=3.741771852e-16, c2=1.438776877e-2
+    )
+    np.testing.assert_allclose(ours, theirs, rtol=1e-8)
+
+
+def test_blackbody_without_warmth():
+    for temperature in (0.0, -5.0, 1e-3):
+        value, slope = jax.value_and_grad(lambda t: spectra.blackbody(GRID, t).sum())(
+            jnp.asarray(temperature)
+        )
+        assert value == 0
+        assert jnp.isfinite(slope)
+
+
+@pytest.mark.parametrize("temperature", [4000.0, 5003.0, 6504.0, 7000.5, 25000.0])
+def test_daylight_as_colour_science(temperature):
+    basis = colour_data.daylight_basis(GRID)
+    xy = colour.temperature.CCT_to_xy_CIE_D(temperature)
+    theirs = colour.colorimetry.sd_CIE_illuminant_D_series(xy, M1_M2_rounding=False)
+    ours = spectra.daylight(basis, jnp.asarray(temperature))
+    np.testing.assert_allclose(ours, theirs[NM], rtol=1e-10)
+
+
+def test_daylight_is_the_tabulated_d65():
+    """The CIE's table was made with M_1 and M_2 rounded to three decimals, and its own 6504 K."""
+    ours = spectra.daylight(colour_data.daylight_basis(GRID), jnp.asarray(6500 * 1.4388 / 1.4380))
+    np.testing.assert_allclose(ours, colour_data.illuminant("D65", GRID), rtol=1e-3)
+    limits = [
+        spectra.daylight(colour_data.daylight_basis(GRID), jnp.asarray(t)) for t in (3e3, 4e3)
+    ]
+    np.testing.assert_array_equal(*limits)
+
+
+# ------------------------------------------------ tables
+
+
+def test_tables_end_or_continue():
+    wide = colour_data.nanometres([200.0, 555.0, 1200.0])
+    observer = colour_data.observer(wide)
+    np.testing.assert_array_equal(observer[0], 0)
+    np.testing.assert_array_equal(observer[2], 0)
+    np.testing.assert_allclose(observer[1, 1], 1.0, rtol=1e-6)  # y peaks at 555 nm
+    chart = colour_data.chart_reflectances(wide)
+    native = list(colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values())
+    np.testing.assert_allclose(chart[:, 0], [patch.values[0] for patch in native])
+
+
+def test_unknown_names_list_the_known():
+    with pytest.raises(InputError, match=r"No illuminant 'D66'; use one of .*D65"):
+        colour_data.illuminant("D66", GRID)
+    with pytest.raises(InputError, match=r"No camera 'x'.*Nikon 5100"):
+        colour_data.camera_sensitivities("x", GRID)
+    with pytest.raises(InputError, match=r"No observer 'x'.*CIE 1931"):
+        colour_data.observer(GRID, name="x")
+    with pytest.raises(InputError, match=r"No chart 'x'.*ColorChecker N Ohta"):
+        colour_data.chart_reflectances(GRID, name="x")
+    with pytest.raises(InputError, match=r"No illuminant 'x'.*D65"):
+        colour_data.white_point("x")
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_dtype_is_kept(dtype):
+    grid, values = GRID.astype(dtype), jnp.ones((2, len(GRID)), dtype)
+    three = jnp.ones((len(GRID), 3), dtype)
+    results = [
+        spectra.interpolate_spectrum(values, grid, grid, method="sprague"),
+        spectra.spectrum_to_xyz(values, grid, three),
+        spectra.reflectance_to_xyz(values, grid, three, grid),
+        spectra.daylight(three, jnp.asarray(5000, dtype)),
+    ]
+    assert all(result.dtype == dtype for result in results)
