@@ -16,9 +16,7 @@ from jaxvision.padding import BORDERS
 RNG = np.random.default_rng(8)
 PLANE, IMAGE = RNG.normal(size=(9, 7)), RNG.normal(size=(9, 7, 3))
 SCIPY = {"zero": "constant", "clamp": "nearest", "wrap": "grid-wrap", "mirror": "reflect"}
-KERNELS = {
-    size: RNG.normal(size=size) for size in [(3, 3), (4, 3), (1, 6), (11, 8)]
-}
+KERNELS = {size: RNG.normal(size=size) for size in [(3, 3), (4, 3), (1, 6), (11, 8)]}
 LINEAR = sorted(set(BORDERS) - {"constant"})
 
 
@@ -206,7 +204,9 @@ def test_gradients_by_hand(border, method):
         return np.vdot(y, by_hand(plane, kernel, (2, 1), border))
 
     g = partial(filters.correlate, border=border, method=method)
-    pixels, taps = jax.grad(lambda f, k: jnp.vdot(y, g(f, k)), (0, 1))(*map(jnp.asarray, (f, kernel)))
+    pixels, taps = jax.grad(lambda f, k: jnp.vdot(y, g(f, k)), (0, 1))(
+        *map(jnp.asarray, (f, kernel))
+    )
     units = np.eye(12).reshape(12, *size)
     np.testing.assert_allclose(
         pixels.ravel(), [response(unit, kernel) for unit in units], atol=1e-11

@@ -1,4 +1,4 @@
-"""Borders against numpy.pad and scipy, on planes and images, and by their definition far outside."""
+"""Borders against numpy.pad and scipy, on planes and images, and far outside the picture."""
 
 import jax
 import jax.numpy as jnp

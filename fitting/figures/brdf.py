@@ -204,9 +204,11 @@ def _heat_table(
         )
     axis.set_xticks(range(len(columns)), columns)
     axis.set_yticks(range(len(rows)), rows)
-    figure.colorbar(
+    bar = figure.colorbar(
         shown, ax=axis, label=label, extend="max" if values.max() > limit else "neither"
     )
+    bar.ax.yaxis.set_major_formatter("{x:g}")
+    bar.ax.yaxis.set_minor_formatter("{x:g}")
     return figure
 
 

@@ -25,7 +25,7 @@ from .convolution import correlate
 from .gaussian import gaussian
 from .kernels import gaussian_size
 
-Kernels = Float[Array, "kh kw h w"]
+Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "h w"]
 # (radius in pixels, scale of each pixel) -> weight, before the weights are brought to sum 1
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
@@ -69,14 +69,14 @@ def correlate_per_pixel(
 
 def correlate_bank(
     picture: Picture,
-    bank: Float[Array, "members kh kw"],
+    bank: Float[Array | np.ndarray, "..."],
     position: Float[Array, "h w"],
     *,
     border: str = "mirror",
     method: str = "auto",
 ) -> Filtered:
-    """The picture under each kernel of a bank, blended pixel by pixel: `position` in [0, members -
-    1] counts along the bank, beyond its ends they stay; in between linear.
+    """The picture under each kernel of a `bank`, (members, kh, kw), blended pixel by pixel:
+    `position` in [0, members - 1] counts along the bank, linear in between, constant beyond.
 
     The kernel of a pixel is the blend of two of the bank's: more members, less error, in proportion
     to the square of their distance. `ValueError` for a bank of other axes.
@@ -183,8 +183,8 @@ def _radial(
         total, weights = totals
         weight = share * profile(distance, scale)
         ring = sum(
-            lax.dynamic_slice(
-                wide, (0, radius + y, 0, radius + x), (wide.shape[0], h, wide.shape[2], w)
+            lax.dynamic_slice_in_dim(
+                lax.dynamic_slice_in_dim(wide, radius + y, h, axis=1), radius + x, w, axis=3
             )
             for p, q in ((a, b), (b, a))
             for y in (p, -p)

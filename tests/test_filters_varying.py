@@ -1,0 +1,208 @@
+"""Kernels that change from pixel to pixel, and filters as matrices."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import filters
+from jaxvision.padding import BORDERS
+
+RNG = np.random.default_rng(21)
+H, W = 7, 6
+PLANE, IMAGE = RNG.normal(size=(H, W)), RNG.normal(size=(2, H, W, 3))
+STACK = np.abs(RNG.normal(size=(4, 3, H, W)))
+KERNEL = np.abs(RNG.normal(size=(4, 3)))
+LINEAR = ("zero", "clamp", "wrap", "mirror", "extend")
+NUMPY = {
+    "zero": {"mode": "constant"},
+    "clamp": {"mode": "edge"},
+    "wrap": {"mode": "wrap"},
+    "mirror": {"mode": "symmetric"},
+    "extend": {"mode": "reflect", "reflect_type": "odd"},
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    """Correctness needs no optimised code: this compiles three times faster."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+def by_hand(plane, stack, anchor, border):
+    kh, kw, h, w = stack.shape
+    reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])
+    wide, g = np.pad(plane, reach, **NUMPY[border]), np.zeros((h, w))
+    for i, j, y, x in np.ndindex(kh, kw, h, w):
+        g[y, x] += stack[i, j, y, x] * wide[y + i, x + j]
+    return g
+
+
+# ------------------------------------------------ a kernel for each pixel
+
+
+@pytest.mark.parametrize("border", LINEAR)
+def test_per_pixel_by_hand(border):
+    got = filters.correlate_per_pixel(PLANE, jnp.asarray(STACK), border=border)
+    np.testing.assert_allclose(got, by_hand(PLANE, STACK, (2, 1), border), atol=1e-12)
+    got = filters.correlate_per_pixel(IMAGE, jnp.asarray(STACK), anchor=(0, 2), border=border)
+    expected = by_hand(IMAGE[1, :, :, 2], STACK, (0, 2), border)
+    np.testing.assert_allclose(got[1, :, :, 2], expected, atol=1e-12)
+
+
+def test_one_kernel_everywhere_is_correlation():
+    stack = jnp.broadcast_to(jnp.asarray(KERNEL)[:, :, None, None], (4, 3, H, W))
+    got = filters.correlate_per_pixel(IMAGE, stack)
+    np.testing.assert_allclose(got, filters.correlate(IMAGE, KERNEL), atol=1e-12)
+
+
+def varying_gaussian(plane, sigma, radius):
+    """Loops, the weights of each pixel brought to sum 1."""
+    wide, g = np.pad(plane, radius, mode="symmetric"), np.zeros_like(plane)
+    yy, xx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    inside = yy**2 + xx**2 <= radius**2
+    for y, x in np.ndindex(plane.shape):
+        k = inside * np.exp(-(yy**2 + xx**2) / (2 * sigma[y, x] ** 2))
+        g[y, x] = (k * wide[y : y + 2 * radius + 1, x : x + 2 * radius + 1]).sum() / k.sum()
+    return g
+
+
+def test_radial_blur_by_hand():
+    sigma = RNG.uniform(0.3, 2, size=(H, W))
+    got = filters.radial_blur(IMAGE, jnp.asarray(sigma), radius=5)
+    expected = varying_gaussian(IMAGE[1, :, :, 0], sigma, 5)
+    np.testing.assert_allclose(got[1, :, :, 0], expected, atol=1e-12)
+
+
+def test_disk_of_defocus():
+    """Sharp where the radius of blur is 0, the mean over the disk elsewhere; grey stays grey."""
+    radius = jnp.asarray(np.where(np.arange(W) < 3, 0.0, 2.5)[None] * np.ones((H, 1)))
+    blur = partial(filters.radial_blur, profile=filters.disk_profile, radius=4)
+    got = blur(PLANE, radius)
+    np.testing.assert_allclose(got[:, :3], PLANE[:, :3], atol=1e-13)
+    np.testing.assert_allclose(blur(np.ones((H, W)), radius), 1, atol=1e-13)
+    np.testing.assert_array_equal(blur(PLANE, radius - 9), PLANE)  # no weight at all
+
+
+def test_bank_is_linear_between_its_members():
+    bank = RNG.normal(size=(3, 3, 3))
+    position = np.array([-1.0, 0, 0.25, 1, 1.5, 9])[None] * np.ones((H, 1))
+    got = filters.correlate_bank(IMAGE, jnp.asarray(bank), jnp.asarray(position))
+    a, b, c = (np.asarray(filters.correlate(IMAGE, k)) for k in bank)
+    expected = (a, a, 0.75 * a + 0.25 * b, b, 0.5 * b + 0.5 * c, c)
+    for x, image in enumerate(expected):
+        np.testing.assert_allclose(got[:, :, x], image[:, :, x], atol=1e-12)
+
+
+def test_members_of_a_gaussian_bank_are_the_knob():
+    plane = RNG.normal(size=(40, 40))
+    sigma = np.linspace(0.8, 3.0, 40)[None] * np.ones((40, 1))
+    truth = varying_gaussian(plane, sigma, 15)
+    errors = []
+    for members in (3, 6, 12):
+        sigmas = filters.blur_sigmas(0.8, 3.0, members=members)
+        got = filters.gaussian_varying(plane, jnp.asarray(sigma), sigmas=sigmas, truncate=5.0)
+        errors.append(np.abs(got - truth).max())
+    assert errors[0] < 0.1
+    assert errors[1] < errors[0] / 3
+    assert errors[2] < errors[1] / 3
+
+
+def test_bank_keeps_the_variance_between_its_sigmas():
+    """The impulse response at a pixel between two members."""
+    sigma = jnp.full((31, 31), 1.7)
+    impulse = np.zeros((31, 31))
+    impulse[15, 15] = 1
+    got = np.asarray(filters.gaussian_varying(impulse, sigma, sigmas=(1.0, 2.5), truncate=6.0))
+    yy, xx = np.mgrid[:31, :31] - 15
+    np.testing.assert_allclose((got * xx**2).sum(), 1.7**2, rtol=1e-5)
+    np.testing.assert_allclose((got * yy**2).sum(), 1.7**2, rtol=1e-5)
+
+
+def test_gradients_by_image_and_by_map():
+    """Along one direction each, against central differences."""
+    sigma, f = jnp.asarray(RNG.uniform(0.8, 2, size=(H, W))), jnp.asarray(PLANE)
+    y = RNG.normal(size=(H, W))
+    for blur in (
+        partial(filters.radial_blur, radius=4),
+        partial(filters.gaussian_varying, sigmas=(0.5, 1.0, 2.1)),
+    ):
+        value = jax.jit(lambda f, s, b=blur: jnp.vdot(y, b(f, s)))
+        slope = jax.jit(jax.jvp, static_argnums=0)(value, (f, sigma), (f * 0 + 1 + y, sigma * y))[1]
+        by_f, by_s = jax.grad(value, (0, 1))(f, sigma)
+        np.testing.assert_allclose(
+            slope, np.vdot(by_f, 1 + y) + np.vdot(by_s, sigma * y), rtol=1e-9
+        )
+        h = 1e-6
+        ahead, behind = (value(f + t * (1 + y), sigma + t * sigma * y) for t in (h, -h))
+        np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), rtol=1e-6)
+
+
+# ------------------------------------------------ matrices
+
+
+@pytest.mark.parametrize("border", BORDERS)
+@pytest.mark.parametrize("size", [(4, 3), (1, 1), (9, 15)])
+def test_matrix_is_the_filter(border, size):
+    kernel = jnp.asarray(np.abs(RNG.normal(size=size)))
+    form = filters.filter_matrix(kernel, shape=(H, W), border=border, fill=0.7)
+    expected = filters.correlate(PLANE, kernel, border=border, fill=0.7, method="conv")
+    g = form.matrix @ PLANE.ravel()
+    assert (form.offset is None) == (border != "constant")
+    g = g if form.offset is None else g + form.offset
+    np.testing.assert_allclose(g, expected.ravel(), atol=1e-12)
+    theirs = filters.scipy_matrix(form.matrix)
+    np.testing.assert_allclose(theirs @ PLANE.ravel(), form.matrix @ PLANE.ravel(), atol=1e-12)
+
+
+@pytest.mark.parametrize("border", LINEAR)
+def test_matrix_of_a_kernel_for_each_pixel_and_its_transpose(border):
+    form = filters.per_pixel_matrix(jnp.asarray(STACK), border=border)
+    dense = np.asarray(form.matrix.todense())
+    h = partial(filters.correlate_per_pixel, kernels=jnp.asarray(STACK), border=border)
+    np.testing.assert_allclose(dense @ PLANE.ravel(), h(PLANE).ravel(), atol=1e-12)
+    y = RNG.normal(size=(H, W))
+    back = filters.adjoint(jnp.asarray(y), operator=h)
+    np.testing.assert_allclose(dense.T @ y.ravel(), back.ravel(), atol=1e-12)
+
+
+def test_scipy_solves_with_the_operator():
+    """A deblurring by conjugate gradients: the operator and its transpose, no matrix."""
+    from scipy.sparse.linalg import lsqr
+
+    kernel = np.array([[0.0, 1, 0], [1, 6, 1], [0, 1, 0]]) / 10
+    h = partial(filters.correlate, kernel=kernel, border="mirror")
+    operator = filters.scipy_operator(h, (H, W, 2))
+    f = RNG.normal(size=(H, W, 2))
+    found = lsqr(operator, np.asarray(h(f)).ravel(), atol=1e-13, btol=1e-13)[0]
+    np.testing.assert_allclose(found, f.ravel(), atol=1e-9)
+    matrix = filters.scipy_matrix(
+        filters.filter_matrix(jnp.asarray(kernel), shape=(H, W), border="mirror").matrix
+    )
+    assert matrix.nnz < 5 * H * W  # ghosts added to the pixels they stand for
+    np.testing.assert_allclose(matrix @ f[..., 0].ravel(), np.asarray(h(f))[..., 0].ravel())
+
+
+# ------------------------------------------------ bad input
+
+
+def test_bad_input_is_named():
+    stack = jnp.asarray(STACK)
+    with pytest.raises(ValueError, match=r"\(kh, kw, 7, 6\)"):
+        filters.correlate_per_pixel(PLANE, stack[:, :, :-1])
+    with pytest.raises(ValueError, match="got 'constant'"):
+        filters.correlate_per_pixel(PLANE, stack, border="constant")
+    with pytest.raises(ValueError, match="members, kh, kw"):
+        filters.correlate_bank(PLANE, jnp.ones((3, 3)), jnp.ones((H, W)))
+    with pytest.raises(ValueError, match=r"\(7, 6\)"):
+        filters.radial_blur(PLANE, jnp.ones((2, 2)), radius=1)
+    with pytest.raises(ValueError, match="increasing"):
+        filters.gaussian_varying(PLANE, jnp.ones((H, W)), sigmas=(1.0, 1.0))
+    with pytest.raises(ValueError, match="low < high"):
+        filters.blur_sigmas(2.0, 1.0, members=3)
+    with pytest.raises(ValueError, match="border must be"):
+        filters.filter_matrix(jnp.ones((3, 3)), shape=(H, W), border="edge")
