@@ -232,6 +232,11 @@ def brdf(
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         if len(paths) > 1:
             raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
+        if paths[0].is_file() and paths[0].suffix != ".toml":
+            raise InputError(
+                f"{paths[0]}: neither a rig nor a file of measured reflectance by its suffix; give "
+                "a folder with a rig.toml, or a .brdf, .bsdf or .binary file."
+            )
         if objective is not None:
             raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
         with reporter.step("reading images"):

@@ -106,16 +106,16 @@ def error_table(calibration: BRDFCalibration) -> Table:
         MODELS, key=lambda model: metric(calibration.held_out[model], calibration.objective)
     )
     return Table(
-        title="Models compared",
+        title="Models compared at incidences that no fit has seen",
         columns=(
             "model",
             "lobe about",
             "shape",
-            "held-out RMS [sr⁻¹]",
-            "% of signal",
-            "fitted, % of signal",
-            "held-out cube root [sr⁻¹ᐟ³]",
-            "fitted cube root",
+            "RMS [sr⁻¹]",
+            "RMS [%]",
+            "fitted [%]",
+            "cube root",
+            "fitted",
         ),
         rows=tuple(
             (
@@ -130,8 +130,9 @@ def error_table(calibration: BRDFCalibration) -> Table:
             )
             for model in order
         ),
-        caption="Errors of f_r cos θi over all bands, and of its cube root. Held out: each "
-        "incidence predicted by the fit without it; fitted: all samples in the fit. Fits minimise "
+        caption="RMS errors of f_r cos θi over all bands, in sr⁻¹ and in % of its own RMS, and of "
+        "its cube root, in sr⁻¹ᐟ³: each incidence predicted by the fit without it, or, where it "
+        "says fitted, by the fit to all samples. Fits minimise "
         + (
             "the RMS of f_r cos θi."
             if calibration.objective == "cosine"

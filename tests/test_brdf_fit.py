@@ -28,9 +28,10 @@ from fitting.reflectance_models import INDEX, MODELS, REFLECTANCES, unit_brdf
 from fitting.report import as_json
 from fitting.shared_shape import fit_shared_shape
 from jaxvision._vector import as_vec
+from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.errors import InputError
-from jaxvision.measured_files import write_cornell
+from jaxvision.measured_files import write_cornell, write_merl
 
 KD, KS = np.array([0.05, 0.1, 0.2]), np.array([0.6, 0.5, 0.4])
 SHAPES = {"exponent": 60.0, "concentration": 6.0, "roughness": 0.3}
@@ -325,7 +326,8 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
     for path in (good, copy):
         path.parent.mkdir()
         write_cornell(path, samples_of("lambert"))
-    empty, junk = tmp_path / "empty.brdf", tmp_path / "junk.bsdf"
+    empty, junk, odd = (tmp_path / name for name in ("empty.brdf", "junk.bsdf", "paint.csv"))
+    odd.write_text("1,2,3")
     empty.write_text("")
     junk.write_bytes(b"junk")
     cases = [
@@ -338,7 +340,8 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
         ((good, "--fit-gamma"), "--fit-gamma is for images"),
         ((tmp_path / "a", "--objective", "cosine"), "--objective is for files"),
         ((tmp_path / "a", tmp_path / "b"), "a second rig"),
-        ((tmp_path / "paint.txt",), "no such rig"),
+        ((tmp_path / "none.txt",), "no such rig"),
+        ((odd,), "neither a rig nor a file of measured reflectance"),
     ]
     for arguments, expected in cases:
         status, sentence = run(*arguments)
@@ -346,6 +349,20 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
         assert sentence.count("jaxvision-fit:") == 1
         assert expected in sentence, sentence
     assert run(good, "--model", "mirror")[0] == 2
+
+
+def test_a_table_is_read_off_by_solid_angle(tmp_path):
+    """A MERL file of f_r = 0.1: every value is that, and the weights of each incidence integrate
+    cos(theta_o) over viewers up to 80 degrees: (1 + cos 80) / 2 of the solid angle."""
+    write_merl(tmp_path / "grey.binary", HalfDifferenceTable(jnp.full((6, 6, 12, 3), 0.1)))
+    read = read_measured_brdf(tmp_path / "grey.binary")
+    np.testing.assert_allclose(read.values, 0.1, rtol=1e-6)
+    assert len(read.incidences) == 8
+    assert read.bands == ("red", "green", "blue")
+    for i in range(8):
+        own = read.incidence == i
+        mean = np.average(np.asarray(read.wo.z)[own], weights=read.weights[own])
+        np.testing.assert_allclose(mean, (1 + np.cos(np.radians(80))) / 2, rtol=0.05)
 
 
 def test_the_command_offers_every_model():

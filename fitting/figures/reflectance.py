@@ -20,6 +20,7 @@ DISPLAY_GAMMA = 2.2
 SHOWN_LIGHTS = 2  # of each kind
 OFF_HIGHLIGHT = 0.02  # of the lobe's peak: less than this is away from the highlight
 MOST_POINTS = 200_000
+FEW_MODELS = 4  # compared in a narrow figure
 
 
 def images_figure(calibration: ReflectanceCalibration) -> Figure:
@@ -91,7 +92,8 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     scores = calibration.scores
     channels = calibration.observation.channels
     models = tuple(calibration.fits)
-    figure = Figure(figsize=(6.8, 3.8), layout="constrained")
+    many = len(models) > FEW_MODELS
+    figure = Figure(figsize=(10.5, 4.6) if many else (6.8, 3.8), layout="constrained")
     axis = figure.subplots()
     width = 0.8 / len(models)
     tested = any(score.predicted_error is not None for score in scores)
@@ -107,7 +109,13 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
         for place, height, line in zip(places, heights, fitted, strict=True):
             top = (place, max(height, line))
             axis.annotate(
-                f"{height:.1f}", top, (0, 3), fontsize=8, ha="center", textcoords="offset points"
+                f"{height:.1f}",
+                top,
+                (0, 3),
+                fontsize=8,
+                ha="center",
+                rotation=90 if many else 0,
+                textcoords="offset points",
             )
         if tested:
             axis.hlines(fitted, places - 0.45 * width, places + 0.45 * width, color="k", lw=2)

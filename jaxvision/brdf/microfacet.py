@@ -11,7 +11,7 @@ Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
 from typing import Literal
 
 import jax.numpy as jnp
-from jax.scipy.special import erfc
+from jax.lax import erfc
 from jaxtyping import Array, Float
 
 from .._numerics import dot, normalize, safe_sqrt, smallest_divisor
