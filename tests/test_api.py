@@ -170,7 +170,26 @@ def test_every_public_function_has_an_example():
     assert {f"jaxvision.{name}" for name in EXAMPLES} == TRACED.keys()
 
 
-@pytest.mark.parametrize("name", sorted(EXAMPLES))
+# Compositions of functions that are swept themselves, seconds to compile four times over.
+LONG = {
+    "brdf.measured.samples_of",
+    "brdf.measured.tabulate_sampler",
+    "brdf.rgl.albedo",
+    "capture.render_light_field",
+    "lights.light_field.refocus",
+    "lights.polygon.rectangle_irradiance",
+    "matting.closed_form.closed_form_matte",
+    "matting.foreground.estimate_foreground",
+    "shading.hemisphere_radiance",
+    "shading.lit_radiance",
+    "shading.sampled_radiance",
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in sorted(EXAMPLES)],
+)
 def test_eager_jit_vmap_loop_and_gradient(name):
     arguments, options = EXAMPLES[name]
     function = partial(TRACED[f"jaxvision.{name}"], **options)
