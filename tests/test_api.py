@@ -26,6 +26,8 @@ EAGER = {
     "jaxvision.effects",
     "jaxvision.colour_data",
     "jaxvision.measured_files",
+    "jaxvision.filters.kernels",
+    "jaxvision.filters.matrix",
     "jaxvision.filters.scipy_operators",
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_tables",

@@ -17,6 +17,14 @@ PLANE = RNG.normal(size=(12, 11))
 YY, XX = np.mgrid[:31, :31] - 15.0
 
 
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    """Correctness needs no optimised code: this compiles three times faster."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 def value(x):
     return jnp.asarray(float(x))
 
@@ -188,7 +196,9 @@ def test_quadrature_pair_is_the_turned_filter(angle):
 
 
 def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
-    frequency, angle = 2 / 3, 0.5
+    # where the transforms of G2 and H2 are equal, at 2.65 / width: 0.9213 u / 2 = 0.978 (0.377 +
+    # u^2 / 8); they differ by 7 % an octave below, which the paper's fit allows
+    frequency, angle = 2.65 / 3, 0.5
     energies, angles = [], []
     for phase in np.linspace(0, np.pi, 7):
         wave = np.cos(frequency * (np.cos(angle) * XX - np.sin(angle) * YY) + phase)
@@ -197,7 +207,7 @@ def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
         found, strength = filters.dominant_orientation(basis)
         angles.append(float(found[15, 15]))
         assert strength[15, 15] > 0
-    assert np.ptp(energies) < 0.03 * np.mean(energies)
+    assert np.ptp(energies) < 0.02 * np.mean(energies)
     np.testing.assert_allclose(angles, angle, atol=0.01)
 
 

@@ -107,9 +107,8 @@ def test_members_of_a_gaussian_bank_are_the_knob():
         sigmas = filters.blur_sigmas(0.8, 3.0, members=members)
         got = filters.gaussian_varying(plane, jnp.asarray(sigma), sigmas=sigmas, truncate=5.0)
         errors.append(np.abs(got - truth).max())
-    assert errors[0] < 0.1
     assert errors[1] < errors[0] / 3
-    assert errors[2] < errors[1] / 3
+    assert errors[2] < min(errors[1] / 3, 0.02)
 
 
 def test_bank_keeps_the_variance_between_its_sigmas():
@@ -170,6 +169,21 @@ def test_matrix_of_a_kernel_for_each_pixel_and_its_transpose(border):
     np.testing.assert_allclose(dense.T @ y.ravel(), back.ravel(), atol=1e-12)
 
 
+def test_matrix_is_traced_and_differentiated_by_its_kernel():
+    y = RNG.normal(size=H * W)
+
+    def by_matrix(kernel):
+        form = filters.filter_matrix(kernel, shape=(H, W), border="normalised_zero")
+        return jnp.vdot(y, form.matrix @ PLANE.ravel())
+
+    def by_filter(kernel):
+        g = filters.correlate(PLANE, kernel, border="normalised_zero")
+        return jnp.vdot(y, g.ravel())
+
+    got = jax.jit(jax.grad(by_matrix))(jnp.asarray(KERNEL))
+    np.testing.assert_allclose(got, jax.grad(by_filter)(jnp.asarray(KERNEL)), rtol=1e-10)
+
+
 def test_scipy_solves_with_the_operator():
     """A deblurring by conjugate gradients: the operator and its transpose, no matrix."""
     from scipy.sparse.linalg import lsqr
@@ -183,7 +197,7 @@ def test_scipy_solves_with_the_operator():
     matrix = filters.scipy_matrix(
         filters.filter_matrix(jnp.asarray(kernel), shape=(H, W), border="mirror").matrix
     )
-    assert matrix.nnz < 5 * H * W  # ghosts added to the pixels they stand for
+    assert matrix.nnz < 9 * H * W  # ghosts added to the pixels they stand for
     np.testing.assert_allclose(matrix @ f[..., 0].ravel(), np.asarray(h(f))[..., 0].ravel())
 
 

@@ -1,22 +1,29 @@
 """Filters of pictures: linear ones of any kernel at any border, with gradients by picture and by
-kernel; shift-variant ones; filters as matrices; and the non-linear companions."""
+kernel; shift-variant ones; filters as matrices; and the non-linear companions.
+
+The matrix forms bring scipy with them, and are loaded when they are first asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from .bilateral import bilateral_filter, joint_bilateral_filter
-from .convolution import convolve, correlate, correlate_separable, impulse_response
+from .convolution import convolve, correlate, correlate_separable
 from .derivatives import Gradient, derivative, laplacian
 from .gaussian import gaussian, gaussian_kernel, laplacian_of_gaussian
 from .integral import IntegralImage, box_sum, integral_image, window_sum
 from .kernels import (
     binomial_kernel,
+    blur_sigmas,
     box_kernel,
     derivative_kernels,
     gaussian_size,
     laplacian_kernel,
 )
 from .low_rank import LowRank, correlate_low_rank, low_rank
-from .matrix import MatrixForm, adjoint, filter_matrix, per_pixel_matrix
 from .median import median_filter
 from .nonlocal_means import nonlocal_means_filter
+from .operators import adjoint, impulse_response
 from .pyramid import (
     blend_by_pyramid,
     collapse_laplacian,
@@ -25,9 +32,7 @@ from .pyramid import (
     laplacian_pyramid,
     reduce_by_two,
 )
-from .scipy_operators import scipy_matrix, scipy_operator
 from .shift_variant import (
-    blur_sigmas,
     correlate_bank,
     correlate_per_pixel,
     disk_profile,
@@ -44,6 +49,18 @@ from .steerable import (
     quadrature_basis,
     steer,
 )
+
+if TYPE_CHECKING:
+    from .matrix import MatrixForm, filter_matrix, per_pixel_matrix
+    from .scipy_operators import scipy_matrix, scipy_operator
+
+_WITH_SCIPY = {
+    "MatrixForm": "matrix",
+    "filter_matrix": "matrix",
+    "per_pixel_matrix": "matrix",
+    "scipy_matrix": "scipy_operators",
+    "scipy_operator": "scipy_operators",
+}
 
 __all__ = [
     "Gradient",
@@ -102,3 +119,9 @@ __all__ = [
     "unsharp_mask",
     "window_sum",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WITH_SCIPY:
+        return getattr(import_module(f".{_WITH_SCIPY[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

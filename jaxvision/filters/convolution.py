@@ -18,11 +18,12 @@ a CPU the fastest that was measured for the size: "separable" for kernels of low
 kernel is not traced), else "direct" up to 15 x 15 and "fft" beyond.
 
 NaN and infinity go to every pixel whose window holds them, also under a weight of 0; with "fft" to
-the whole plane, and with "conv" and a kernel for each band, to all bands. Derivatives by picture and by kernel are correlations themselves, of any order,
-forward and reverse.
+the whole plane, and with "conv" and a kernel for each band, to all bands.
+
+Derivatives by picture and by kernel are correlations themselves, of any order, forward and reverse.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial, reduce
 from operator import add, mul
 
@@ -129,19 +130,6 @@ def correlate_separable(
     check_method(method)
     anchor = _anchor(anchor, (len(column), len(row)))
     return _separable(picture, column, row, fill, anchor=anchor, border=border, method=method)
-
-
-def impulse_response(
-    height: Float[Array, ""], *, operator: Callable[[Filtered], Filtered], shape: tuple[int, ...]
-) -> Filtered:
-    """What `operator` makes of a picture of that shape, (h, w) or (..., h, w, bands), which is
-    `height` in the middle pixel (h // 2, w // 2) of every plane and 0 elsewhere, in any unit.
-
-    Of `convolve` it is the kernel, of `correlate` the kernel turned by half a turn.
-    """
-    rows, columns = shape if len(shape) == 2 else shape[-3:-1]
-    plane = jnp.zeros((rows, columns), height.dtype).at[rows // 2, columns // 2].set(height)
-    return operator(jnp.broadcast_to(plane if len(shape) == 2 else plane[..., None], shape))
 
 
 # ---------------------------------------------------------------- the sum of terms

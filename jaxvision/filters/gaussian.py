@@ -142,7 +142,7 @@ def _integral(x: Float[Array, " taps"], sigma: Scalar, order: int) -> Float[Arra
         # by symmetry from the side of the tail, where erfc keeps all digits
         far, root = jnp.abs(x), narrow * 1.4142135623730951
         lower, upper = (far - 0.5) / root, (far + 0.5) / root
-        difference = (jax.scipy.special.erfc(lower) - jax.scipy.special.erfc(upper)) / 2
+        difference = (jax.lax.erfc(lower) - jax.lax.erfc(upper)) / 2
     else:
         difference = _density(x - 0.5, narrow, order - 1) - _density(x + 0.5, narrow, order - 1)
     return jnp.where(smooth, quadrature, difference)

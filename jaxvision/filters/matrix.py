@@ -3,13 +3,10 @@
 Exact at every border and for kernels that change from pixel to pixel. The entries are those of the
 filter, in no unit; only the border "constant" has an offset, in the picture's unit. H has h w rows
 and columns and some kh kw h w entries: for looking at filters and for solvers of sparse systems.
-The same operator without a matrix is the filter itself, and its transpose `adjoint`.
+The same operator without a matrix is the filter itself, and its transpose `operators.adjoint`.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.sparse import BCOO
@@ -17,7 +14,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
 from .._types import as_optional_float
-from ..padding import Filtered, check_border, ghosts
+from ..padding import check_border, ghosts
 from ._methods import Anchor
 from .convolution import Fill, filtered
 
@@ -102,12 +99,3 @@ def _axis_entries(
     present = joined[3] != 0
     tap, result, source, coefficient = (column[present] for column in joined)
     return tap, result, source, coefficient
-
-
-def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> Filtered:
-    """H' g for g = `picture`, in its unit: the transpose of a filter that is linear and keeps the
-    shape, any border but "constant". <operator(f), g> = <f, adjoint(g)>."""
-    (transposed,) = jax.linear_transpose(
-        operator, jax.ShapeDtypeStruct(picture.shape, picture.dtype)
-    )(picture)
-    return transposed

@@ -2,8 +2,8 @@
 
 Three ways, from general to fast: a kernel for each pixel (exact); radial kernels that depend on the
 pixel through one number, its scale (exact, nothing stored); a bank of ordinary filters with
-interpolation between them, whose number is the knob of accuracy. Pictures, borders and units as in
-`convolution`; the kernel of a pixel is the one by which THAT pixel gathers.
+interpolation between them, whose number is the knob of accuracy. Pictures and borders as in
+`convolution`, in any unit; the kernel of a pixel is the one by which THAT pixel gathers.
 """
 
 from collections.abc import Callable
@@ -123,24 +123,12 @@ def gaussian_varying(
 
     Between two `sigmas` (increasing, >= 0; beyond them the nearest) the blend keeps the variance
     exactly, so that only the fourth moment is off: the error falls with the square of their
-    distance. `blur_sigmas` chooses them. Exact: `radial_blur`.
+    distance. `kernels.blur_sigmas` chooses them. Exact: `radial_blur`.
     """
     check_picture(picture)
     if len(sigmas) < 2 or any(b <= a for a, b in pairwise(sigmas)):
         raise ValueError(f"sigmas must be at least two increasing numbers, got {sigmas}.")
     return _gaussian_bank(picture, sigma, sigmas=sigmas, truncate=truncate, border=border)
-
-
-def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
-    """The sigmas of a bank from `low` to `high` pixels, equally spaced in log(sigma + 1 / 2): the
-    error is the same at all, wide blurs being smooth. `ValueError` unless 0 <= low < high and
-    members >= 2."""
-    if not 0 <= low < high or members < 2:
-        raise ValueError(
-            f"a bank needs 0 <= low < high and members >= 2, got {low}, {high} and {members}."
-        )
-    steps = np.linspace(np.log(low + 0.5), np.log(high + 0.5), members)
-    return tuple(float(s) for s in np.maximum(np.exp(steps) - 0.5, low))
 
 
 # ---------------------------------------------------------------- sums

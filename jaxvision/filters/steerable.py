@@ -69,8 +69,8 @@ def quadrature_basis(
 ) -> QuadratureBasis:
     """The seven separable responses from which every orientation of G2 and H2 follows.
 
-    `width`: () pixels; `size`: odd, of the kernels; 7 widths hold them to 1e-4. The sum of squares of
-    G2 is 1 at any width, that of H2, which is the paper's fit to a Hilbert transform, 0.99.
+    `width`: () pixels; `size`: odd, of the kernels; 7 widths hold them to 1e-4. The sum of squares
+    of G2 is 1 at any width, that of H2, which is the paper's fit to a Hilbert transform, 0.99.
     """
     if size % 2 == 0:
         raise ValueError(f"size must be odd, got {size}.")
