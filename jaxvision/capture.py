@@ -3,19 +3,26 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
+from ._staging import TILE, in_tiles, stored
 from ._types import Colour, Image, Key, group_by_structure, take
+from ._vector import Vec
 from .develop import develop
-from .geometry import Ray, hit_shape, nearest_shape
+from .geometry import Hit, Ray, hit_shape, nearest_shape
 from .lights import LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for
 from .lights.light_field import light_field_ray
 from .optics import camera_ray, pixel_grid, sensor_irradiance
-from .scene import Camera, Scene, View
+from .scene import Camera, Scene, Shape, View
 from .sensor import raw_image
 from .shading import DEFAULT_RULE, outgoing_radiance
+
+_LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
 
 
 class Capture(eqx.Module):
@@ -39,12 +46,12 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
     Materials of one kind are shaded by one piece of code.
     """
     shapes = [surface.shape for surface in scene.surfaces]
-    index = nearest_shape(ray, shapes)
-    hit = hit_shape(ray, shapes, index)
-    point = ray.origin + jnp.where(index >= 0, hit.distance, 0) * ray.direction
+    index = stored(nearest_shape, ray, shapes)
+    hit, point = stored(_meet, ray, shapes, index)
     radiance = jnp.zeros((), ray.origin.x.dtype)
-    for members, group in group_by_structure([surface.material for surface in scene.surfaces]):
-        material, among = take(members, group, index)
+    materials = [surface.material for surface in scene.surfaces]
+    for members, group in group_by_structure(materials, largest=_LARGEST):
+        material, among = stored(partial(take, members), group, index)
         shaded = outgoing_radiance(
             material,
             scene.lights,
@@ -61,6 +68,12 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
     return jnp.where((light.distance < hit.distance) | (index < 0), light.radiance, radiance)
 
 
+def _meet(ray: Ray, shapes: list[Shape], index: Int[Array, ""]) -> tuple[Hit, Vec]:
+    """The hit of the shape of that index, and its point: the ray's origin where none is met."""
+    hit = hit_shape(ray, shapes, index)
+    return hit, ray.origin + jnp.where(index >= 0, hit.distance, 0) * ray.direction
+
+
 def render(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE) -> Image:
     """The picture in radiance, one ray through each pixel's centre: (h, w, bands) in
     W m^-2 sr^-1. `rule`: how finely extended lights are taken apart; `MonteCarlo` draws for each
@@ -71,9 +84,11 @@ def render(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE) -> Image:
     def pixel(row, column, number):
         return radiance_along(scene, camera_ray(view, row, column), rule=rule_for(rule, number))
 
+    def line(row, numbers):
+        return jax.vmap(pixel, in_axes=(None, 0, 0))(row, columns, numbers)
+
     numbers = jnp.arange(height * width).reshape(height, width)
-    over_columns = jax.vmap(pixel, in_axes=(None, 0, 0))
-    return jax.vmap(over_columns, in_axes=(0, None, 0))(rows, columns, numbers)
+    return in_tiles(line, rows, numbers, size=max(TILE // width, 1))
 
 
 def render_light_field(
@@ -97,7 +112,7 @@ def render_light_field(
         ray = light_field_ray(aperture, focal, place)
         return radiance_along(scene, ray, rule=rule_for(rule, number))
 
-    radiance = jax.vmap(sample)(places, jnp.arange(len(places)))
+    radiance = in_tiles(sample, places, jnp.arange(len(places)), size=TILE)
     return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)
 
 

@@ -35,7 +35,7 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     distance = norm(toward)
     apart = distance > smallest_divisor(distance.dtype)
     nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
-    return Incident(toward * nearness, light.intensity * nearness * nearness)
+    return Incident(toward * nearness, light.intensity * (nearness * nearness))
 
 
 register(PointLight, incident=from_point_light)
