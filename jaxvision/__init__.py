@@ -113,6 +113,7 @@ from .hemisphere import (
     to_world,
 )
 from .lights import (
+    Balanced,
     DirectionalLight,
     EnvironmentMap,
     Incident,
@@ -196,6 +197,7 @@ __all__ = [
     "AmbientLight",
     "AnisotropicTable",
     "BRDFSamples",
+    "Balanced",
     "Blinn",
     "BlinnBRDF",
     "Camera",

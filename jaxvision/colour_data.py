@@ -3,7 +3,9 @@ is loaded on first use (about a second).
 
 Wavelengths are m everywhere; `nanometres` is the one place where others come in. Smooth tables are
 interpolated by colour-science (Sprague's quintic on an even grid, a cubic spline elsewhere). Beyond
-its table an illuminant or a reflectance keeps its end value, an observer or a sensitivity is 0.
+its table an observer or a sensitivity is 0, a reflectance keeps its end value, and so does an
+illuminant that is no CIE daylight: "A" and "C" beyond 300 to 780 nm, "FL..." and "LED-..." beyond
+380 to 780 nm.
 A name that does not exist is an `InputError` that lists what does.
 """
 
@@ -11,12 +13,17 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import as_float
 from .errors import InputError
+from .spectra import daylight
 
+# Correlated colour temperatures of the tabulated phases of daylight, K: their nominal ones on the
+# temperature scale that had c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
+_DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 6500, 7500)}
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 
@@ -41,10 +48,18 @@ def wavelength_grid(
 
 def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, " bands"]:
     """Relative spectral power (bands,) of "A", "D65", "FL2", "LED-B1", "E", ...; the CIE's series A
-    and D are 100 at 560 nm."""
+    and D are 100 at 560 nm. Above 780 nm, where their tables end, D50, D55, D65 and D75 are the
+    daylight of their temperature, from the CIE's basis (300 to 830 nm), which is within 5e-4 of
+    the tables from 380 nm on."""
     import colour
 
-    return _sampled(_entry(colour.SDS_ILLUMINANTS, name, "illuminant"), wavelengths)
+    table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
+    power = _sampled(table, wavelengths)
+    if name not in _DAYLIGHT:
+        return power
+    basis = daylight_basis(wavelengths)
+    beyond = _nanometres(wavelengths) > table.shape.end
+    return jnp.where(beyond, daylight(basis, jnp.asarray(_DAYLIGHT[name], basis.dtype)), power)
 
 
 def observer(

@@ -135,9 +135,9 @@ def hemisphere_radiance(
 
     `incident_radiance(wi)`: (bands,) W m^-2 sr^-1 that arrives from the unit direction `wi`.
     `normal`, `wo`: (3,) unit. `polar`, `azimuths`: static node counts, at least 2 each, else
-    `ValueError`. The error is the difference to the rule of half as many nodes each way: far above the truth for
-    smooth light and surface, about it for light with edges, and blind to a lobe or a light that
-    falls between all nodes (a mirror among them).
+    `ValueError`. The error is the difference to the rule of half as many nodes each way: far above
+    the truth for smooth light and surface, about it for light with edges, and blind to a lobe or a
+    light that falls between all nodes (a mirror among them).
     """
     if polar < 2 or azimuths < 2:
         raise ValueError(f"polar and azimuths must be at least 2, got {polar} and {azimuths}.")

@@ -83,6 +83,24 @@ def test_attached_shadow_is_exactly_zero(material):
     assert (value(direction(np.pi / 2 - 1e-6)[None]) > 0).all()
 
 
+@pytest.mark.parametrize("shade", [phong_shading, gaussian_lobe_shading])
+def test_a_viewer_below_the_surface_sees_nothing(shade):
+    """Where the mirror direction is seen best from below, or only just: exactly 0, as `reflect`
+    has it; the light below too."""
+    wi = jnp.asarray([0.6, 0, 0.8])
+    below = [[-0.8, 0, -0.6], [-1.0, 0, 0], [0.6, 0, -0.8]]
+    shaded = jax.vmap(shade, in_axes=(None, None, 0, None, None, None))
+    got = shaded(Z, wi, jnp.asarray(below), KD, KS, jnp.asarray(1.0))
+    assert (got == 0).all()
+    family = {phong_shading: Phong, gaussian_lobe_shading: GaussianLobe}[shade]
+    wo = jnp.asarray([-0.96, 0, 0.28])
+    np.testing.assert_allclose(
+        shade(Z, wi, wo, KD, KS, jnp.asarray(1.0)),
+        reflect(family(KD, KS, 1.0), Z, wi, wo),
+        rtol=1e-14,
+    )
+
+
 def test_specular_term_has_no_cosine_of_incidence():
     """At a grazing light the mirror view sees k_s in full: what tells Phong SHADING from a BRDF
     in the rendering equation."""

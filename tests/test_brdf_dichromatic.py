@@ -24,6 +24,7 @@ from jaxvision.brdf.dichromatic_separation import (
     usable_pixels,
 )
 from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.phong import NormalisedPhong
 
 RNG = np.random.default_rng(4)
@@ -111,6 +112,13 @@ def test_noise_grows_as_promised(red, spectrum):
     for got, true in ((found.body, clean.body), (found.interface, clean.interface)):
         gain = (got - true)[inside].std() / sigma
         np.testing.assert_allclose(gain, found.noise_gain, rtol=0.2)
+
+
+@pytest.mark.parametrize("name", ["body", "interface"])
+def test_a_delta_function_is_no_part(name):
+    parts = {"body": BODY, "interface": LOBE} | {name: Mirror([1.0])}
+    with pytest.raises(ValueError, match=rf"Dichromatic\.{name} .* got Mirror, a delta function"):
+        Dichromatic(*parts.values(), RED, [1.0])
 
 
 def test_a_neutral_body_is_seen_as_lost(red):

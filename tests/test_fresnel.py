@@ -50,8 +50,22 @@ def test_dielectrics_in_ulps(dtype, eta):
 
 
 @both_precisions
-@pytest.mark.parametrize("index", [(0.2, 3.1), (2.5, 3.0), (0.05, 0.4), (1.5, 1e-4), (5.0, 9.0)])
+@pytest.mark.parametrize(
+    "index",
+    [
+        (0.2, 3.1),
+        (2.5, 3.0),
+        (0.05, 0.4),
+        (1.5, 1e-4),
+        (5.0, 9.0),
+        (1.0001, 0.0),
+        (1.0001, 1e-5),
+        (0.9999, 2e-4),
+        (1.0, 1e-3),
+    ],
+)
 def test_conductors_in_ulps(dtype, index):
+    """Nearly equal indices too, where a - c would cancel."""
     eta, k = (jnp.asarray([x], dtype) for x in index)
     got = quick_jit(jax.vmap(fresnel_conductor, in_axes=(0, None, None)))(
         jnp.asarray(COSINES, dtype), eta, k

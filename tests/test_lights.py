@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from jaxvision import as_dtype
-from jaxvision.lights import DirectionalLight, PointLight, incident
+from jaxvision.lights import (
+    Balanced,
+    DirectionalLight,
+    MonteCarlo,
+    PointLight,
+    Quadrature,
+    incident,
+    rule_for,
+)
 
 
 def test_point_light_falls_with_the_square_of_the_distance():
@@ -57,3 +65,17 @@ def test_at_the_light_itself_everything_is_zero(dtype):
     gradient = jax.grad(lambda p: incident(light, p).irradiance.sum())
     assert (gradient(point) == 0).all()
     assert jnp.isfinite(gradient(point + jnp.asarray([1e-6, 0, 0], dtype))).all()
+
+
+def test_each_pixel_draws_its_own_samples_by_the_same_rule():
+    """A pixel's key is the render's, folded with its number; the kind of rule stays."""
+    key = jax.random.key(3)
+    for kind in (MonteCarlo, Balanced):
+        first, second = (rule_for(kind(key, 4), jnp.asarray(i)) for i in (0, 1))
+        assert type(first) is type(second) is kind
+        assert first.samples == second.samples == 4
+        keys = [jax.random.key_data(x) for x in (key, first.key, second.key)]
+        assert len({tuple(np.asarray(x)) for x in keys}) == 3
+    assert rule_for(Quadrature(3), jnp.asarray(1)) == Quadrature(3)
+    with pytest.raises(ValueError, match=r"Balanced.samples must be at least 1, got 0"):
+        Balanced(key, 0)

@@ -113,19 +113,74 @@ def test_samples_follow_their_density(kind):
     assert stats.chisquare(seen, wanted * seen.sum() / wanted.sum()).pvalue > 1e-3
 
 
-def test_white_sky_is_pi_and_rules_agree():
-    normal = toward(0.7, 0.3)
+@pytest.mark.parametrize("peak", [5e5, 1e7, 1e9])
+def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
+    """Every uniform float32, one by one: 2^23 of them, the multiples of 2^-23. The sky about the
+    sun is 1; no pixel of it may be out of reach, and none may weigh more than the whole sky."""
+    h, w, row, column = 256, 512, 50, 300
+    picture = np.ones((h, w, 1), np.float32)
+    picture[row, column] = peak
+    sky = quick_jit(environment_map)(picture)
+    assert sky.density.dtype == np.float32
+    u = np.arange(2**23, dtype=np.float32) * np.float32(2**-23)
+
+    def drawn(table):
+        """The part of all uniform floats that falls into each cell."""
+        cell = np.searchsorted(np.asarray(table), u, side="right") - 1
+        return np.bincount(cell, minlength=len(table) - 1) / 2**23
+
+    down = np.cos(np.pi * np.arange(h + 1) / h)
+    solid_angle = (down[:-1] - down[1:]) * 2 * np.pi / w
+    density = np.asarray(sky.density, float)
+    said = density * solid_angle[:, None]
+    rows = drawn(sky.rows)
+    assert rows.min() > 0
+    for i in (0, row - 1, row, row + 1, h - 1):
+        here = rows[i] * drawn(sky.columns[i])
+        assert here.min() > 0
+        np.testing.assert_allclose(said[i], here, rtol=1e-6)
+    # bilinear, a pixel keeps 3/4 along each axis of its own light
+    power = 4 * np.pi + peak * solid_angle[row]
+    assert (1 / density).max() < 1.01 * power
+    assert (0.75**2 * peak + 1) / density[row, column] < 1.02 * power
+
+
+def test_a_sun_in_float32_is_found_by_random_samples():
+    """The horizontal irradiance of sky and sun: pi, and the bilinear sun in closed form, a product
+    of two tents: its cosines by integrals of tent(theta) cos(theta) sin(theta)."""
+    h, w, row, peak = 64, 128, 10, 1e7
+    picture = np.ones((h, w, 1), np.float32)
+    picture[row, 30] = 1 + peak
+    step, middle = np.pi / h, np.pi * (row + 0.5) / h
+    # sin(2 t) / 2 against a tent of half width `step`
+    tall = np.sin(2 * middle) / 2 * (np.sin(step) ** 2 / step)
+    truth = np.pi + peak * tall * 2 * np.pi / w
+    sky = environment_map(picture)
+    up = jnp.asarray([0, 0, 1], jnp.float32)
+    rule = MonteCarlo(jax.random.key(4), 2**14)
+    drawn = quick_jit(irradiance)(sky, 0 * up, up, rule=rule)
+    assert drawn.dtype == np.float32
+    np.testing.assert_allclose(drawn, truth, rtol=4e-3)
+
+
+@pytest.mark.parametrize("order", [8, 16, 64])
+def test_white_sky_is_pi_within_what_quadrature_states(order):
+    """1 / order^2, the default order among them: the sky crosses the receiver's horizon."""
     white = environment_map(np.full((H, W, 1), 2.0))
-    np.testing.assert_allclose(
-        irradiance(white, POINT, normal, rule=Quadrature(64)), [2 * np.pi], rtol=1e-3
-    )
+    for normal in (toward(0.0, 0.0), toward(0.7, 0.3), toward(np.pi / 2, 1.0)):
+        got = irradiance(white, POINT, normal, rule=Quadrature(order))
+        assert abs(got[0] / (2 * np.pi) - 1) < 1 / order**2
+
+
+def test_rules_agree_under_a_rough_sky():
+    normal = toward(0.7, 0.3)
     # a hemisphere rule, blind to the library's own nodes, over the rough sky
     nodes, weights = sphere(200, 400)
     radiance = jax.vmap(lambda d: look(SKY, d))(jnp.asarray(nodes))
     cosine = np.maximum(nodes @ np.asarray(normal), 0)
     truth = (np.asarray(radiance) * (weights * cosine)[:, None]).sum(0)
     got = irradiance(SKY, POINT, normal, rule=Quadrature(64))
-    np.testing.assert_allclose(got, truth, rtol=5e-3)
+    np.testing.assert_allclose(got, truth, rtol=2e-3)
     drawn = irradiance(SKY, POINT, normal, rule=MonteCarlo(jax.random.key(1), 8192))
     np.testing.assert_allclose(drawn, truth, rtol=5e-3)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision import MonteCarlo, Quadrature, Ray, RectangleLight, as_dtype, as_vec
+from jaxvision import InputError, MonteCarlo, Quadrature, Ray, RectangleLight, as_dtype, as_vec
 from jaxvision.lights import (
     direction_pdf,
     direction_sample,
@@ -63,12 +63,13 @@ def test_inside_a_luminous_box_any_receiver_gets_pi(normal):
 
 
 def test_power_through_a_plane_below_is_what_the_light_emits():
-    """pi L A, all of it: in z = -1, by x = tan(angle) over the whole plane."""
-    s, w = np.polynomial.legendre.leggauss(48)
-    x, weight = np.tan(s * np.pi / 2), w * np.pi / 2 / np.cos(s * np.pi / 2) ** 2
-    points = jnp.asarray([[i, j, -1.0] for i in x for j in x])
-    field = jax.vmap(lambda p: exact(LAMP, p, UP)[0])(points).reshape(48, 48)
-    np.testing.assert_allclose(weight @ np.asarray(field) @ weight, np.pi, rtol=2e-4)
+    """pi L A, all of it: in z = -1, by r = tan(t) and the trapezium rule around the axis."""
+    s, w = np.polynomial.legendre.leggauss(32)
+    t, phi = (s + 1) * np.pi / 4, 2 * np.pi * np.arange(32) / 32
+    r, weight = np.tan(t), w * np.pi / 4 * np.tan(t) / np.cos(t) ** 2 * 2 * np.pi / 32
+    points = jnp.asarray([[i * np.cos(j), i * np.sin(j), -1.0] for i in r for j in phi])
+    field = jax.vmap(lambda p: exact(LAMP, p, UP)[0])(points).reshape(32, 32)
+    np.testing.assert_allclose(weight @ np.asarray(field).sum(axis=1), np.pi, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -118,6 +119,13 @@ def test_the_order_follows_distance_over_size(height, tolerance):
     assert worst(order) <= tolerance
     smaller = [o for o in ORDERS if 2 * o < order]
     assert not smaller or worst(smaller[-1]) > tolerance
+
+
+def test_a_tolerance_out_of_reach_is_named():
+    """Where the tables of orders end: 2 mm below, the kernel is near singular."""
+    assert order_for(LAMP, below(0.002), tolerance=1e-6) == ORDERS[-1]
+    with pytest.raises(InputError, match=r"1e-12 needs quadrature of order \d+, above .* 32"):
+        order_for(LAMP, below(0.002), tolerance=1e-12)
 
 
 @pytest.mark.parametrize("height", [0.1, 0.5, 30.0])

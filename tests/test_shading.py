@@ -29,7 +29,8 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
-from jaxvision.lights import Incident, incident_samples, radiance_from, register
+from jaxvision.lights import Balanced, Incident, incident_samples, radiance_from, register
+from jaxvision.lights.polygon import rectangle_irradiance
 from jaxvision.scene import Light, Material
 from jaxvision.shading import (
     hemisphere_radiance,
@@ -146,18 +147,24 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
             by(Quadrature(40)),
             by(Quadrature(31)),
             by(MonteCarlo(KEY, 3000)),
+            by(Balanced(KEY, 1500)),
             hemisphere_radiance(material, arriving, NORMAL, WO, polar=64, azimuths=128),
             sampled_radiance(KEY, material, arriving, NORMAL, WO, samples=3000),
             lit_radiance(KEY, material, source, POINT, NORMAL, WO, samples=1500),
         )
 
-    reference, coarser, drawn, hemisphere, sampled, both = all_ways(material, source)
+    reference, coarser, drawn, balanced, hemisphere, sampled, both = all_ways(material, source)
     doubt = np.abs(reference - coarser) + 1e-9
     assert (reference > 0.02).all()
     assert (doubt < 0.02 * reference).all()
     np.testing.assert_allclose(drawn, reference, rtol=0.03)
+    if light == "rectangle" and kind == "lambert":
+        closed = material.diffuse * rectangle_irradiance(source, POINT, NORMAL)
+        np.testing.assert_allclose(reference, closed, rtol=1e-9)
     assert (np.abs(hemisphere.value - reference) <= 2 * hemisphere.error + doubt).all()
-    assert (hemisphere.error < 0.15 * reference).all()
+    # a sky without edges; lights with edges between 64 x 128 nodes of the hemisphere
+    assert (hemisphere.error < (0.02 if light == "environment" else 0.15) * reference).all()
+    assert (np.abs(balanced - reference) <= 4.5 * both.error + doubt).all()
     for estimate in (sampled, both):
         assert (np.abs(estimate.value - reference) <= 4.5 * estimate.error + doubt).all()
     assert (both.error < 0.1 * reference).all()
@@ -195,6 +202,51 @@ def test_against_quadrature_from_outside():
     np.testing.assert_allclose(got.value, truth, rtol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def highlight():
+    """A square light with the highlight of GGX facets, alpha .05, in its middle, and the radiance
+    by scipy: D G_2 / (4 cos_o), Walter et al. (2007) and Heitz (2014), over the light's area."""
+    alpha, viewer = 0.05, np.array([0.6, 0, 0.8])
+
+    def hidden(cosine):
+        return (np.sqrt(1 + alpha**2 * (1 / cosine**2 - 1)) - 1) / 2
+
+    def integrand(y, x):
+        place = np.array([x, y, 1.0])
+        square = place @ place
+        wi = place / np.sqrt(square)
+        half = (wi + viewer) / np.linalg.norm(wi + viewer)
+        facets = alpha**2 / (np.pi * (half[2] ** 2 * (alpha**2 - 1) + 1) ** 2)
+        shadowed = 1 / (1 + hidden(wi[2]) + hidden(viewer[2]))
+        return facets * shadowed / (4 * viewer[2]) * wi[2] / square
+
+    # a quarter of the plane at a time puts the peak on a corner
+    truth = sum(
+        integrate.dblquad(integrand, *x, *y, epsabs=1e-7, epsrel=1e-7)[0]
+        for x in ((-1.25, -0.75), (-0.75, -0.25))
+        for y in ((-0.5, 0), (0, 0.5))
+    )
+    lamp = RectangleLight([-1.25, 0.5, 1], [1, 0, 0], [0, -1, 0], [1.0])
+    return TorranceSparrow([0.0], [1.0], alpha), lamp, jnp.asarray(viewer), truth
+
+
+def test_a_glossy_highlight_wants_balanced_samples(highlight):
+    """Against adaptive integration from outside, and the figures that `Quadrature` states."""
+    material, lamp, viewer, truth = highlight
+    up, origin = jnp.asarray([0.0, 0, 1]), jnp.zeros(3)
+
+    def by(rule):
+        return outgoing_radiance(material, [lamp], origin, up, viewer, rule=rule)[0]
+
+    keys = jax.random.split(KEY, 200)
+    drawn = quick_jit(jax.vmap(lambda key: by(Balanced(key, 64))))(keys)
+    error = drawn.std() / np.sqrt(len(keys))
+    assert abs(drawn.mean() - truth) < 4 * error
+    assert drawn.std() < 0.05 * truth
+    for order, off in ((8, -0.155), (16, -0.008)):
+        np.testing.assert_allclose(quick_jit(by)(Quadrature(order)) / truth - 1, off, atol=1e-3)
+
+
 def test_a_mirror_shows_the_light_it_reflects():
     up, wo = jnp.asarray([0.0, 0, 1]), jnp.asarray([-0.1, 0, np.sqrt(0.99)])
     lights, mirror = [SHINING["environment"], SHINING["rectangle"]], Mirror([0.5, 0.9])
@@ -208,6 +260,11 @@ def test_a_mirror_shows_the_light_it_reflects():
         KEY, mirror, lambda wi: radiance_from(lights[0], POINT, wi), up, wo, samples=2
     )
     np.testing.assert_allclose(drawn.value, sky, rtol=1e-12)
+    lit = lit_radiance(KEY, mirror, lights[0], POINT, up, wo, samples=2)
+    np.testing.assert_allclose(lit.value, sky, rtol=1e-12)
+    np.testing.assert_array_equal(lit.error, 0)
+    balanced = look(mirror, lights[:1], POINT, up, wo, rule=Balanced(KEY, 2))
+    np.testing.assert_allclose(balanced, sky, rtol=1e-12)
 
 
 def test_a_light_and_a_material_of_the_users_own_join_in():
@@ -230,7 +287,7 @@ def test_a_light_and_a_material_of_the_users_own_join_in():
 
 def test_a_light_at_one_place_is_one_sample_under_any_rule():
     for light in LIGHTS:
-        for rule in (Quadrature(5), MonteCarlo(KEY, 7)):
+        for rule in (Quadrature(5), MonteCarlo(KEY, 7), Balanced(KEY, 7)):
             arriving = incident_samples(light, POINT, rule)
             assert arriving.direction.shape == (1, 3)
             assert arriving.irradiance.shape == (1, 3)

@@ -221,6 +221,20 @@ def test_tables_end_or_continue():
     np.testing.assert_allclose(chart[:, 0], [patch.values[0] for patch in native])
 
 
+def test_daylight_goes_on_beyond_its_table():
+    """CIE D65 at 780, 810 and 830 nm: 63.3828, 51.9565 and 60.3125 (ISO 11664-2, 300 to 830 nm)."""
+    d65 = colour_data.illuminant("D65", colour_data.nanometres([780.0, 810.0, 830.0]))
+    np.testing.assert_allclose(d65, [63.3828, 51.9565, 60.3125], rtol=2e-4)
+    whole = colour.SDS_ILLUMINANTS["D60"]  # the one table that goes to 830 nm
+    ours = spectra.daylight(
+        colour_data.daylight_basis(colour_data.nanometres(whole.wavelengths)),
+        jnp.asarray(6000 * 1.4388 / 1.4380),
+    )
+    np.testing.assert_allclose(ours, whole.values, rtol=1e-3)
+    flat = colour_data.illuminant("A", colour_data.nanometres([780.0, 830.0]))
+    assert flat[0] == flat[1]  # as the module says
+
+
 def test_unknown_names_list_the_known():
     with pytest.raises(InputError, match=r"No illuminant 'D66'; use one of .*D65"):
         colour_data.illuminant("D66", GRID)

@@ -9,7 +9,7 @@ Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rend
 
 import jax.numpy as jnp
 
-from .._numerics import dot, safe_sqrt
+from .._numerics import arctan2, dot, safe_sqrt
 from .._types import Scalar, Scalars
 from .._vector import Vec
 from ._warp import Square
@@ -20,7 +20,7 @@ def elevation(w: Vec) -> Scalar:
     gradient 0, of the zero vector."""
     aside = safe_sqrt(w.x * w.x + w.y * w.y)
     defined = (aside > 0) | (w.z != 0)
-    return jnp.arctan2(aside, jnp.where(defined, w.z, 1))
+    return arctan2(aside, jnp.where(defined, w.z, 1))
 
 
 def azimuth(w: Vec) -> Scalar:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import safe_sqrt, smallest_divisor
+from .._numerics import arctan2, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
@@ -80,7 +80,7 @@ def circles(
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))
     c = jnp.clip(cos_axis, 0, 1)
     s = safe_sqrt((1 - c) * (1 + c))
-    start = jnp.arctan2(c, s)  # pi / 2 - theta
+    start = arctan2(c, s)  # pi / 2 - theta
     whole = jnp.minimum(start, width)
     cut = jnp.minimum(jnp.minimum(jnp.pi - 2 * start, end - start), width)
     alpha = start + cut * ease
@@ -102,7 +102,7 @@ def lobe_integrals(
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_axis, width=width, end=end)
     whole = inner_weight * 2 * jnp.sin(inner) * lobe(inner)
     cut = outer_weight * 2 * jnp.sin(outer) * lobe(outer)
-    phi_m = jnp.arctan2(q, -p)
+    phi_m = arctan2(q, -p)
     plain = jnp.pi * whole.sum() + (cut * phi_m).sum()
     cosine = jnp.pi * cos_axis * (whole * jnp.cos(inner)).sum() + (cut * (phi_m * p + q)).sum()
     return plain, cosine

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import dot, smallest_divisor
+from .._numerics import arctan2, dot, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import direction_at
@@ -70,7 +70,8 @@ class BlinnBRDF(Material):
 
 
 class NormalisedBlinn(Material):
-    """The BRDF k_d + k_s C(exponent) (n.h) ** exponent, which keeps energy.
+    """The BRDF k_d + k_s C(exponent) (n.h) ** exponent, energy-conserving: the lobe's albedo is
+    at most k_s, and less away from the normal.
 
     `diffuse`: (bands,) k_d in sr^-1. `specular`: (bands,) or neutral (1,), k_s, no unit: the
     lobe's albedo along the normal. `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no
@@ -191,7 +192,7 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
         return 4 * lobe * d, 4 * lobe * (2 * cos_t * d_squared - cos_o * d)
 
     whole = ring(inner, jnp.full_like(inner, jnp.pi), jnp.zeros_like(inner))
-    phi_m = jnp.arctan2(q, -p)
+    phi_m = arctan2(q, -p)
     cut = ring(outer, phi_m, jnp.sin(phi_m))
     plain, cosine = (
         (inner_weight * w).sum() + (outer_weight * c).sum() for w, c in zip(whole, cut, strict=True)

@@ -88,12 +88,17 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     """
     c = jnp.clip(cos_theta, 0, 1)
     s_squared = (1 - c) * (1 + c)
-    real, half_imaginary = (eta - k) * (eta + k) - s_squared, eta * k
+    contrast, half_imaginary = (eta - 1) * (eta + 1) - k * k, eta * k
+    # eta^2 - k^2 - s^2 from whichever of s^2 and c^2 is the smaller: 1 - s^2 may cancel eta^2.
+    real = jnp.where(c * c < 0.5, contrast + c * c, (eta - k) * (eta + k) - s_squared)
     # sqrt of a complex number: the larger part first, the other from their product.
     modulus = safe_sqrt(real * real + 4 * half_imaginary * half_imaginary)
     larger = safe_sqrt((modulus + jnp.abs(real)) / 2)
     smaller = half_imaginary / jnp.maximum(larger, smallest_divisor(larger.dtype))
-    a, b = jnp.where(real > 0, larger, smaller), jnp.where(real > 0, smaller, larger)
+    clear = real > 0
+    a, b = jnp.where(clear, larger, smaller), jnp.where(clear, smaller, larger)
+    # a^2 - c^2 = contrast + b^2, for near equal indices a and c are nearly equal too.
+    apart = jnp.where(clear, (contrast + b * b) / jnp.where(clear, a + c, 1), a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour) -> Colour:
         below = total * total + other * other
@@ -101,7 +106,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
         above = difference * difference + other * other
         return jnp.where(positive, above / jnp.where(positive, below, 1), 1)
 
-    r_s = ratio(a - c, a + c, b)
+    r_s = ratio(apart, a + c, b)
     return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c)) / 2
 
 

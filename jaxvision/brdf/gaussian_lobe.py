@@ -8,8 +8,8 @@ The textbook's Torrance-Sparrow term: mirror angle theta_s, unnormalised, no Fre
     GaussianLobeBRDF   k_s lobe                   k_s lobe cos(theta_i)   the same lobe as a BRDF
 
 GaussianLobe is neither reciprocal nor bounded, GaussianLobeBRDF is reciprocal; a narrow one
-(c_s >> 1) keeps energy where pi k_d + pi k_s / c_s^2 <= 1. Local frame, normal = +z; angles in
-radians.
+(c_s >> 1) reflects no more than it receives where pi k_d + pi k_s / c_s^2 <= 1. Local frame,
+normal = +z; angles in radians.
 """
 
 import equinox as eqx
@@ -96,7 +96,8 @@ def gaussian_lobe_shading(
     specular: Colour,
     concentration: Scalar,
 ) -> Colour:
-    """k_d [n.l]+ + k_s exp(-(c_s theta_s)^2) in sr^-1, 0 where n.l <= 0 (the attached shadow).
+    """k_d [n.l]+ + k_s exp(-(c_s theta_s)^2) in sr^-1, 0 where n.l <= 0 (the attached shadow) or
+    n.v <= 0 (a viewer below the surface, as for the record `GaussianLobe`).
 
     Radiance toward the viewer per unit of irradiance on a surface facing the light. `normal`, `wi`
     (toward the light), `wo` (toward the viewer): (3,) unit. `diffuse`, `specular`: (bands,) sr^-1.
@@ -104,7 +105,8 @@ def gaussian_lobe_shading(
     """
     cos_i = dot(normal, wi)
     lobe = gaussian_lobe(angle_between(mirror_direction(normal, wi), wo), concentration)
-    return jnp.where(cos_i > 0, diffuse * cos_i + specular * lobe, 0)
+    seen = (cos_i > 0) & (dot(normal, wo) > 0)
+    return jnp.where(seen, diffuse * cos_i + specular * lobe, 0)
 
 
 # ---------------------------------------------------------------- the family

@@ -17,7 +17,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._numerics import safe_sqrt, smallest_divisor
+from .._numerics import arctan2, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
 from .._vector import Vector, as_vec
 from ..scene import Material
@@ -67,7 +67,7 @@ def _full(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
     """Direct light plus one bounce, equations 27 to 30."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     sin_i, sin_o = (safe_sqrt(w.x * w.x + w.y * w.y) for w in (i, o))
-    theta_i, theta_o = (jnp.arctan2(s, divisor(w.z)) for s, w in ((sin_i, i), (sin_o, o)))
+    theta_i, theta_o = (arctan2(s, divisor(w.z)) for s, w in ((sin_i, i), (sin_o, o)))
     alpha, beta = jnp.maximum(theta_i, theta_o), jnp.minimum(theta_i, theta_o)
     sin_alpha, sin_beta = jnp.maximum(sin_i, sin_o), jnp.minimum(sin_i, sin_o)
     both = sin_i * sin_o

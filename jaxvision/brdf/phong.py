@@ -10,10 +10,11 @@ Three records share the lobe [cos theta_s]+^n and differ in what stands before i
 
 So from shading to BRDF, divide the specular term by the cosine of incidence; k_d, which is
 albedo / pi, is the same in all three. Phong is neither reciprocal nor bounded: at a grazing light
-it reflects more than it receives. PhongBRDF is reciprocal, and loses no energy to nowhere only
-where pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems, "Using the Modified
-Phong Reflectance Model for Physically Based Rendering", 1994) is reciprocal, and its albedo is at
-most pi k_d + k_s, reached along the normal. Local frame, normal = +z; angles in radians.
+it reflects more than it receives. PhongBRDF is reciprocal, and reflects no more than it receives
+exactly where pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems, "Using the
+Modified Phong Reflectance Model for Physically Based Rendering", 1994) is reciprocal, and its
+albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal = +z; angles in
+radians.
 """
 
 import equinox as eqx
@@ -22,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, log_cos_between, log_of_zero, safe_log
+from .._staging import stored
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
@@ -79,7 +81,8 @@ class PhongBRDF(Material):
 
 
 class NormalisedPhong(Material):
-    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, which keeps energy.
+    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, energy-conserving: the lobe's
+    albedo is at most k_s, and less away from the normal, where the horizon cuts it off.
 
     `diffuse`: (bands,) k_d in sr^-1. `specular`: (bands,) or neutral (1,), k_s, no unit: the
     lobe's albedo along the normal. `exponent`: () n >= 0, no unit. `ambient`: (bands,) k_a, no
@@ -116,7 +119,8 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
 def phong_shading(
     normal: Vector, wi: Vector, wo: Vector, diffuse: Colour, specular: Colour, exponent: Scalar
 ) -> Colour:
-    """k_d [n.l]+ + k_s [s.v]+ ** exponent in sr^-1, 0 where n.l <= 0 (the attached shadow).
+    """k_d [n.l]+ + k_s [s.v]+ ** exponent in sr^-1, 0 where n.l <= 0 (the attached shadow) or
+    n.v <= 0 (a viewer below the surface, as for the record `Phong`).
 
     Radiance toward the viewer per unit of irradiance on a surface facing the light. `normal`, `wi`
     (toward the light), `wo` (toward the viewer): (3,) unit. `diffuse`, `specular`: (bands,) sr^-1.
@@ -124,15 +128,20 @@ def phong_shading(
     """
     cos_i = dot(normal, wi)
     lobe = phong_lobe(log_cos_between(mirror_direction(normal, wi), wo), exponent)
-    return jnp.where(cos_i > 0, diffuse * cos_i + specular * lobe, 0)
+    seen = (cos_i > 0) & (dot(normal, wo) > 0)
+    return jnp.where(seen, diffuse * cos_i + specular * lobe, 0)
 
 
 # ---------------------------------------------------------------- the family
 
 
+def _lobe(wi: Vec, wo: Vec, exponent: Scalar) -> Scalar:
+    return phong_lobe(log_cos_between(mirrored(wi), wo), exponent)
+
+
 def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
     """f_r of the table above, (bands,) in sr^-1."""
-    lobe = phong_lobe(log_cos_between(mirrored(wi), as_vec(wo)), material.exponent)
+    lobe = stored(_lobe, as_vec(wi), as_vec(wo), material.exponent)
     match material:
         case Phong():
             lobe = lobe / divisor(as_vec(wi).z)
@@ -144,7 +153,7 @@ def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
 def shading(material: Phong, wi: Vector, wo: Vector) -> Colour:
     """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
     light = as_vec(wi)
-    lobe = phong_lobe(log_cos_between(mirrored(light), as_vec(wo)), material.exponent)
+    lobe = stored(_lobe, light, as_vec(wo), material.exponent)
     shaded = material.diffuse * light.z + material.specular * lobe
     return jnp.where(lit_and_seen(wi, wo), shaded, 0)
 
@@ -203,7 +212,9 @@ def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]
     the angle to an axis at polar cosine `cos_axis` in [0, 1].
 
     2 pi / (n + 1) and 2 pi cos_axis / (n + 2) where the horizon cuts nothing off. Quadrature over
-    8.5 widths of the lobe, to 1e-10.
+    8.5 widths of the lobe: to 1e-10 for whole exponents and from n = 2 on. Between, the lobe ends
+    at alpha = pi / 2 as no polynomial does: relative errors, largest along the normal, reach
+    2e-5, 3e-6 and 3e-9 without the cosine at n = .1, .5, 1.5, and 1.1e-8 with it at n = .1.
     """
 
     def lobe(alpha: Scalars) -> Scalars:

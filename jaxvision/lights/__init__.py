@@ -1,9 +1,9 @@
 """What shines, one file per kind of light: its record, and what arrives from it at a point.
 
 A light at one place sends one `Incident`. An extended one is a map of the unit square onto its
-directions, and a rule (`Quadrature`, `MonteCarlo`) says where it is looked at; the sum over the
-samples is the light. For ONE point; the caller vmaps. A new kind touches one file, which ends in
-`register` or `register_extended`; a user's own file may do the same.
+directions, and a rule (`Quadrature`, `MonteCarlo`, `Balanced`) says where it is looked at; the
+sum over the samples is the light. For ONE point; the caller vmaps. A new kind touches one file,
+which ends in `register` or `register_extended`; a user's own file may do the same.
 """
 
 from collections.abc import Sequence
@@ -35,10 +35,11 @@ from .environment_tables import environment_map
 from .light_field import LightFieldLight
 from .point import PointLight
 from .rectangle import RectangleLight
-from .rules import MonteCarlo, Quadrature, Rule
+from .rules import Balanced, MonteCarlo, Quadrature, Rule
 from .window import Window
 
 __all__ = [
+    "Balanced",
     "DirectionalLight",
     "EnvironmentMap",
     "Incident",

@@ -10,7 +10,7 @@ from .._vector import Vector
 from ..scene import Light
 from ._nodes import shifted_lattice
 from ._registry import Discrete, Incident, kind_of
-from .rules import MonteCarlo, Rule
+from .rules import Balanced, MonteCarlo, Random, Rule
 
 
 def light_nodes(
@@ -21,7 +21,7 @@ def light_nodes(
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         return jnp.zeros((1, 2), dtype), jnp.ones(1, dtype)
-    if isinstance(rule, MonteCarlo):
+    if isinstance(rule, Random):
         return shifted_lattice(rule.key, rule.samples, dtype)
     nodes, weights = kind.nodes(rule.order)
     return jnp.asarray(nodes, dtype), jnp.asarray(weights, dtype)
@@ -35,13 +35,16 @@ def incident_sample(
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         return kind.incident(light, point)
-    arriving = (kind.sample if isinstance(rule, MonteCarlo) else kind.node)(light, point, u)
+    arriving = (kind.sample if isinstance(rule, Random) else kind.node)(light, point, u)
     return Incident(arriving.direction, arriving.irradiance * weight)
 
 
 def rule_for(rule: Rule, number: Int[Array, ""]) -> Rule:
     """The rule for one of many points, pixels by their number: each draws its own random samples;
     fixed nodes stay as they are."""
-    if isinstance(rule, MonteCarlo):
-        return MonteCarlo(jax.random.fold_in(rule.key, number), rule.samples)
+    match rule:
+        case MonteCarlo():
+            return MonteCarlo(jax.random.fold_in(rule.key, number), rule.samples)
+        case Balanced():
+            return Balanced(jax.random.fold_in(rule.key, number), rule.samples)
     return rule

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import safe_sqrt
+from .._numerics import arctan2, safe_sqrt
 from .._types import Colour, Scalar, as_float, check_shape
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
@@ -114,7 +114,7 @@ def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]
     x, y = direction.x, direction.y
     sine = safe_sqrt(x * x + y * y)
     off_pole = sine > 0
-    theta = jnp.arctan2(sine, jnp.where(off_pole | (direction.z != 0), direction.z, 1))
+    theta = arctan2(sine, jnp.where(off_pole | (direction.z != 0), direction.z, 1))
     phi = jnp.arctan2(jnp.where(off_pole, y, 0), jnp.where(off_pole, x, 1))
     return theta * (h / jnp.pi) - 0.5, (1 - phi / jnp.pi) * (w / 2) - 0.5
 
@@ -138,12 +138,14 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
-    """The cell that holds `u` and the fraction of it that lies before."""
+    """The cell that holds `u`, and the fraction of it that lies before the middle of the step of
+    uniform floats that `u` stands for: never a border, where another cell's density may be read."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]
     wide = end > start
-    fraction = jnp.where(wide, (u - start) / jnp.where(wide, end - start, 1), 0)
+    before = u - start + jnp.finfo(cumulative.dtype).eps / 2
+    fraction = jnp.where(wide, before / jnp.where(wide, end - start, 1), 0)
     return cell, jnp.clip(fraction, 0, 1)
 
 

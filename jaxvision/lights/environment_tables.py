@@ -1,4 +1,9 @@
-"""What an environment's sampling needs, computed once from its picture, before any rendering."""
+"""What an environment's sampling needs, computed once from its picture, before any rendering.
+
+A uniform float32 is a multiple of 2^-23, its resolution. The tables hold multiples of it too, and
+the density is read off their differences: it is that of the draws exactly, whatever was rounded on
+the way, and a sun of 1e9 times the sky leaves no pixel of the sky undrawn.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -9,14 +14,19 @@ from jaxtyping import Array, Float
 from .._types import as_float, check_shape
 from .environment import EnvironmentMap
 
+# Steps of the resolution that every pixel with light gets at least. Running sums err by less than
+# 8; 512 rows of 1024 columns give away 3e-3 of the samples to it in float32.
+_LEAST = 16
+
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
     """The light of a latitude-longitude picture of radiance, (h, w, bands) in W m^-2 sr^-1, >= 0.
 
     A place is sampled in proportion to the mean over the bands of the bilinear picture over its
-    pixel, times solid angle (all of the sphere alike if the picture is black). Gradients do not
-    enter the probabilities. `rotation`: (3, 3), rows the map's axes in the world; by default the
-    world's own. `ValueError` for another shape.
+    pixel, times solid angle (all of the sphere alike if the picture is black), and a place with
+    light at least 16 times the resolution of its floats in its row and its row in the picture.
+    Gradients do not enter the probabilities. `rotation`: (3, 3), rows the map's axes in the world;
+    by default the world's own. `ValueError` for another shape.
     """
     picture = as_float(radiance)
     check_shape("environment_map's radiance", picture, ("h", "w", "bands"))
@@ -27,12 +37,13 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
     mass = brightness * cell
     row_mass = mass.sum(axis=1, keepdims=True)
     within = jnp.where(row_mass > 0, mass / jnp.where(row_mass > 0, row_mass, 1), 1 / w)
+    rows, columns = _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
     return EnvironmentMap(
         picture,
         jnp.eye(3, dtype=picture.dtype) if rotation is None else rotation,
-        _cumulative(row_mass[:, 0] / row_mass.sum()),
-        _cumulative(within),
-        brightness / row_mass.sum(),
+        rows,
+        columns,
+        jnp.diff(rows)[:, None] * jnp.diff(columns) / cell,
     )
 
 
@@ -55,7 +66,9 @@ def _row_solid_angles(h: int) -> Float[np.ndarray, " h"]:
 
 
 def _cumulative(probability: Float[Array, "... n"]) -> Float[Array, "... n_1"]:
-    """Running sums from 0, ending in exactly 1."""
-    total = jnp.cumsum(probability, axis=-1)
-    total = total / total[..., -1:]
+    """Running sums from 0 to exactly 1, multiples of the resolution of uniform floats."""
+    step = jnp.finfo(probability.dtype).eps
+    least = jnp.where(probability > 0, _LEAST * step, 0)
+    total = jnp.cumsum(least + probability * (1 - least.sum(axis=-1, keepdims=True)), axis=-1)
+    total = jax.lax.cummax(jnp.round(total / total[..., -1:] / step) * step, axis=total.ndim - 1)
     return jnp.concatenate([jnp.zeros_like(total[..., :1]), total], axis=-1)

@@ -8,14 +8,17 @@ import jax.numpy as jnp
 from .._numerics import dot, norm
 from .._types import Scalars
 from .._vector import Vec3, as_vec
+from ..errors import InputError
 from .rectangle import RectangleLight
 
 ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
 
 def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -> int:
-    """The order of `Quadrature` that brings a diffuse receiver within `tolerance`, relative, of
-    this light at every one of `points`, (..., 3) in m: chosen before the call, outside `jit`.
+    """The order of `Quadrature` that brings a DIFFUSE receiver within `tolerance`, relative, of
+    this light at every one of `points`, (..., 3) in m: chosen before the call, outside `jit`. A
+    glossy lobe is another integrand, which takes `Balanced`. `InputError` if not even the largest
+    order of `ORDERS` is enough.
 
     It follows distance over size. Either side of the foot of a near receiver the map spans
     q = asinh(s / 2 d), and the integrand is singular at i pi / 2, so that the error falls like
@@ -27,7 +30,12 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
     pole = math.pi / 2 / math.asinh(0.5 / max(nearest, 1 / 64))
     rho = pole + math.hypot(1, pole)
     needed = math.log(100 / tolerance) / (2 * math.log(rho))
-    return next((order for order in ORDERS if order >= needed), ORDERS[-1])
+    if needed > ORDERS[-1]:
+        raise InputError(
+            f"A tolerance of {tolerance:g} needs quadrature of order {math.ceil(needed)}, above "
+            f"the largest, {ORDERS[-1]}; loosen it, or use lights.polygon.rectangle_irradiance."
+        )
+    return next(order for order in ORDERS if order >= needed)
 
 
 def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:

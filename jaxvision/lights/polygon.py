@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import dot, norm, smallest_divisor
+from .._numerics import arctan2, dot, norm, smallest_divisor
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked
 from ..hemisphere import cross
@@ -44,7 +44,7 @@ def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     narrow, wide = _cases(square, cosine)
     sine = jnp.sqrt(jnp.where((narrow | wide) & (square > 0), square, 1))
     limit = jnp.where(narrow, 1 / jnp.where(narrow, cosine, 1), 0)
-    angle = jnp.arctan2(sine, jnp.where(narrow | wide, cosine, 1))
+    angle = arctan2(sine, jnp.where(narrow | wide, cosine, 1))
     return jnp.where((narrow & (square > 0)) | wide, angle / sine, limit)
 
 

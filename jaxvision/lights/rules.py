@@ -11,10 +11,21 @@ from .._types import Key
 
 
 class Quadrature(eqx.Module):
-    """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment.
+    """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment. For
+    diffuse surfaces under area lights, and for gradients without noise.
 
-    The error falls exponentially where light and surface are smooth, and like 1 / order^2 where
-    the light crosses the surface's horizon. `order`: static, >= 1.
+    The error falls exponentially where light and surface are smooth (`orders.order_for`), and like
+    1 / order^2 where the light crosses the surface's horizon, as every sky does: under a constant
+    one a diffuse surface is off by up to 1.2 % at order 8, .3 % at 16. What is smaller than the
+    distance between nodes falls between them, and no error is reported:
+
+      * the sun of a sky;
+      * a glossy lobe. The highlight of GGX facets in a square light at its own size's distance is
+        off by -.9 % (alpha .1), -16 % (.05), -67 % (.02) at order 8, by 2e-5, -.8 % and -27 % at
+        16, and by 0, 0 and -3 % at 32; under a constant sky by +4.6 % (alpha .1) and -57 % (.03)
+        at order 8, and by +4 % (.03) even at 32.
+
+    `order`: static, >= 1.
     """
 
     order: int = eqx.field(static=True)
@@ -24,7 +35,8 @@ class Quadrature(eqx.Module):
 
 
 class MonteCarlo(eqx.Module):
-    """Random samples where the light is bright, without bias.
+    """Random samples where the light is bright, without bias: for skies, and for surfaces that are
+    not glossier than the light is small.
 
     `key`: random key. `samples`: static, >= 1. The samples of one key are spread evenly (a
     Kronecker sequence with a random shift), so their mean is better than that of independent ones.
@@ -37,7 +49,24 @@ class MonteCarlo(eqx.Module):
         _check_count("MonteCarlo.samples", self.samples)
 
 
-Rule = Quadrature | MonteCarlo
+class Balanced(eqx.Module):
+    """As `MonteCarlo`, with a direction from the material's own sampler beside each one from the
+    light, the two joined by the balance heuristic: for glossy lobes, and whenever in doubt.
+
+    Near the better of both, whether the lobe or the light is the smaller one, for the price of two
+    samples. Where there is no material to draw from (`irradiance`) it is `MonteCarlo`.
+    `key`: random key. `samples`: static, >= 1.
+    """
+
+    key: Key
+    samples: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        _check_count("Balanced.samples", self.samples)
+
+
+Random = MonteCarlo | Balanced
+Rule = Quadrature | Random
 
 
 def _check_count(name: str, count: int) -> None:

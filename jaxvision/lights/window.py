@@ -66,7 +66,7 @@ def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
     return at, at.meets & inside & (at.distance > 0) & (at.facing > 0)
 
 
-class Warp(eqx.Module):
+class Spread(eqx.Module):
     """A stretch of [0, 1] onto the interval from `start`, `length` long, of the line whose origin
     is the foot of a perpendicular: x = scale sinh(first + u span), all () m or no unit."""
 
@@ -77,7 +77,7 @@ class Warp(eqx.Module):
     span: Scalar
 
 
-def _warp(start: Scalar, length: Scalar, scale: Scalar) -> Warp:
+def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
     """asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)), whose difference is a
     quotient of sums where both have one sign: nothing cancels for an interval far away."""
     a, step = start / scale, length / scale
@@ -89,25 +89,25 @@ def _warp(start: Scalar, length: Scalar, scale: Scalar) -> Warp:
     span = jnp.where(
         same_side, jnp.arcsinh(jnp.where(same_side, rise, 0)), jnp.arcsinh(b) - jnp.arcsinh(a)
     )
-    return Warp(start, length, scale, jnp.arcsinh(a), span)
+    return Spread(start, length, scale, jnp.arcsinh(a), span)
 
 
-def _place(warp: Warp, u: Scalar) -> tuple[Scalar, Scalar]:
+def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
     """(fraction of the interval, its derivative by u)."""
-    at = warp.first + u * warp.span
-    position = warp.scale * jnp.sinh(at)
-    return (position - warp.start) / warp.length, warp.scale * warp.span * jnp.cosh(
+    at = spread.first + u * spread.span
+    position = spread.scale * jnp.sinh(at)
+    return (position - spread.start) / spread.length, spread.scale * spread.span * jnp.cosh(
         at
-    ) / warp.length
+    ) / spread.length
 
 
-def _density(warp: Warp, fraction: Scalar) -> Scalar:
+def _density(spread: Spread, fraction: Scalar) -> Scalar:
     """d u / d fraction, where `_place` is at that fraction."""
-    position = warp.start + fraction * warp.length
-    return warp.length / (warp.span * safe_sqrt(warp.scale**2 + position**2))
+    position = spread.start + fraction * spread.length
+    return spread.length / (spread.span * safe_sqrt(spread.scale**2 + position**2))
 
 
-def _warps(window: Window, point: Vector) -> tuple[Warp, Warp]:
+def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
     """Along each edge, the scale is the distance from the point to the nearest of the lines
     parallel to that edge: where 1 / d^2 peaks."""
     toward = as_vec(window.corner - as_vec(point))
@@ -126,7 +126,7 @@ def _warps(window: Window, point: Vector) -> tuple[Warp, Warp]:
         jnp.maximum(norm(Vec(height, gap, 0 * gap)), length / 64)
         for gap, length in zip(gaps[::-1], lengths, strict=True)
     ]
-    u, v = (_warp(*of) for of in zip(starts, lengths, scales, strict=True))
+    u, v = (_spread(*of) for of in zip(starts, lengths, scales, strict=True))
     return u, v
 
 
@@ -141,16 +141,16 @@ def window_sample(
     solid angle, sr, is 0 for a point behind the window or in its plane. `place`: (2,) in [0, 1],
     along the edges.
     """
-    warp_u, warp_v = _warps(window, point)
-    s, stretch_u = _place(warp_u, u[0])
-    t, stretch_v = _place(warp_v, u[1])
+    spread_u, spread_v = _spreads(window, point)
+    s, jacobian_u = _place(spread_u, u[0])
+    t, jacobian_v = _place(spread_v, u[1])
     toward = window.corner - as_vec(point) + s * as_vec(window.edge_u) + t * as_vec(window.edge_v)
     distance = norm(toward)
     apart = distance > smallest_divisor(distance.dtype)
     nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
     direction = toward * nearness
     projected = -dot(cross(window.edge_u, window.edge_v), direction)
-    solid_angle = jnp.maximum(projected, 0) * nearness * nearness * stretch_u * stretch_v
+    solid_angle = jnp.maximum(projected, 0) * nearness * nearness * jacobian_u * jacobian_v
     return direction, solid_angle, jnp.stack([s, t])
 
 
@@ -158,8 +158,8 @@ def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:
     """Density in sr^-1 of the directions of `window_sample` for u uniform in the square; 0 where
     `wi` misses the window's front."""
     at, hit = hit_window(Ray(point, wi), window)
-    warp_u, warp_v = _warps(window, point)
-    per_place = _density(warp_u, at.u) * _density(warp_v, at.v)
+    spread_u, spread_v = _spreads(window, point)
+    per_place = _density(spread_u, at.u) * _density(spread_v, at.v)
     projected = norm(cross(window.edge_u, window.edge_v)) * jnp.where(hit, at.facing, 1)
     distance = jnp.where(hit, at.distance, 0)
     return jnp.where(hit, per_place * distance * distance / jnp.where(hit, projected, 1), 0)

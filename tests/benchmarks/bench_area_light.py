@@ -1,6 +1,9 @@
 r"""An unoccluded rectangular light on a Lambert floor, 512 x 512: error against time of the closed
 form, of quadrature, of Monte Carlo, and of Mitsuba 3's direct integrator (llvm_ad_rgb).
 
+The closed form is a picture of the floor written for it (`floor_picture`), the others the general
+`render`: the ratio to Mitsuba is printed for both, and the 1000 is asked of the former.
+
     DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s \
         tests/benchmarks/bench_area_light.py
 
@@ -33,6 +36,8 @@ from jaxvision import (
     look_at,
     render,
 )
+from jaxvision._staging import TILE, in_tiles
+from jaxvision._vector import as_array
 from jaxvision.lights.polygon import rectangle_irradiance
 from jaxvision.optics import pixel_grid
 
@@ -77,7 +82,23 @@ def floor_picture(scene, view, irradiance):
         return (floor.material.diffuse * irradiance(scene.lights[0], point, up))[0]
 
     rows, columns = pixel_grid(view)
-    return jax.vmap(lambda row: jax.vmap(lambda column: pixel(row, column))(columns))(rows)
+    over_columns = jax.vmap(pixel, in_axes=(None, 0))
+    return in_tiles(lambda row: over_columns(row, columns), rows, size=TILE // SIDE)
+
+
+def sees_the_floor(view):
+    """(SIDE, SIDE): where the lamp's back, a hundredth of its edges wider all round for the pixels
+    it cuts, does not cover the floor. Of geometry alone, no picture asked."""
+    u, v, corner = np.array(EDGE_U), np.array(EDGE_V), np.array(CENTRE)
+    corner = corner - u / 2 - v / 2
+    rows, columns = pixel_grid(view)
+    over_columns = jax.vmap(
+        lambda row, column: as_array(camera_ray(view, row, column).direction), in_axes=(None, 0)
+    )
+    toward = np.asarray(jax.vmap(over_columns, in_axes=(0, None))(rows, columns))
+    at = EYE + toward * ((CENTRE[1] - EYE[1]) / toward[..., 1:2]) - corner
+    inside = [np.abs(at @ edge / (edge @ edge) - 0.5) < 0.51 for edge in (u, v)]
+    return ~(inside[0] & inside[1])
 
 
 def mitsuba_rival():
@@ -154,14 +175,13 @@ def test_error_against_time_beside_mitsuba():
         print(f"{name:24s} compile {cold:5.2f} s")
 
     add("closed form", partial(floor_picture, irradiance=rectangle_irradiance))
-    for order in (2, 3, 4, 6, 8):
+    for order in (2, 3, 4, 8):
         rule = Quadrature(order)
         add(
             f"quadrature {order} x {order}", lambda s, v, rule=rule: render(s, v, rule=rule)[..., 0]
         )
-    for count in (16, 64):
-        rule = MonteCarlo(jax.random.key(0), count)
-        add(f"Monte Carlo {count}", lambda s, v, rule=rule: render(s, v, rule=rule)[..., 0])
+    drawn = MonteCarlo(jax.random.key(0), 64)
+    add("Monte Carlo 64", lambda s, v: render(s, v, rule=drawn)[..., 0])
 
     def total(scene, view):
         return floor_picture(scene, view, rectangle_irradiance).mean()
@@ -172,9 +192,7 @@ def test_error_against_time_beside_mitsuba():
         pictures[f"Mitsuba {samples}"] = draw(samples)
         rivals[f"Mitsuba {samples}"] = lambda samples=samples: draw(samples)
 
-    # where the camera sees the floor and not the lamp's back
-    in_view = np.abs(pictures["Mitsuba 256"] / truth - 1) < 0.3
-    in_view &= np.abs(pictures["quadrature 8 x 8"] / truth - 1) < 0.3
+    in_view = sees_the_floor(exact[1])
     assert in_view.mean() > 0.7
     error = {k: float(np.sqrt(np.mean((x / truth - 1)[in_view] ** 2))) for k, x in pictures.items()}
     seconds = interleaved(rivals)
@@ -188,5 +206,8 @@ def test_error_against_time_beside_mitsuba():
     print(f"Mitsuba's error falls as samples^-{rate:.2f}; at 1e-3 it takes {at_aim:.1f} s")
     assert error["closed form"] < 1e-5
     assert error["quadrature 4 x 4"] < 1e-3
-    best = min(seconds[k] for k in rivals if error.get(k, 1) <= 1e-3 and "Mitsuba" not in k)
-    assert at_aim / best > 1000
+    general = [k for k in rivals if "quadrature" in k and error[k] <= 1e-3]
+    best = min(general, key=seconds.get)
+    for name in ("closed form", best):
+        print(f"{name}: {at_aim / seconds[name]:.0f} times faster at 1e-3 than Mitsuba")
+    assert at_aim / seconds["closed form"] > 1000

@@ -51,7 +51,7 @@ def arriving(wi):
     return jnp.stack([1 + wi[2], 2 - wi[0]])
 
 
-OPTIONS = {"radiance_from": arriving, "normal": N, "wo": WO}
+OPTIONS = {"incident_radiance": arriving, "normal": N, "wo": WO}
 
 EXAMPLES = {
     "capture.render_light_field": (

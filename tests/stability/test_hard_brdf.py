@@ -135,6 +135,26 @@ def test_masking_at_grazing_angles_in_ulps(dtype):
             assert error <= 8 * float(jnp.finfo(dtype).eps) * (truth + exact.number(w[2]) / 4)
 
 
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
+    """alpha cos(theta) down to 1e-9, where two rounded directions no longer tell the facet between
+    them: float32 keeps its digits all the same, for no half vector is computed from them."""
+    cases = np.array([[1e-4, 1e-4], [1e-6, 0.01], [1e-5, 1e-4], [1e-3, 1e-6]], np.float32)
+
+    def albedo(case):
+        alpha, cos_o = case
+        wo = jnp.stack([jnp.sqrt(1 - cos_o**2), 0 * cos_o, cos_o])
+        material = TorranceSparrow([0.0], [1.0], alpha, distribution=distribution)
+        return brdf.albedo(as_dtype(material, cos_o.dtype), wo)[0]
+
+    single, double = (
+        quick_jit(jax.vmap(albedo))(jnp.asarray(cases, dtype))
+        for dtype in (jnp.float32, jnp.float64)
+    )
+    assert single.dtype == jnp.float32
+    np.testing.assert_allclose(single, double, rtol=3e-6)
+
+
 def microfacets(**options):
     return [TorranceSparrow([0.1], [1.0], alpha, **options) for alpha in (0.0, 1e-4, 1.0)]
 
