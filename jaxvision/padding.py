@@ -2,40 +2,54 @@
 
 A picture is (h, w), one grey plane, or (..., h, w, bands), each band of each image a plane of its
 own; values are relative or in any unit, which they keep. Integers become floating numbers of the
-same value. Every border except "constant" is linear in the picture, along one axis
+same value, complex ones are refused. Every border except "constant" is linear in the picture, along
+one axis
 
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
-with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
-The names are those of Szeliski, Computer Vision, section 3.2.
+with static numbers that `_ghosts` gives for any reach, also beyond several widths of the picture.
+The names are those of Szeliski, Computer Vision, section 3.2. OpenCV's default, c b | a b c d |
+c b, is not among them: `numpy.pad` with mode "reflect" makes it, before any filter.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped
 
 from ._types import as_float
 
 Picture = Shaped[Array | np.ndarray, "*picture"]
 Filtered = Float[Array, "*filtered"]
-Widths = tuple[tuple[int, int], tuple[int, int]]
+Widths = Sequence[Sequence[int]]
 
 # name: what stands beyond (a b c d), then the names of others
 BORDERS = {
     "zero": '0 0 | a b c d | 0 0; numpy and scipy "constant" with 0',
     "constant": 'x x | a b c d | x x, x = fill; numpy and scipy "constant"',
     "clamp": 'a a | a b c d | d d; numpy "edge", scipy "nearest"',
-    "wrap": 'c d | a b c d | a b; numpy "wrap", scipy "wrap" (pictures: "grid-wrap")',
+    "wrap": 'c d | a b c d | a b; numpy "wrap", scipy "grid-wrap"',
     "mirror": 'b a | a b c d | d c; numpy "symmetric", scipy "reflect"',
     "extend": (
         '2a-c 2a-b | a b c d | 2d-c 2d-b; numpy "reflect" with reflect_type="odd", '
         'scipy.signal padtype "odd"'
     ),
     "normalised_zero": "zero, and the filter divides by that of a picture of ones; not in numpy",
+}
+
+
+# What users of the other libraries take for ours.
+_NOT_AMONG_THEM = (
+    'c b | a b c d | c b (OpenCV\'s default, numpy "reflect", scipy "mirror") is none of them: '
+    "numpy.pad the picture first"
+)
+_REFUSALS = {
+    "constant": 'takes a fill, which this filter has not: pad the picture first, or take "zero"',
+    "normalised_zero": "divides by the sum of the weights, and these have no sum to divide by",
 }
 
 
@@ -49,25 +63,34 @@ class Ghosts(NamedTuple):
     last: np.ndarray
 
 
-def check_border(border: str) -> None:
-    """Raises `ValueError` for an unknown border; its message lists all, with the names that numpy
-    and scipy give them."""
+def _check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
+    """Raises `ValueError` for an unknown border, its message lists all, with the names that numpy
+    and scipy give them; and for one of those `refused`."""
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
-        raise ValueError(f"border must be one of the following, got {border!r}. {known}.")
+        raise ValueError(
+            f"border must be one of the following, got {border!r}. {known}. {_NOT_AMONG_THEM}."
+        )
+    if border in refused:
+        raise ValueError(f'border "{border}" {_REFUSALS[border]}.')
 
 
-def check_picture(picture: Picture) -> None:
-    """Raises `ValueError` for a picture of fewer than two axes or without pixels."""
+def _check_picture(picture: ArrayLike) -> None:
+    """Raises `ValueError` for a picture of fewer than two axes, without pixels or complex."""
     shape = jnp.shape(picture)
     if len(shape) < 2 or 0 in shape:
         raise ValueError(
             "a picture must be (h, w) or (..., h, w, bands) with at least one pixel, got shape "
             f"{shape}."
         )
+    if jnp.iscomplexobj(picture):
+        raise ValueError(
+            "a picture holds real numbers, got complex ones: filter the real and the imaginary "
+            "part by themselves."
+        )
 
 
-def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
+def _ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
     """The border of an axis of n samples, as the coefficients of the module's equation.
 
     With "constant" and "normalised_zero" they are those of "zero".
@@ -107,19 +130,20 @@ def pad(
 
     `fill`: () or (bands,), what stands outside with border "constant", in the picture's unit.
     "normalised_zero" pads with 0: it is the filter that divides. `ValueError` for a picture of
-    fewer than two axes or without pixels, a negative width or an unknown border.
+    fewer than two axes, without pixels or complex, widths of another form or below 0, or an unknown
+    border.
     """
-    image, restore = as_planes(picture)
-    check_border(border)
-    if min(min(pair) for pair in widths) < 0:
-        raise ValueError(f"widths must be >= 0, got {widths}.")
+    image, restore = _as_planes(picture)
+    _check_border(border)
+    if np.shape(widths) != (2, 2) or np.min(widths) < 0:
+        raise ValueError(f"widths must be ((top, bottom), (left, right)), each >= 0, got {widths}.")
     outside = jnp.asarray(fill, image.dtype) if border == "constant" else jnp.zeros((), image.dtype)
     for axis, (before, after) in zip((1, 2), widths, strict=True):
-        image = continued(image, axis, before, after, border, outside)
+        image = _continued(image, axis, before, after, border, outside)
     return restore(image)
 
 
-def continued(
+def _continued(
     image: Float[Array, "images h w bands"],
     axis: int,
     before: int,
@@ -129,7 +153,7 @@ def continued(
 ) -> Float[Array, "images _ _ bands"]:
     """One axis of a stack of images continued: only the two strips that are new are gathered."""
     n = image.shape[axis]
-    rule = ghosts(border, n, before, after)
+    rule = _ghosts(border, n, before, after)
     first_sample, last_sample = (lax.slice_in_dim(image, k, k + 1, axis=axis) for k in (0, n - 1))
 
     def strip(chosen: slice) -> Float[Array, "images rows columns bands"]:
@@ -156,14 +180,14 @@ def continued(
     return joined.reshape(image.shape[0], rows, -1, image.shape[-1])
 
 
-def as_planes(
+def _as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
     """A picture as a stack of floating images, and the way back to its own axes.
 
-    `ValueError` for fewer than two axes or no pixels.
+    `ValueError` as for `_check_picture`.
     """
-    check_picture(picture)
+    _check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)
     if len(shape) == 2:
         return image[None, :, :, None], lambda stack: stack[0, :, :, 0]

@@ -33,6 +33,7 @@ OTHER_INKS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "t
 NOT_A_NUMBER = (1.0, 0.0, 1.0)  # the colour of NaN pixels: no natural image is full of magenta
 BINS = 256
 HIGH_DYNAMIC_RANGE = 1000.0  # above this ratio of values the histogram's axis is logarithmic
+MOST_NOTES = 6  # of cut bins, one a band
 SURFACE_SIDE = 72  # most facets along a side of the surface
 BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of squeezing the rest
 
@@ -183,6 +184,10 @@ def _as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
     else:
         shown = colours / white
         how += "as stored" if white == 1 else f"value / {white:.6g}"
+    if finite.size and finite.min() < 0:
+        how += ", below 0 black"
+    if finite.size and (finite.max() > white or how.startswith("sRGB")):
+        how += ", brightest cut"
     picture = np.broadcast_to(np.clip(shown, 0, 1), (*shown.shape[:2], 3)).copy()
     picture[np.isnan(colours).any(axis=-1)] = NOT_A_NUMBER
     return np.nan_to_num(picture), how
@@ -235,25 +240,30 @@ def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
     elif low == high:
         low, high = low - 0.5, high + 0.5
     counts, edges = _counts(values, (float(low), float(high)))
-    ceiling = BEFORE_NOTE * max(float(np.quantile(counts, 0.995)), 1.0)
+    light = counts[: _colours(pixels).shape[-1]]  # alpha, whose bins are full, would squeeze it
+    ceiling = BEFORE_NOTE * max(float(np.quantile(light, 0.995)), 1.0)
     for i, name in enumerate(names):
         axis.stairs(
             counts[i], edges, color=_ink(name, i), label=name, fill=bands == 1, lw=1.0, alpha=0.9
         )
     if counts.max() > BEFORE_NOTE * ceiling:
-        band, place = np.unravel_index(counts.argmax(), counts.shape)
         axis.set_ylim(0, ceiling)
-        where = edges[place] if unit == "DN" else (edges[place] + edges[place + 1]) / 2
-        axis.text(
-            *(0.97, 0.97),
-            f"highest bin: {counts.max():,} at {10**where if logarithmic else where:.4g}",
-            transform=axis.transAxes,
-            ha="right",
-            va="top",
-            fontsize=8,
-            color=_ink(names[band], int(band)),
-        )
+        cut = [band for band in range(bands) if counts[band].max() > ceiling]
+        for line, band in enumerate(cut[:MOST_NOTES]):
+            place = counts[band].argmax()
+            where = edges[place] if unit == "DN" else (edges[place] + edges[place + 1]) / 2
+            value = 10**where if logarithmic else where
+            axis.text(
+                *(0.97, 0.97 - 0.06 * line),
+                f"{names[band]}, highest bin: {counts[band].max():,} at {value:.4g}",
+                transform=axis.transAxes,
+                ha="right",
+                va="top",
+                fontsize=8,
+                color=_ink(names[band], band),
+            )
     axis.set_xlim(edges[0], edges[-1])
+    axis.locator_params(axis="x", nbins=6)  # more run together where each has a minus
     label = f"log10 of the value ({unit})" if logarithmic else f"value ({unit})"
     width = edges[1] - edges[0]
     axis.set(xlabel=label, ylabel=f"pixels per bin of {width:.3g}", title="histogram")
@@ -322,19 +332,27 @@ def _printed(pixel: np.ndarray) -> list[str]:
 
 
 def _draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
-    """The mean of the colour bands as a height, each facet the mean of a block of pixels."""
+    """The mean of the colour bands as a height, each facet the mean of a block of pixels, over
+    what is finite there; a block without stands at the mean of all."""
     height, width, _ = pixels.shape
     colours = _colours(pixels).astype(float)
     step = max(1, -(-max(height, width) // SURFACE_SIDE))
-    heights = np.where(np.isfinite(colours), colours, 0).mean(axis=-1)
     y, x = np.arange(0, height, step), np.arange(0, width, step)
-    sums = np.add.reduceat(np.add.reduceat(heights, y, axis=0), x, axis=1)
-    area = np.outer(np.diff(y, append=height), np.diff(x, append=width))
+
+    def of_blocks(values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(np.add.reduceat(values.sum(axis=-1), y, axis=0), x, axis=1)
+
+    finite = np.isfinite(colours)
+    known = of_blocks(finite.astype(float))
+    overall = colours[finite].mean() if finite.any() else 0.0
+    sums = of_blocks(np.where(finite, colours, 0))
+    heights = np.where(known > 0, sums / np.maximum(known, 1), overall)
     if min(len(x), len(y)) > 1:
         columns, rows = np.meshgrid(x, y)
-        axis.plot_surface(columns, rows, sums / area, cmap="viridis", rstride=1, cstride=1, lw=0)
+        axis.plot_surface(columns, rows, heights, cmap="viridis", rstride=1, cstride=1, lw=0)
     unit = "DN" if pixels.dtype.kind in "ui" else "relative"
     axis.set(xlabel="column", ylabel="row", title=f"surface: mean of bands ({unit})")
+    axis.yaxis.labelpad = 12  # clear of the numbers, which the view turns towards it
     axis.invert_yaxis()
     axis.view_init(elev=50, azim=-75)
     axis.tick_params(labelsize=8)
@@ -354,7 +372,8 @@ def _draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> N
         bbox=[0.16, 0.04, 0.84, 0.92],  # type: ignore[arg-type]
     )
     table.auto_set_font_size(False)
-    table.set_fontsize(9)
+    longest = max(len(text) for band in shown for text in _cells(band))
+    table.set_fontsize(9 if longest * len(shown) < 32 else 7)
     axis.set_axis_off()
     more = "" if len(bands) <= 4 else f" (first 4 of {len(bands)} bands)"
     axis.set_title(f"in numbers{more}")

@@ -1,5 +1,6 @@
 """The filters that have a name, against scipy and OpenCV, closed forms and their own laws."""
 
+from functools import partial
 from itertools import pairwise
 
 import jax
@@ -46,6 +47,13 @@ def test_binomial_is_repeated_pairs():
     np.testing.assert_allclose(filters.binomial_kernel(9), pairs, rtol=1e-15)
     expected = ndimage.correlate(PLANE, np.outer(pairs, pairs), mode="reflect")
     np.testing.assert_allclose(filters.binomial(PLANE, size=9), expected, atol=1e-13)
+
+
+def test_binomial_of_any_size():
+    """2 ** 1099 is no float; the weights are, of sum 1 and variance (size - 1) / 4."""
+    taps = filters.binomial_kernel(1100)
+    x = np.arange(1100) - 1099 / 2
+    np.testing.assert_allclose((taps.sum(), taps @ x**2), (1, 1099 / 4), rtol=1e-12)
 
 
 @pytest.mark.parametrize("order", [(0, 0), (1, 0), (0, 1), (2, 1), (0, 3)])
@@ -108,6 +116,26 @@ def test_variance_of_a_narrow_gaussian():
     np.testing.assert_allclose(excess(0.5, "sampled"), -0.035, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("sigma", "sampled", "integrated"), [(0.3, 0.085, 0.663), (0.5, 0.860, 0.986), (0.7, 0.998, 1)]
+)
+def test_what_narrow_derivatives_lose(sigma, sampled, integrated):
+    """The slope of a ramp of 1 as stated, and the cure: differences of what is blurred."""
+    for sampling, expected in (("sampled", sampled), ("integrated", integrated)):
+        options = {"size": 9, "order": (0, 1), "sampling": sampling}
+        slope = filters.gaussian(XX, value(sigma), **options)
+        np.testing.assert_allclose(slope[15, 15], expected, atol=6e-4)
+        flat = filters.laplacian_of_gaussian(
+            np.ones((9, 9)), value(sigma), size=15, sampling=sampling
+        )
+        if sampling == "integrated":
+            np.testing.assert_allclose(flat, 0, atol=1e-12)
+        elif sigma == 0.5:
+            np.testing.assert_allclose(flat, -1.12, atol=1e-3)
+    blurred = filters.gaussian(XX, value(sigma), size=9)
+    np.testing.assert_allclose(filters.derivative(blurred).x[15, 15], 1, atol=1e-12)
+
+
 def test_kernel_of_vanishing_width():
     for size in (5, 4):
         for sampling in ("sampled", "integrated"):
@@ -162,7 +190,7 @@ def test_isotropic_laplacian_is_isotropic():
 
 
 def test_unsharp_mask():
-    got = filters.unsharp_mask(PLANE, 1.5, value(0.8))
+    got = filters.unsharp_mask(PLANE, 1.5, 0.8)
     expected = PLANE + 0.8 * (PLANE - ndimage.gaussian_filter(PLANE, 1.5, mode="reflect"))
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
@@ -193,6 +221,20 @@ def test_quadrature_pair_is_the_turned_filter(angle):
     for seen, kernel in zip(got, (even, odd), strict=True):
         expected = ndimage.correlate(image, kernel, mode="reflect")
         np.testing.assert_allclose(seen, expected, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("width", "angle", "even", "odd"),
+    [(1.0, 0.0, 1.41, 0.53), (1.0, np.pi / 4, 1.18, 0.81), (2.0, 0.3, 1.0, 0.9905)],
+)
+def test_energy_of_the_pair_by_its_width(width, angle, even, odd):
+    """The sum of squares of the answer to an impulse: 1 and 0.99 only from a width of 2 on."""
+    impulse = (XX == 0) & (YY == 0)
+    pair = filters.steer(
+        filters.quadrature_basis(impulse.astype(float), width, size=21), value(angle)
+    )
+    got = [float((response**2).sum()) for response in pair]
+    np.testing.assert_allclose(got, (even, odd), atol=5e-3 if width < 2 else 1e-4)
 
 
 def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
@@ -269,7 +311,10 @@ def test_bad_input_is_named():
     with pytest.raises(ValueError, match=">= 0 pixels"):
         filters.gaussian(PLANE, np.nan)
     with pytest.raises(ValueError, match="at least one entry"):
-        filters.box(PLANE, size=0)
+        filters.binomial(PLANE, size=0)
+    for size in (0, (3, 3, 3), (3, -1)):
+        with pytest.raises(ValueError, match=r"n or \(down, across\)"):
+            filters.box(PLANE, size=size)
     with pytest.raises(ValueError, match="sobel"):
         filters.derivative(PLANE, scheme="roberts")
     with pytest.raises(ValueError, match="odd"):
@@ -278,3 +323,27 @@ def test_bad_input_is_named():
         filters.low_rank(jnp.ones((2, 3)), rank=3)
     with pytest.raises(ValueError, match=">= 1"):
         filters.gaussian_kernel(value(1.0), size=0)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        filters.derivative,
+        filters.laplacian,
+        partial(filters.laplacian_of_gaussian, sigma=1.0),
+        partial(filters.gaussian, sigma=1.0, order=(1, 0)),
+        partial(filters.directional_derivative, sigma=1.0, angle=value(0.0)),
+        partial(filters.quadrature_basis, width=1.0, size=5),
+    ],
+)
+def test_weights_of_sum_nothing_are_not_normalised(call):
+    with pytest.raises(ValueError, match="sum of the weights, which is 0"):
+        call(PLANE, border="normalised_zero")
+
+
+def test_numbers_of_python_and_numpy():
+    np.testing.assert_array_equal(
+        filters.box(PLANE, size=np.int64(3)), filters.box(PLANE, size=[3, 3])
+    )
+    whole = filters.impulse_response(2.0, operator=lambda f: f, shape=(3, 3))
+    np.testing.assert_array_equal(whole, 2 * (np.arange(9) == 4).reshape(3, 3))

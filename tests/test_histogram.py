@@ -32,6 +32,14 @@ VALUES = RNG.normal(0.5, 0.3, size=(64, 48))
 COLOUR = np.stack([CODES, 255 - CODES, np.roll(CODES, 5, axis=0) // 2], axis=-1)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    """Correctness needs no optimised code: this compiles three times faster."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 # ------------------------------------------------ counts
 
 
@@ -174,6 +182,35 @@ def test_equalisation_is_opencvs(codes):
     assert levels_apart(equalise(codes), cv2.equalizeHist(codes)) <= 1
 
 
+@pytest.mark.parametrize("value", [0.0, 0.5, 0.501, 1.0])
+def test_a_picture_of_one_value_stays(value):
+    flat = np.full((8, 9), value)
+    np.testing.assert_array_equal(equalise(flat), flat)
+    np.testing.assert_array_equal(equalise_locally(flat, tiles=(2, 2), clip_limit=None), flat)
+
+
+def test_values_outside_are_counted_where_they_are_clamped():
+    """A quarter below, a quarter above, the rest even: the curve of the clamped picture."""
+    x = np.linspace(-0.5, 1.5, 4000)[None]
+    got = np.asarray(equalise(x, bins=4))
+    # the four bins hold 3/8, 1/8, 1/8 and 3/8 of the values
+    corners, heights = [0, 0.25, 0.5, 0.75, 1], [0, 3 / 8, 1 / 2, 5 / 8, 1]
+    np.testing.assert_allclose(got, np.interp(np.clip(x, 0, 1), corners, heights), atol=1e-12)
+    bright = np.full((4, 4), 2.0)
+    bright[0, 0] = 7.0
+    np.testing.assert_array_equal(equalise(bright), 1)
+    nothing = equalise(np.full((4, 4), np.nan))
+    assert np.isnan(nothing).all()
+
+
+def test_lists_and_numbers_of_numpy():
+    ours = exact_histogram(VALUES, bins=np.int64(5), value_range=[0.0, 1.0])
+    np.testing.assert_array_equal(ours.counts, np.histogram(VALUES, 5, (0, 1))[0])
+    np.testing.assert_array_equal(
+        equalise_locally(CODES, tiles=[4, 3]), equalise_locally(CODES, tiles=(4, 3))
+    )
+
+
 def test_equalised_values_are_spread_evenly():
     """The textbook's purpose: the distribution of the result is the diagonal."""
     flat = equalise(np.clip(VALUES, 0, 1), bins=500)
@@ -277,6 +314,7 @@ def test_dtype_and_shape_stay(dtype):
     ("call", "words"),
     [
         (lambda: exact_histogram(CODES, bins=0), "at least 1, got 0"),
+        (lambda: equalise_locally(CODES, tiles=(8,)), r"\(rows, columns\).*got \(8,\)"),
         (lambda: soft_histogram(VALUES, bins=-3), "at least 1, got -3"),
         (lambda: exact_histogram(VALUES, value_range=(1.0, 1.0)), "low < high"),
         (lambda: exact_histogram(VALUES, value_range=(0.0, np.inf)), "finite"),

@@ -100,8 +100,34 @@ def test_a_tall_bin_is_noted_instead_of_squeezing_the_rest():
     mostly_black = CODES.copy()
     mostly_black[:15] = 0
     axis = panels(plots.inspect(mostly_black))["histogram"]
-    assert "highest bin: 45" in axis.texts[0].get_text()
+    words = [text.get_text() for text in axis.texts]
+    assert [line.split(",")[0] for line in words] == ["red", "green", "blue"]
+    assert all("highest bin: 45" in line for line in words)
     assert axis.get_ylim()[1] < 100
+
+
+def test_alpha_does_not_set_the_height_of_the_histogram():
+    opaque = np.dstack([CODES, np.full((20, 30), 255, np.uint8)])
+    axis = panels(plots.inspect(opaque))["histogram"]
+    assert axis.get_ylim()[1] < 20
+    assert [text.get_text() for text in axis.texts] == ["alpha, highest bin: 600 at 255"]
+
+
+def test_nan_stands_at_the_mean_of_the_surface():
+    image = np.full((6, 6), 5.0)
+    image[2, 3], image[0, 0] = np.nan, np.inf
+    axis = panels(plots.inspect(image))["surface"]
+    np.testing.assert_allclose(axis.zz_viewLim.intervalx, 5, atol=0.5)
+
+
+def test_what_the_picture_cannot_show_is_said():
+    def how(image):
+        return next(
+            axis.get_title() for axis in plots.inspect(image).axes if "picture" in axis.get_title()
+        )
+
+    assert how(np.full((3, 3), -0.5)) == "picture (as stored, below 0 black)"
+    assert how(np.full((3, 3), 0.5)) == "picture (as stored)"
 
 
 @pytest.mark.parametrize(

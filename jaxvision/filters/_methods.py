@@ -1,21 +1,19 @@
 """Three ways to one number: g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
 
 Images are (n, h, w, c), kernels (kh, kw, c), or (kh, kw, 1) for all bands alike. Borders are "none"
-(only whole windows: h - kh + 1 rows) or one that `padding.ghosts` knows; the result is then (n, h,
+(only whole windows: h - kh + 1 rows) or one that `padding._ghosts` knows; the result is then (n, h,
 w, c). Values in any unit.
 """
 
-from collections.abc import Callable
 from functools import partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array, Float
 
-from ..padding import continued, ghosts
+from .._staging import stored
+from ..padding import _continued, _ghosts
 
 Stack = Float[Array, "n h w c"]
 Result = Float[Array, "n _ _ c"]
@@ -26,16 +24,6 @@ Anchor = tuple[int, int]
 _MOST_TAPS = 128
 
 
-def stored(function: Callable[..., Array], *arguments: Array) -> Array:
-    """`function(*arguments)`, computed once and stored.
-
-    XLA would fuse two passes into one loop, and so repeat the first for every tap of the second (48
-    ms instead of 2 at 15 taps); an optimisation barrier does not survive to there on a CPU.
-    """
-    with set_xla_metadata(inlineable="false"):
-        return jax.jit(function)(*arguments)
-
-
 def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> Result:
     """The image with all that the windows of a kernel of that size (kh, kw) reach."""
     if border == "none":
@@ -43,7 +31,7 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
     zero = jnp.zeros((), image.dtype)
     for axis in (1, 2):
         before, after = anchor[axis - 1], size[axis - 1] - 1 - anchor[axis - 1]
-        image = continued(image, axis, before, after, border, zero)
+        image = _continued(image, axis, before, after, border, zero)
     return image
 
 
@@ -111,7 +99,7 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
         h -= kh - 1
         index, inside = np.arange(h + kh - 1), np.ones(h + kh - 1)
     else:
-        index, inside, *_ = ghosts(border, h, anchor[0], kh - 1 - anchor[0])
+        index, inside, *_ = _ghosts(border, h, anchor[0], kh - 1 - anchor[0])
     # one weight for all bands is a number in the loop, else a row of numbers
     weights = kernel if kernel.shape[-1] == 1 else stored(lambda k: jnp.tile(k, w), kernel)
 

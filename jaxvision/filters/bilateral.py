@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Int
 
 from .._numerics import log_of_zero
 from .._types import Scalars
-from ..padding import check_border
+from ..padding import _check_border
 from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
 
 
@@ -38,7 +38,7 @@ def bilateral_filter(
     2 radius + 1 or a "disc"; beyond 3 sigma_space little is left. `difference`: of two colours, the
     "euclidean" length or the "sum" of absolute values. OpenCV has the disc and the sum.
 
-    `border`: as in `padding`, "constant" continuing with 0; with "normalised_zero" what lies
+    `border`: as in `padding`, but "constant", which takes a fill; with "normalised_zero" what lies
     outside takes no part.
 
     A sigma of 0 (or below) stands for the limit: each pixel itself, or equals only. NaN spreads to
@@ -80,7 +80,7 @@ def joint_bilateral_filter(
             f"window must be one of {', '.join(WINDOWS)} and difference one of "
             f"{', '.join(DIFFERENCES)}, got {window!r} and {difference!r}."
         )
-    check_border(border)
+    _check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     edges, _ = planes_of(guide)
     if values[0].shape != edges[0].shape:

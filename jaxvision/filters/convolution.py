@@ -9,23 +9,27 @@ the second of the two middle ones of an even kernel, as in scipy and OpenCV.
 
 `border` is one of `padding.BORDERS`; "constant" puts `fill`, () or (bands,), outside, and
 "normalised_zero" is filter(f) / filter(1), both bordered by zero: a weighted mean of the pixels
-that are there, for kernels that are nowhere negative; where filter(1) is 0 so is the result.
+that are there, for kernels that are nowhere negative. Where filter(1) is 0 so is the result:
+0 within the rounding of its sum, as many eps of filter(1) by |kernel| as the kernel has taps.
 
 `method` says how the sum is taken, not what it is:
 "conv" by `lax.conv_general_dilated`, "direct" by shifted pictures, "fft" by transforms, "separable"
 by passes over columns and rows, as many as the kernel's rank. "auto" takes "conv" on a GPU, and on
 a CPU the fastest that was measured for the size: "separable" for kernels of low rank (known if the
-kernel is not traced), else "direct" up to 15 x 15 and "fft" beyond.
+kernel is not traced and finite), else "direct" up to 15 x 15 and "fft" beyond.
 
 NaN and infinity go to every pixel whose window holds them, also under a weight of 0; with "fft" to
-the whole plane, and with "conv" and a kernel for each band, to all bands.
+the whole plane, and with "conv" and a kernel for each band, as XLA's code may be, to all bands. So
+under "auto" their reach grows with the kernel: on a CPU one of 15 x 15 spoils 225 pixels and one of
+17 x 17, if not of low rank, all. Name a method where that matters.
 
 Derivatives by picture and by kernel are correlations themselves, of any order, forward and reverse.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial, reduce
-from operator import add, mul
+from operator import add, index, mul
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,13 +40,14 @@ from jaxtyping import Array, Float, Shaped
 
 from .._numerics import smallest_divisor
 from .._types import as_float
-from ..padding import Filtered, Picture, as_planes, check_border, check_picture, ghosts
+from ..padding import Filtered, Picture, _as_planes, _check_border, _check_picture, _ghosts
 from ._bilinear import correlate_stack
 from ._methods import Anchor, Kernel, Stack
 
 # (kh, kw) or (kh, kw, bands); (taps,) or (taps, bands); () or (bands,)
 AnyKernel = Shaped[Array | np.ndarray, "..."]
 AnyTaps = Shaped[Array | np.ndarray, "..."]
+Numbers = Sequence[Any]
 Fill = Float[Array | np.ndarray, "..."] | float
 # The kernel is the sum of terms, each the product of its passes.
 Terms = tuple[tuple[AnyKernel, ...], ...]
@@ -57,9 +62,9 @@ _FEWEST_TAPS = 25
 
 def correlate(
     picture: Picture,
-    kernel: AnyKernel,
+    kernel: AnyKernel | Numbers,
     *,
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
     method: str = "auto",
@@ -69,48 +74,50 @@ def correlate(
 
     `ValueError` for a kernel of another rank, without entries or with other bands than the
     picture, an anchor outside the kernel, an unknown border or method, and for method "separable"
-    with a traced kernel, whose rank nobody knows (`low_rank` factors it).
+    with a kernel that has no rank to know: traced (`low_rank` factors it) or not finite.
     """
-    check_picture(picture)
-    size = _size(kernel)
-    if kernel.ndim == 3:
-        _check_bands(kernel.shape[2], picture)
-    check_border(border)
-    chosen = _method(method, kernel, picture)
+    picture, weights = _as_array(picture), _as_array(kernel)
+    _check_picture(picture)
+    size = _size(weights)
+    if weights.ndim == 3:
+        _check_bands(weights.shape[2], picture)
+    _check_border(border)
+    chosen = _method(method, weights, picture)
     if chosen == "separable":
-        terms, chosen = _factored(kernel, picture), pass_method()
+        terms, chosen = _factored(weights, picture), _pass_method()
     else:
-        terms = ((kernel,),)
-    return filtered(
+        terms = ((weights,),)
+    return _filtered(
         picture, terms, fill, anchor=_anchor(anchor, size), border=border, method=chosen
     )
 
 
 def convolve(
     picture: Picture,
-    kernel: AnyKernel,
+    kernel: AnyKernel | Numbers,
     *,
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
     """g[p] = sum over i of kernel[i] f[p - i + anchor]: each pixel spreads into a copy of the
     kernel, which is the answer to an impulse. Arguments and errors as for `correlate`."""
-    kh, kw = _size(kernel)
+    weights = _as_array(kernel)
+    kh, kw = _size(weights)
     top, left = _anchor(anchor, (kh, kw))
     turned = (kh - 1 - top, kw - 1 - left)
     return correlate(
-        picture, kernel[::-1, ::-1], anchor=turned, border=border, fill=fill, method=method
+        picture, weights[::-1, ::-1], anchor=turned, border=border, fill=fill, method=method
     )
 
 
 def correlate_separable(
     picture: Picture,
-    column: AnyTaps,
-    row: AnyTaps,
+    column: AnyTaps | Numbers,
+    row: AnyTaps | Numbers,
     *,
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
     method: str = "auto",
@@ -120,36 +127,41 @@ def correlate_separable(
 
     Methods "conv", "direct" and "fft" take the product kernel whole. Errors as for `correlate`.
     """
-    check_picture(picture)
-    for taps in (column, row):
+    picture, down, along = map(_as_array, (picture, column, row))
+    _check_picture(picture)
+    for taps in (down, along):
         if jnp.ndim(taps) not in (1, 2) or 0 in jnp.shape(taps):
             raise ValueError(f"taps must be (n,) or (n, bands), got shape {jnp.shape(taps)}.")
         if taps.ndim == 2:
             _check_bands(taps.shape[1], picture)
-    check_border(border)
-    check_method(method)
-    anchor = _anchor(anchor, (len(column), len(row)))
-    return _separable(picture, column, row, fill, anchor=anchor, border=border, method=method)
+    _check_border(border)
+    _check_method(method)
+    anchor = _anchor(anchor, (len(down), len(along)))
+    return _separable(picture, down, along, fill, anchor=anchor, border=border, method=method)
 
 
 # ---------------------------------------------------------------- the sum of terms
 
 
 @partial(jax.jit, static_argnames=("anchor", "border", "method"))
-def filtered(
+def _filtered(
     picture: Picture, terms: Terms, fill: Fill, *, anchor: Anchor, border: str, method: str
 ) -> Filtered:
     """The sum over terms of the picture after each of its passes, and what the border adds."""
-    image, restore = as_planes(picture)
+    image, restore = _as_planes(picture)
     terms = tuple(tuple(_with_bands(kernel, image.dtype) for kernel in term) for term in terms)
     outer = "zero" if border in ("constant", "normalised_zero") else border
     total = _sum(_after(image, term, anchor, outer, method) for term in terms)
     if border == outer:
         return restore(total)
-    inside, outside = _shares(_sum(map(_product, terms)), image.shape[1:3], anchor)
+    kernel = _sum(map(_product, terms))
+    inside, outside = _shares(kernel, image.shape[1:3], anchor)
     if border == "constant":
         return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
-    held = jnp.abs(inside) > smallest_divisor(image.dtype)
+    # a sum that is 0 by its weights is the rounding of as many additions
+    rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
+    least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
+    held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))
     return restore(jnp.where(held, total / jnp.where(held, inside, 1), 0))
 
 
@@ -167,10 +179,10 @@ def _separable(
     dtype = as_float(picture).dtype
     down, along = _with_bands(column[:, None], dtype), _with_bands(row[None], dtype)
     if method in ("auto", "separable"):
-        term, method = (down, along), pass_method()
+        term, method = (down, along), _pass_method()
     else:
         term = (down * along,)
-    return filtered(picture, (term,), fill, anchor=anchor, border=border, method=method)
+    return _filtered(picture, (term,), fill, anchor=anchor, border=border, method=method)
 
 
 def _with_bands(kernel: AnyKernel, dtype: np.dtype) -> Kernel:
@@ -203,7 +215,7 @@ def _shares(
 
     def reach(axis: int) -> np.ndarray:
         n, taps = size[axis], kernel.shape[axis]
-        inside = ghosts("zero", n, anchor[axis], taps - 1 - anchor[axis]).own
+        inside = _ghosts("zero", n, anchor[axis], taps - 1 - anchor[axis]).own
         return inside[np.arange(n)[:, None] + np.arange(taps)]
 
     def share(rows: np.ndarray, columns: np.ndarray) -> Float[Array, "h w _"]:
@@ -218,32 +230,35 @@ def _shares(
 # ---------------------------------------------------------------- choices
 
 
-def pass_method() -> str:
+def _pass_method() -> str:
     """How one pass over columns or rows is taken where the program runs."""
     return "direct" if jax.default_backend() == "cpu" else "conv"
 
 
-def check_method(method: str) -> None:
+def _check_method(method: str) -> None:
     """Raises `ValueError` for an unknown method."""
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}.")
 
 
 def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
-    check_method(method)
+    _check_method(method)
     traced = isinstance(kernel, Tracer)
     if method == "separable" and traced:
         raise ValueError(
             'method "separable" must see the numbers of the kernel, got a traced one; factor it '
             "with low_rank."
         )
+    finite = traced or bool(np.isfinite(np.asarray(kernel)).all())
+    if method == "separable" and not finite:
+        raise ValueError('method "separable" needs a finite kernel, got NaN or infinity in it.')
     if method != "auto":
         return method
     if jax.default_backend() != "cpu":
         return "conv"
     kh, kw = kernel.shape[:2]
     whole = min(kh * kw, _TRANSFORM)
-    if not traced and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:
+    if not traced and finite and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:
         rank = _singular(kernel, picture)[1].shape[1]
         if rank * (kh + kw + _PAIR) < whole:
             return "separable"
@@ -283,9 +298,24 @@ def _check_bands(given: int, picture: Picture) -> None:
         raise ValueError(f"one kernel a band needs the picture's {bands} bands, got {given}.")
 
 
-def _anchor(anchor: Anchor | None, size: tuple[int, int]) -> Anchor:
+def _anchor(anchor: Sequence[int] | None, size: tuple[int, int]) -> Anchor:
+    """The anchor of a kernel of that size. `ValueError` for one outside of it."""
     if anchor is None:
         return size[0] // 2, size[1] // 2
-    if not (0 <= anchor[0] < size[0] and 0 <= anchor[1] < size[1]):
+    if len(anchor) != 2 or not all(0 <= a < n for a, n in zip(anchor, size, strict=True)):
         raise ValueError(f"anchor must lie in the kernel of size {size}, got {anchor}.")
-    return anchor
+    return index(anchor[0]), index(anchor[1])
+
+
+def _check_weighs(border: str, *, of: str) -> None:
+    """Raises `ValueError` for the border "normalised_zero" of a filter whose weights have sum 0."""
+    if border == "normalised_zero":
+        raise ValueError(
+            f'border "normalised_zero" divides by the sum of the weights, which is 0 for {of}: '
+            "take another."
+        )
+
+
+def _as_array(x: Any) -> Any:
+    """Lists become arrays; an array, traced or not, stays what it is."""
+    return x if hasattr(x, "dtype") else np.asarray(x)

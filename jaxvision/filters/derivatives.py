@@ -1,13 +1,14 @@
 """Slopes and curvatures of pictures, in the picture's unit per pixel.
 
 x is to the right and y is down, as rows and columns are counted. All are exact for parabolas away
-from the border. Pictures, borders and methods as in `convolution`.
+from the border. Pictures, borders and methods as in `convolution`, but "normalised_zero": the
+weights of a derivative have sum 0, `ValueError`.
 """
 
 from typing import NamedTuple
 
 from ..padding import Filtered, Picture
-from .convolution import Fill, correlate, correlate_separable
+from .convolution import Fill, _check_weighs, correlate, correlate_separable
 from .kernels import derivative_kernels, laplacian_kernel
 
 
@@ -28,6 +29,7 @@ def derivative(
 ) -> Gradient:
     """First differences, per pixel, by "central", "prewitt", "sobel" or "scharr" kernels (scaled so
     that a slope of 1 gives 1). Smoother ones: `gaussian` with an order."""
+    _check_weighs(border, of="a derivative")
     along, across = derivative_kernels(scheme=scheme)
     return Gradient(
         correlate_separable(picture, across, along, border=border, fill=fill, method=method),
@@ -45,5 +47,6 @@ def laplacian(
 ) -> Filtered:
     """f_xx + f_yy by second differences, per square pixel; `isotropic` takes the nine-point
     stencil."""
+    _check_weighs(border, of="a derivative")
     kernel = laplacian_kernel(isotropic=isotropic)
     return correlate(picture, kernel, border=border, fill=fill, method=method)

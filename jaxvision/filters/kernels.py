@@ -6,6 +6,8 @@ right, or downwards. Distances are in pixels, weights have no unit unless they s
 """
 
 import math
+from collections.abc import Sequence
+from numbers import Integral
 
 import numpy as np
 
@@ -27,7 +29,8 @@ def binomial_kernel(size: int) -> np.ndarray:
     """(size,) binomial coefficients over their sum 2 ** (size - 1): variance (size - 1) / 4.
     `ValueError` for size < 1."""
     n = _checked(size) - 1
-    return np.array([math.comb(n, k) for k in range(size)], float) / 2.0**n
+    # whole numbers divided: of the largest there is no float, of every quotient there is
+    return np.array([math.comb(n, k) / 2**n for k in range(size)])
 
 
 def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarray]:
@@ -72,6 +75,16 @@ def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
 
 
 def _checked(size: int) -> int:
-    if size < 1:
-        raise ValueError(f"a kernel must have at least one entry, got size {size}.")
-    return size
+    if not isinstance(size, Integral) or size < 1:
+        raise ValueError(
+            f"a kernel must have at least one entry, a whole number of them, got size {size}."
+        )
+    return int(size)
+
+
+def _both_ways(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
+    """(down, across) of a size that may be one number for both. `ValueError` for another form."""
+    pair = tuple(size) if isinstance(size, Sequence) else (size, size)
+    if len(pair) != 2 or not all(isinstance(n, Integral) and n >= 1 for n in pair):
+        raise ValueError(f"size must be n or (down, across), each at least 1, got {size}.")
+    return int(pair[0]), int(pair[1])

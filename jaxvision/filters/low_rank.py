@@ -4,13 +4,16 @@ The best of each rank is the singular value decomposition cut short (Eckart and 
 filters: Treitel and Shanks 1971). Kernels and pictures in any unit.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import as_float
-from ..padding import Filtered, Picture, check_border, check_picture
-from .convolution import Anchor, Fill, filtered, pass_method
+from ..padding import Filtered, Picture, _check_border, _check_picture
+from .convolution import Fill, _anchor, _filtered, _pass_method
 
 
 class LowRank(eqx.Module):
@@ -30,7 +33,7 @@ class LowRank(eqx.Module):
             raise ValueError(f"columns and rows must be (rank, taps) of one rank, got {shapes}.")
 
 
-def low_rank(kernel: Float[Array, "kh kw"], *, rank: int) -> LowRank:
+def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRank:
     """The best approximation of a kernel, in any unit, by `rank` separable ones.
 
     Differentiable where the singular values differ. `ValueError` for a rank beyond [1, min(kh,
@@ -48,14 +51,15 @@ def correlate_low_rank(
     picture: Picture,
     kernel: LowRank,
     *,
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """`correlate` by one pass down the columns and one along the rows for each rank."""
-    check_picture(picture)
-    check_border(border)
+    """`correlate` by one pass down the columns and one along the rows for each rank.
+    Errors as for `correlate`."""
+    _check_picture(picture)
+    _check_border(border)
     rank, kh = kernel.columns.shape
-    anchor = (kh // 2, kernel.rows.shape[1] // 2) if anchor is None else anchor
+    anchor = _anchor(anchor, (kh, kernel.rows.shape[1]))
     terms = tuple((kernel.columns[r][:, None], kernel.rows[r][None]) for r in range(rank))
-    return filtered(picture, terms, fill, anchor=anchor, border=border, method=pass_method())
+    return _filtered(picture, terms, fill, anchor=anchor, border=border, method=_pass_method())

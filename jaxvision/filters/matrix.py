@@ -6,6 +6,8 @@ and columns and some kh kw h w entries: for looking at filters and for solvers o
 The same operator without a matrix is the filter itself, and its transpose `operators.adjoint`.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -13,12 +15,11 @@ from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
-from .._types import as_optional_float
-from ..padding import check_border, ghosts
-from ._methods import Anchor
-from .convolution import Fill, filtered
+from .._types import as_float, as_optional_float
+from ..padding import _check_border, _ghosts
+from .convolution import Fill, _anchor, _filtered
 
-Kernel = Float[Array, "kh kw"]
+Kernel = Float[Array | np.ndarray, "kh kw"]
 
 
 class MatrixForm(eqx.Module):
@@ -36,29 +37,35 @@ def filter_matrix(
     kernel: Kernel,
     *,
     shape: tuple[int, int],
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> MatrixForm:
     """The matrix of `correlate` on planes (h, w) = `shape`: every entry one number of the kernel
     times one of the border, entries of one place not yet added up (`sum_duplicates` does).
 
-    `ValueError` for an unknown border.
+    `ValueError` for an unknown border or an anchor outside the kernel.
     """
-    check_border(border)
-    h, w = shape
+    _check_border(border)
+    kernel, (h, w) = as_float(kernel), shape
+    anchor = _anchor(anchor, (kernel.shape[0], kernel.shape[1]))
     stack = jnp.broadcast_to(kernel[:, :, None, None], (*kernel.shape, h, w))
-    form = per_pixel_matrix(stack, anchor=anchor, border=border)
+    outer = "zero" if border in ("constant", "normalised_zero") else border
+    form = per_pixel_matrix(stack, anchor=anchor, border=outer)
     if border == "normalised_zero":
-        sums = form.matrix @ jnp.ones(h * w, kernel.dtype)
-        held = jnp.abs(sums) > smallest_divisor(kernel.dtype)
+        ones = jnp.ones(h * w, kernel.dtype)
+        magnitudes = jnp.abs(form.matrix.data), form.matrix.indices
+        whole = BCOO(magnitudes, shape=form.matrix.shape) @ ones
+        # a sum that is 0 by its weights is the rounding of as many additions
+        least = kernel.size * jnp.finfo(kernel.dtype).eps * whole
+        sums = form.matrix @ ones
+        held = jnp.abs(sums) > jnp.maximum(least, smallest_divisor(kernel.dtype))
         scale = jnp.where(held, 1 / jnp.where(held, sums, 1), 0)
         entries = form.matrix.data * scale[form.matrix.indices[:, 0]]
         return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
     if border == "constant":
-        anchor = (kernel.shape[0] // 2, kernel.shape[1] // 2) if anchor is None else anchor
         nothing = jnp.zeros(shape, kernel.dtype)
-        offset = filtered(
+        offset = _filtered(
             nothing, ((kernel,),), fill, anchor=anchor, border=border, method="direct"
         )
         return MatrixForm(form.matrix, offset.ravel())
@@ -66,12 +73,16 @@ def filter_matrix(
 
 
 def per_pixel_matrix(
-    kernels: Float[Array, "kh kw h w"], *, anchor: Anchor | None = None, border: str = "mirror"
+    kernels: Float[Array | np.ndarray, "kh kw h w"],
+    *,
+    anchor: Sequence[int] | None = None,
+    border: str = "mirror",
 ) -> MatrixForm:
-    """The matrix of `correlate_per_pixel`; "constant" and "normalised_zero" count as "zero"."""
-    check_border(border)
+    """The matrix of `correlate_per_pixel`, which takes the same borders."""
+    _check_border(border, refused=("constant", "normalised_zero"))
+    kernels = as_float(kernels)
     kh, kw, h, w = kernels.shape
-    anchor = (kh // 2, kw // 2) if anchor is None else anchor
+    anchor = _anchor(anchor, (kh, kw))
     tap_y, to_y, from_y, own_y = _axis_entries(border, h, kh, anchor[0])
     tap_x, to_x, from_x, own_x = _axis_entries(border, w, kw, anchor[1])
     outer = np.ix_(np.arange(len(tap_y)), np.arange(len(tap_x)))
@@ -87,7 +98,7 @@ def _axis_entries(
     border: str, n: int, taps: int, anchor: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(tap, result, source, coefficient) of every product along one axis that is not 0."""
-    rule = ghosts(border, n, anchor, taps - 1 - anchor)
+    rule = _ghosts(border, n, anchor, taps - 1 - anchor)
     result, tap = (v.ravel() for v in np.mgrid[:n, :taps])
     ghost = result + tap
     parts = [

@@ -6,6 +6,7 @@ which only those that lead to the median are kept: 24 of 31 for 3 x 3, 113 for 5
 no index, so it runs at the speed of vector minima. Values keep their unit (relative or DN).
 """
 
+from collections.abc import Sequence
 from functools import cache, partial
 
 import jax
@@ -15,7 +16,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Shaped
 
-from ..padding import Picture, as_planes, check_border, pad
+from ..padding import Picture, _as_planes, _check_border, pad
+from .kernels import _both_ways
 
 Offsets = tuple[tuple[int, int], ...]
 Comparators = tuple[tuple[int, int], ...]
@@ -24,7 +26,7 @@ Comparators = tuple[tuple[int, int], ...]
 def median_filter(
     picture: Picture,
     *,
-    size: int | tuple[int, int] = 3,
+    size: int | np.integer | Sequence[int] = 3,
     footprint: ArrayLike | None = None,
     border: str = "mirror",
 ) -> Shaped[Array, "..."]:
@@ -36,18 +38,15 @@ def median_filter(
     the pixel. Of an even number of neighbours the upper of the two middle ones is taken, as
     `scipy.ndimage` does.
 
-    `border`: any of `padding` but "normalised_zero", which is for weighted means; "constant"
-    continues with 0, and "extend" within the codes that an integer image can hold.
+    `border`: any of `padding` but "normalised_zero", which is for weighted means, and "constant",
+    which takes a fill; "extend" continues within the codes that an integer image can hold.
 
     A NaN in the neighbourhood makes the result NaN. The gradient goes to the neighbour that is the
     median, in equal parts where several are. Compile time grows with the footprint: up to 7 x 7
     below 1 s, 15 x 15 some seconds.
     """
     if footprint is None:
-        rows, columns = (size, size) if isinstance(size, int) else size
-        if min(rows, columns) < 1:
-            raise ValueError(f"size must be at least 1, got {size}.")
-        shape = np.ones((rows, columns), bool)
+        shape = np.ones(_both_ways(size), bool)
     else:
         shape = np.asarray(footprint).astype(bool)
     if shape.ndim != 2 or not shape.any():
@@ -57,17 +56,16 @@ def median_filter(
         )
     middle = np.array(shape.shape) // 2
     offsets = tuple((int(i), int(j)) for i, j in np.argwhere(shape) - middle)
-    check_border(border)
-    if border == "normalised_zero":
-        raise ValueError(
-            'a median has no weights to normalise: border cannot be "normalised_zero".'
-        )
+    _check_border(border, refused=("constant", "normalised_zero"))
+    dtype = np.dtype(picture.dtype)
+    if dtype not in (np.uint8, np.uint16) and not jnp.issubdtype(dtype, jnp.floating):
+        raise ValueError(f"a picture is uint8, uint16 or floating here, got {dtype}.")
     return _median(picture, offsets, border)
 
 
 @partial(jax.jit, static_argnames=("offsets", "border"))
 def _median(picture: Picture, offsets: Offsets, border: str) -> Shaped[Array, "..."]:
-    values, restore = as_planes(picture)
+    values, restore = _as_planes(picture)
     n, height, width, bands = values.shape
     above, before = (max(0, -min(offset[side] for offset in offsets)) for side in (0, 1))
     below, after = (max(0, *(offset[side] for offset in offsets)) for side in (0, 1))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Int
 
 from .._numerics import log_of_zero
 from .._types import Scalars
-from ..padding import Filtered, Picture, check_border
+from ..padding import Filtered, Picture, _check_border
 from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
 
 
@@ -43,8 +43,8 @@ def nonlocal_means_filter(
     None keeps all. scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an
     approximate exp (with `fast_mode`, uniform patches one row and column smaller than asked for).
 
-    `border`: as in `padding`, "constant" continuing with 0; with "normalised_zero" pixels outside
-    take no part (they are 0 in patches that reach out).
+    `border`: as in `padding`, but "constant", which takes a fill; with "normalised_zero" pixels
+    outside take no part (they are 0 in patches that reach out).
 
     A strength of 0 (or below) stands for the limit: equal patches only. NaN spreads to every pixel
     that has it in its search window or in a patch of it.
@@ -55,7 +55,7 @@ def nonlocal_means_filter(
         raise ValueError(
             f"patch must be odd and radius at least 0, got patch={patch} and radius={radius}."
         )
-    check_border(border)
+    _check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     dtype = values[0].dtype
     scale = inverse(strength, dtype)

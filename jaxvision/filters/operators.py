@@ -5,13 +5,19 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from .._types import as_float
 from ..padding import Filtered
 
 
 def impulse_response(
-    height: Float[Array, ""], *, operator: Callable[[Filtered], Filtered], shape: tuple[int, ...]
+    height: Float[Array, ""] | float,
+    *,
+    operator: Callable[[Filtered], Filtered],
+    shape: tuple[int, ...],
 ) -> Filtered:
     """What `operator` makes of a picture of that shape, (h, w) or (..., h, w, bands), which is
     `height` in the middle pixel (h // 2, w // 2) of every plane and 0 elsewhere, in any unit.
@@ -19,14 +25,33 @@ def impulse_response(
     Of `convolve` it is the kernel, of `correlate` the kernel turned by half a turn.
     """
     rows, columns = shape if len(shape) == 2 else shape[-3:-1]
+    height = as_float(height)
     plane = jnp.zeros((rows, columns), height.dtype).at[rows // 2, columns // 2].set(height)
     return operator(jnp.broadcast_to(plane if len(shape) == 2 else plane[..., None], shape))
 
 
 def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> Filtered:
     """H' g for g = `picture`, in its unit: the transpose of a filter that is linear and keeps the
-    shape, any border but "constant". <operator(f), g> = <f, adjoint(g)>."""
+    shape. <operator(f), g> = <f, adjoint(g)>.
+
+    `ValueError` for a filter with an offset, as the border "constant" with a fill has: seen by what
+    it makes of a picture of 0, unless `picture` is traced.
+    """
+    if not isinstance(picture, Tracer):
+        _check_no_offset(operator, picture.shape, picture.dtype)
     (transposed,) = jax.linear_transpose(
         operator, jax.ShapeDtypeStruct(picture.shape, picture.dtype)
     )(picture)
     return transposed
+
+
+def _check_no_offset(
+    operator: Callable[[Filtered], Filtered], shape: tuple[int, ...], dtype: DTypeLike
+) -> None:
+    of_nothing = operator(jnp.zeros(shape, dtype))
+    if (of_nothing != 0).any():
+        raise ValueError(
+            "only a linear filter has a transpose, got one that makes up to "
+            f'{float(jnp.abs(of_nothing).max()):.3g} of a picture of 0: take border "zero" or '
+            "fill=0."
+        )

@@ -4,7 +4,7 @@ pyramids (Burt & Adelson, IEEE Trans. Communications 31, 1983; ACM Trans. Graphi
 The kernel is the binomial [1 4 6 4 1] / 16 (their a = 3/8) in rows and columns. Level l + 1 keeps
 the even rows and columns of level l: n pixels become ceil(n / 2), as in OpenCV's `pyrDown`. Values
 are relative or DN; integer images are computed as floating numbers. NaN spreads to the pixels
-whose kernel covers it. The borders are those of `padding`; "constant" continues with 0.
+whose kernel covers it. The borders are those of `padding` but "constant", which takes a fill.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._staging import stored
 from .._types import as_float
-from ..padding import as_planes, check_border, continued
-from ._methods import stored
+from ..padding import _as_planes, _check_border, _check_picture, _continued
 from ._neighbours import AnyPicture, Floats
 
 ROWS, COLUMNS = 1, 2  # of a stack of images
@@ -34,8 +34,8 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 
     `picture`: (h, w) or (..., h, w, bands) -> (ceil(h / 2), ceil(w / 2)) or with batch and bands.
     """
-    image, restore = as_planes(picture)
-    check_border(border)
+    image, restore = _as_planes(picture)
+    _check_border(border, refused=("constant",))
     for axis in ROWS, COLUMNS:
         image = stored(partial(_normalised, _reduced, axis=axis, border=border), image)
     return restore(image)
@@ -49,8 +49,8 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 
     `ValueError` unless `picture` has ceil(h / 2) rows and ceil(w / 2) columns.
     """
-    image, restore = as_planes(picture)
-    check_border(border)
+    image, restore = _as_planes(picture)
+    _check_border(border, refused=("constant",))
     coarse = image.shape[ROWS], image.shape[COLUMNS]
     if coarse != tuple(-(-n // 2) for n in size):
         raise ValueError(
@@ -64,6 +64,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
     """The image and `levels` - 1 reductions of it, finest first."""
     _check_levels(levels)
+    _check_picture(picture)
     pyramid = [as_float(picture)]
     for _ in range(levels - 1):
         pyramid.append(reduce_by_two(pyramid[-1], border=border))
@@ -139,7 +140,7 @@ def _normalised(
 def _reduced(image: Stack, axis: int, border: str) -> Stack:
     """The binomial at the even samples of one axis, and only there."""
     last = 2 * (-(-image.shape[axis] // 2)) - 1
-    around = _continued(image, axis, 2, border)
+    around = _around(image, axis, 2, border)
     a, b, c, d, e = (lax.slice_in_dim(around, i, i + last, 2, axis) for i in range(5))
     return (a + e + 4 * (b + d) + 6 * c) / 16
 
@@ -147,11 +148,11 @@ def _reduced(image: Stack, axis: int, border: str) -> Stack:
 def _expanded(image: Stack, axis: int, border: str) -> Stack:
     """Twice the binomial of the samples set apart by zeros: its even and its odd taps."""
     count = image.shape[axis]
-    around = _continued(image, axis, 1, border)
+    around = _around(image, axis, 1, border)
     before, here, after = (lax.slice_in_dim(around, i, i + count, axis=axis) for i in range(3))
     both = jnp.stack([(before + 6 * here + after) / 8, (here + after) / 2], axis=axis + 1)
     return both.reshape(*image.shape[:axis], 2 * count, *image.shape[axis + 1 :])
 
 
-def _continued(image: Stack, axis: int, by: int, border: str) -> Stack:
-    return continued(image, axis, by, by, border, jnp.zeros((), image.dtype))
+def _around(image: Stack, axis: int, by: int, border: str) -> Stack:
+    return _continued(image, axis, by, by, border, jnp.zeros((), image.dtype))

@@ -10,6 +10,7 @@ import numpy as np
 from jax.experimental.sparse import BCOO
 
 from ..padding import Filtered
+from .operators import _check_no_offset
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -29,8 +30,10 @@ def scipy_operator(
     operator: Callable[[Filtered], Filtered], shape: tuple[int, ...], *, dtype: type = np.float64
 ) -> "scipy.sparse.linalg.LinearOperator":
     """A linear filter of pictures of that shape as scipy's LinearOperator: H @ f and H.T @ g on
-    flat vectors, without a matrix."""
+    flat vectors, without a matrix. `ValueError` for a filter with an offset, as for `adjoint`."""
     from scipy.sparse.linalg import LinearOperator
+
+    _check_no_offset(operator, shape, dtype)
 
     blank = jax.ShapeDtypeStruct(shape, dtype)
     forward = jax.jit(operator)

@@ -3,10 +3,12 @@
 Three ways, from general to fast: a kernel for each pixel (exact); radial kernels that depend on the
 pixel through one number, its scale (exact, nothing stored); a bank of ordinary filters with
 interpolation between them, whose number is the knob of accuracy. Pictures and borders as in
-`convolution`, in any unit; the kernel of a pixel is the one by which THAT pixel gathers.
+`convolution`, in any unit; the kernel of a pixel is the one by which THAT pixel gathers. Gathering
+keeps a flat picture flat but not the sum of light; to scatter, each pixel spreading its own by its
+kernel turned about, which keeps the sum, is the transpose: `operators.adjoint` of the same filter.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 
@@ -18,15 +20,16 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
+from .._staging import stored
 from .._types import as_float
-from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
-from ._methods import Anchor, stored
-from .convolution import correlate
-from .gaussian import gaussian
+from ..padding import Filtered, Picture, Widths, _as_planes, _check_border, _check_picture, pad
+from ._methods import Anchor
+from .convolution import Fill, _anchor, correlate
+from .gaussian import _SMALLEST_SIGMA, gaussian
 from .kernels import gaussian_size
 
 Kernels = Float[Array, "..."]  # (kh, kw, h, w)
-ScaleMap = Float[Array, "h w"]
+ScaleMap = Float[Array, "..."]  # (h, w)
 # (radius in pixels, scale of each pixel) -> weight, before the weights are brought to sum 1
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 
@@ -34,8 +37,9 @@ Planes = Float[Array, "n h c w"]
 
 
 def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
-    """exp(-r^2 / 2 sigma^2), both in pixels, sigma > 0."""
-    t = radius / sigma
+    """exp(-r^2 / 2 sigma^2), both in pixels. A sigma below 0.01, also 0 or less, counts as 0.01:
+    the pixel itself."""
+    t = radius / jnp.maximum(sigma, _SMALLEST_SIGMA)
     return jnp.exp(-0.5 * t * t)
 
 
@@ -47,45 +51,45 @@ def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
 
 def correlate_per_pixel(
     picture: Picture,
-    kernels: Kernels,
+    kernels: Kernels | np.ndarray,
     *,
-    anchor: Anchor | None = None,
+    anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
     """g[p] = sum over i of kernels[i, p] f[p + i - anchor].
 
     `kernels`: (kh, kw, h, w), each tap a picture of weights. Borders "constant" and
     "normalised_zero" are left to the caller, who has the kernels. `ValueError` for kernels of
-    another shape or an unknown border.
+    another shape, an anchor outside of them or an unknown border.
     """
-    check_picture(picture)
     _check_linear(border)
-    plane = picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
+    plane = _plane(picture)
     if kernels.ndim != 4 or 0 in kernels.shape or kernels.shape[2:] != plane:
         raise ValueError(f"kernels must be (kh, kw, {plane[0]}, {plane[1]}), got {kernels.shape}.")
-    anchor = (kernels.shape[0] // 2, kernels.shape[1] // 2) if anchor is None else anchor
-    return _per_pixel(picture, kernels, anchor=anchor, border=border)
+    anchor = _anchor(anchor, (kernels.shape[0], kernels.shape[1]))
+    return _per_pixel(picture, as_float(kernels), anchor=anchor, border=border)
 
 
 def correlate_bank(
     picture: Picture,
     bank: Float[Array | np.ndarray, "..."],
-    position: Float[Array, "h w"],
+    position: ScaleMap,
     *,
     border: str = "mirror",
+    fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
     """The picture under each kernel of a `bank`, (members, kh, kw), blended pixel by pixel:
     `position` in [0, members - 1] counts along the bank, linear in between, constant beyond.
 
     The kernel of a pixel is the blend of two of the bank's: more members, less error, in proportion
-    to the square of their distance. `ValueError` for a bank of other axes.
+    to the square of their distance. `ValueError` for a bank or a position of other axes.
     """
-    check_picture(picture)
+    _check_map("position", position, picture)
     if bank.ndim != 3 or 0 in bank.shape:
         raise ValueError(f"bank must be (members, kh, kw), got shape {bank.shape}.")
     kernels = bank if isinstance(bank, Tracer) else np.asarray(bank)
-    members = [correlate(picture, k, border=border, method=method) for k in kernels]
+    members = [correlate(picture, k, border=border, fill=fill, method=method) for k in kernels]
     return _blended(members, position)
 
 
@@ -103,11 +107,10 @@ def radial_blur(
     makes of it. Pixels of one distance are summed first, since they share their weight: one
     exponential a ring, not one a tap. `radius` is the knob: what lies beyond counts as 0.
     """
-    check_picture(picture)
+    _check_map("scale", scale, picture)
     _check_linear(border)
-    plane = picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
-    if scale.shape != plane or radius < 0:
-        raise ValueError(f"scale must be {plane} and radius >= 0, got {scale.shape} and {radius}.")
+    if radius < 0:
+        raise ValueError(f"radius must be >= 0, got {radius}.")
     return _radial(picture, scale, profile=profile, radius=radius, border=border)
 
 
@@ -115,9 +118,10 @@ def gaussian_varying(
     picture: Picture,
     sigma: ScaleMap,
     *,
-    sigmas: tuple[float, ...],
+    sigmas: Sequence[float],
     truncate: float = 4.0,
     border: str = "mirror",
+    fill: Fill = 0.0,
 ) -> Filtered:
     """A Gaussian whose `sigma`, (h, w) in pixels, is each pixel's own, from those of a bank.
 
@@ -125,10 +129,11 @@ def gaussian_varying(
     exactly, so that only the fourth moment is off: the error falls with the square of their
     distance. `kernels.blur_sigmas` chooses them. Exact: `radial_blur`.
     """
-    check_picture(picture)
+    _check_map("sigma", sigma, picture)
     if len(sigmas) < 2 or any(b <= a for a, b in pairwise(sigmas)):
         raise ValueError(f"sigmas must be at least two increasing numbers, got {sigmas}.")
-    return _gaussian_bank(picture, sigma, sigmas=sigmas, truncate=truncate, border=border)
+    bank = tuple(float(s) for s in sigmas)
+    return _gaussian_bank(picture, sigma, fill, sigmas=bank, truncate=truncate, border=border)
 
 
 # ---------------------------------------------------------------- sums
@@ -204,20 +209,28 @@ def _rows_of_planes(
     picture: Picture, reach: Widths, border: str
 ) -> tuple[Planes, Callable[[Planes], Filtered]]:
     """A picture, padded, as (n, h, c, w), and the way back."""
-    image, restore = as_planes(picture)
+    image, restore = _as_planes(picture)
     wide = stored(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
     return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
 
 
 @partial(jax.jit, static_argnames=("sigmas", "truncate", "border"))
 def _gaussian_bank(
-    picture: Picture, sigma: ScaleMap, *, sigmas: tuple[float, ...], truncate: float, border: str
+    picture: Picture,
+    sigma: ScaleMap,
+    fill: Fill,
+    *,
+    sigmas: tuple[float, ...],
+    truncate: float,
+    border: str,
 ) -> Filtered:
     f = as_float(picture)
-    members = [
-        f if s == 0 else gaussian(f, s, size=gaussian_size(s, truncate=truncate), border=border)
-        for s in sigmas
-    ]
+
+    def member(s: float) -> Filtered:
+        size = gaussian_size(s, truncate=truncate)
+        return f if s == 0 else gaussian(f, s, size=size, border=border, fill=fill)
+
+    members = [member(s) for s in sigmas]
     variance = jnp.asarray(np.square(sigmas), sigma.dtype)
     position = jnp.interp(sigma * sigma, variance, jnp.arange(len(sigmas), dtype=sigma.dtype))
     return _blended(members, position)
@@ -238,8 +251,21 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
     return total.reshape(members[0].shape)
 
 
+def _plane(picture: Picture) -> tuple[int, ...]:
+    """(h, w) of a picture; `ValueError` for what is none."""
+    _check_picture(picture)
+    return picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
+
+
+def _check_map(name: str, values: Float[Array, "..."], picture: Picture) -> None:
+    """Raises `ValueError` unless there is one value for each pixel of the picture's plane."""
+    plane = _plane(picture)
+    if values.shape != plane:
+        raise ValueError(f"{name} must be {plane}, one a pixel, got {values.shape}.")
+
+
 def _check_linear(border: str) -> None:
-    check_border(border)
+    _check_border(border)
     if border in ("constant", "normalised_zero"):
         raise ValueError(
             f"a kernel for each pixel takes border zero, clamp, wrap, mirror or extend, got "

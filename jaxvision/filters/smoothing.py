@@ -3,9 +3,10 @@
 Pictures, borders and methods as in `convolution`; sizes in pixels.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
@@ -13,20 +14,20 @@ from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
 from .convolution import Fill, correlate_separable
 from .gaussian import Sigma, gaussian
-from .kernels import binomial_kernel, box_kernel
+from .kernels import _both_ways, binomial_kernel, box_kernel
 
 
 def box(
     picture: Picture,
     *,
-    size: int | tuple[int, int],
+    size: int | np.integer | Sequence[int],
     border: str = "mirror",
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
     """The mean over `size` pixels, both ways or (down, across); an even size reaches one pixel
     further up and left."""
-    down, across = (size, size) if isinstance(size, int) else size
+    down, across = _both_ways(size)
     return correlate_separable(
         picture, box_kernel(down), box_kernel(across), border=border, fill=fill, method=method
     )
@@ -48,17 +49,18 @@ def binomial(
 def unsharp_mask(
     picture: Picture,
     sigma: Sigma,
-    amount: Scalar,
+    amount: Scalar | float,
     *,
     size: int | None = None,
     truncate: float = 4.0,
     border: str = "mirror",
+    fill: Fill = 0.0,
 ) -> Filtered:
     """f + amount (f - gaussian(f)): `amount` times the detail below `sigma` pixels on top. No limit
     is put on the overshoot. Source: Szeliski, Computer Vision, section 3.2."""
-    blurred = gaussian(picture, sigma, size=size, truncate=truncate, border=border)
+    blurred = gaussian(picture, sigma, size=size, truncate=truncate, border=border, fill=fill)
     sharp = as_float(picture)
-    return sharp + amount.astype(sharp.dtype) * (sharp - blurred)
+    return sharp + jnp.asarray(amount, sharp.dtype) * (sharp - blurred)
 
 
 def blur_straight(

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Scalar
+from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
-from .convolution import correlate_separable
+from .convolution import Fill, _check_weighs, correlate_separable
 from .gaussian import Sigma, gaussian
 
 Angle = Float[Array, ""] | Float[Array, "h w"]
@@ -48,30 +48,43 @@ class QuadratureBasis(NamedTuple):
 def directional_derivative(
     picture: Picture,
     sigma: Sigma,
-    angle: Angle,
+    angle: Angle | float,
     *,
     size: int | None = None,
     truncate: float = 4.0,
     border: str = "mirror",
+    fill: Fill = 0.0,
 ) -> Filtered:
     """The slope towards `angle` (rad) of the picture under a Gaussian of `sigma` pixels, per pixel:
     cos f_x + sin f_up, the steerable filter of first order."""
 
     def along(order: tuple[int, int]) -> Filtered:
-        return gaussian(picture, sigma, size=size, truncate=truncate, order=order, border=border)
+        return gaussian(
+            picture, sigma, size=size, truncate=truncate, order=order, border=border, fill=fill
+        )
 
     right, up = along((0, 1)), -along((1, 0))
     return _mapped(jnp.cos(angle), right) * right + _mapped(jnp.sin(angle), up) * up
 
 
 def quadrature_basis(
-    picture: Picture, width: Scalar, *, size: int, border: str = "mirror"
+    picture: Picture,
+    width: Scalar | float,
+    *,
+    size: int,
+    border: str = "mirror",
+    fill: Fill = 0.0,
 ) -> QuadratureBasis:
     """The seven separable responses from which every orientation of G2 and H2 follows.
 
     `width`: () pixels; `size`: odd, of the kernels; 7 widths hold them to 1e-4. The sum of squares
-    of G2 is 1 at any width, that of H2, which is the paper's fit to a Hilbert transform, 0.99.
+    of G2 is 1 from a width of 2 on (to 4e-5), that of H2, which is the paper's fit to a Hilbert
+    transform, 0.99; narrower ones are sampled too coarsely, at width 1 they are, by
+    the angle, 1.18 to 1.41 and 0.53 to 0.81.
+    `ValueError` for an even size, or the border "normalised_zero": the weights of most have sum 0.
     """
+    _check_weighs(border, of="the quadrature pair")
+    width = as_float(width)
     if size % 2 == 0:
         raise ValueError(f"size must be odd, got {size}.")
     x = (jnp.arange(size, dtype=width.dtype) - size // 2) / width
@@ -80,12 +93,12 @@ def quadrature_basis(
     def response(factors: tuple[_Factor, _Factor]) -> Filtered:
         across, up = factors
         column = (bell * up(x))[::-1] / width
-        return correlate_separable(picture, column, bell * across(x), border=border)
+        return correlate_separable(picture, column, bell * across(x), border=border, fill=fill)
 
     return QuadratureBasis(tuple(map(response, _G2)), tuple(map(response, _H2)))
 
 
-def steer(basis: QuadratureBasis, angle: Angle) -> tuple[Filtered, Filtered]:
+def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filtered]:
     """(even, odd): the responses of G2 and H2 turned to `angle` (rad), in the picture's unit.
 
     With y up, x cos + y sin to the second and third power: all signs are plus (the paper, whose y
@@ -97,7 +110,7 @@ def steer(basis: QuadratureBasis, angle: Angle) -> tuple[Filtered, Filtered]:
     return _weighted(even, basis.even), _weighted(odd, basis.odd)
 
 
-def oriented_energy(basis: QuadratureBasis, angle: Angle) -> Filtered:
+def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
     """G2^2 + H2^2 at `angle` (rad), the picture's unit squared: the strength of a line or an edge
     across that direction, wherever in the pair's period it lies."""
     even, odd = steer(basis, angle)

@@ -4,6 +4,8 @@ Everything is counted by ONE scatter into a flat table: bin b of group g is entr
 a group is a plane, or a tile of a plane. So bands need no transposition and a batch no loop.
 """
 
+from collections.abc import Sequence
+from numbers import Integral
 from typing import NamedTuple
 
 import jax
@@ -14,7 +16,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
 Stack = Shaped[Array, "n _ _ bands"]
-Range = tuple[float, float]
+Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
 FLOAT_BINS = 256
@@ -64,16 +66,16 @@ def levels_of(image: Pixels) -> int | None:
     return LEVELS.get(np.dtype(image.dtype))
 
 
-def binning(image: Pixels, bins: int | None, value_range: Range | None) -> Binning:
+def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | None) -> Binning:
     """The bins asked for; by default a bin a code, or `FLOAT_BINS` of [0, 1]."""
     levels = levels_of(image)
     bins = (levels or FLOAT_BINS) if bins is None else bins
     low, high = (0.0, float(levels or 1)) if value_range is None else value_range
-    if bins < 1:
-        raise ValueError(f"bins must be at least 1, got {bins}.")
+    if not isinstance(bins, Integral) or bins < 1:
+        raise ValueError(f"bins must be a whole number, at least 1, got {bins}.")
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise ValueError(f"value_range must be finite with low < high, got ({low}, {high}).")
-    return Binning(bins, float(low), float(high))
+    return Binning(int(bins), float(low), float(high))
 
 
 def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:
@@ -152,8 +154,11 @@ def cumulative_fractions(
 def equalising_curves(
     counts: Shaped[Array, "groups bins"], chosen: Binning, dtype: DTypeLike
 ) -> Float[Array, "groups edges"]:
-    """What each edge goes to: low + (high - low) CDF."""
-    return chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
+    """What each edge goes to: low + (high - low) CDF; the identity where fewer than two bins are
+    occupied, and there is no contrast to spread."""
+    curves = chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
+    several = (counts > 0).sum(-1, keepdims=True) > 1
+    return jnp.where(several, curves, jnp.asarray(chosen.edges, dtype)[None])
 
 
 def interpolated(

@@ -11,7 +11,8 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Shaped
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
 
 from .._types import Scalars, as_float
 from ._planes import (
@@ -46,9 +47,8 @@ class Histogram(eqx.Module):
     departure: Float[Array, "*planes"] | None = None
 
 
-@partial(jax.jit, static_argnames=("bins", "value_range"))
 def exact_histogram(
-    image: Pixels, *, bins: int | None = None, value_range: Range | None = None
+    image: Pixels, *, bins: int | np.integer | None = None, value_range: Range | None = None
 ) -> Histogram:
     """How many pixels of each plane fall in each of `bins` equal bins of `value_range`.
 
@@ -57,14 +57,13 @@ def exact_histogram(
     it has no gradient but 0. `ValueError` for bins < 1, an empty range or another rank or dtype.
     """
     stack, chosen = as_stack(image), binning(image, bins, value_range)
-    return Histogram(per_plane(bin_counts(stack, chosen), image), _edges(stack, chosen))
+    return Histogram(per_plane(_exact(stack, chosen), image), _edges(stack, chosen))
 
 
-@partial(jax.jit, static_argnames=("bins", "value_range", "kernel"))
 def soft_histogram(
     image: Pixels,
     *,
-    bins: int | None = None,
+    bins: int | np.integer | None = None,
     value_range: Range | None = None,
     kernel: str = "linear",
 ) -> Histogram:
@@ -81,12 +80,8 @@ def soft_histogram(
     if kernel not in ("linear", "cubic"):
         raise ValueError(f'kernel must be "linear" or "cubic", got {kernel!r}.')
     stack, chosen = as_stack(image), binning(image, bins, value_range)
-    exact = bin_counts(stack, chosen)
-    values = stack if levels_of(stack) is None else as_float(stack) + 0.5
-    counts = _weighted_counts(values, chosen, kernel)
-    shifted = jnp.abs(counts - exact.astype(counts.dtype)).sum(-1)
-    departure = shifted / (2 * jnp.maximum(exact.sum(-1), 1)).astype(counts.dtype)
-    return Histogram(per_plane(counts, image), _edges(values, chosen), per_plane(departure, image))
+    counts, departure = _soft(stack, chosen, kernel)
+    return Histogram(per_plane(counts, image), _edges(stack, chosen), per_plane(departure, image))
 
 
 def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges"]:
@@ -119,7 +114,9 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     between the two classes (Otsu 1979); the first such edge, and the first of all where the values
     lie in one bin.
 
-    For integer images OpenCV and scikit-image return the last code of the lower class: t - 1.
+    For integer images OpenCV and scikit-image return the last code of the lower class: t - 1. Near
+    its largest the variance is flat to the rounding of float32: without x64 the threshold of 65536
+    bins may be a few of them off (30002 for 30000).
     """
     counts, edges = histogram.counts.astype(histogram.edges.dtype), histogram.edges
     bins = edges.shape[0] - 1
@@ -136,6 +133,23 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     between = (mean * weight - moment[..., :-1]) ** 2 / jnp.where(spread > 0, spread, 1)
     best = jnp.argmax(jnp.where(spread > 0, between, 0), axis=-1)
     return jnp.take(edges, best + 1)
+
+
+@partial(jax.jit, static_argnames=("chosen",))
+def _exact(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
+    return bin_counts(stack, chosen)
+
+
+@partial(jax.jit, static_argnames=("chosen", "kernel"))
+def _soft(
+    stack: Stack, chosen: Binning, kernel: str
+) -> tuple[Float[Array, "planes bins"], Float[Array, " planes"]]:
+    """The counts, and their departure from the exact ones."""
+    exact = bin_counts(stack, chosen)
+    values = stack if levels_of(stack) is None else as_float(stack) + 0.5
+    counts = _weighted_counts(values, chosen, kernel)
+    shifted = jnp.abs(counts - exact.astype(counts.dtype)).sum(-1)
+    return counts, shifted / (2 * jnp.maximum(exact.sum(-1), 1)).astype(counts.dtype)
 
 
 def _edges(stack: Stack, chosen: Binning) -> Float[Array, " edges"]:

@@ -10,10 +10,11 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._staging import stored
 from .._types import Scalars
-from ..filters._methods import stored
 from ._planes import (
     Binning,
     Pixels,
@@ -29,12 +30,11 @@ from ._planes import (
 )
 
 
-@partial(jax.jit, static_argnames=("bins", "value_range"))
 def equalise(
     image: Pixels,
     *,
     amount: float | Scalars = 1.0,
-    bins: int | None = None,
+    bins: int | np.integer | None = None,
     value_range: Range | None = None,
 ) -> Shaped[Array, "..."]:
     """Each plane through its equalising curve, in its own dtype.
@@ -44,9 +44,11 @@ def equalise(
 
     uint8 and uint16: OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
     every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)); an image of one code stays.
-    `bins` and `value_range` are for floating images, where value x of the range [low, high] goes to
-    low + (high - low) CDF(x), with values spread evenly within their bin; values outside are
-    clamped to the range, NaN stays NaN.
+    Floating images: `bins` of `value_range`, by default 256 of [0, 1], whatever the picture holds.
+    Values outside are clamped to the range [low, high] and counted there, NaN stays NaN and is not
+    counted. Value x goes to low + (high - low) CDF(x), with values spread evenly within their bin:
+    so the darkest bin starts at low, as the first code goes to 0, and the brightest ends at high. A
+    plane whose values share one bin, or that has none, keeps them, as an image of one code does.
     """
     stack = as_stack(image)
     levels = levels_of(stack)
@@ -55,12 +57,17 @@ def equalise(
             f"an integer image is equalised code by code, without bins or value_range; got {bins} "
             f"and {value_range}."
         )
+    return _equalised(stack, amount, binning(stack, bins, value_range)).reshape(image.shape)
+
+
+@partial(jax.jit, static_argnames=("chosen",))
+def _equalised(stack: Stack, amount: float | Scalars, chosen: Binning) -> Stack:
+    levels = levels_of(stack)
     if levels is not None:
-        return _by_table(stack, levels, amount).reshape(image.shape)
-    chosen = binning(stack, bins, value_range)
-    clamped, full = jnp.clip(stack, chosen.low, chosen.high), _by_curve(stack, chosen)
-    blended = clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
-    return blended.reshape(image.shape)
+        return _by_table(stack, levels, amount)
+    clamped = jnp.clip(stack, chosen.low, chosen.high)
+    full = _by_curve(clamped, chosen)
+    return clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
 
 
 def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:

@@ -3,16 +3,17 @@ tile, its histogram clipped, and every pixel a bilinear blend of the curves of t
 it. Values are codes (integer images) or relative. Gradients hold the curves fixed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from numbers import Integral
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._staging import stored
 from .._types import Scalars
-from ..filters._methods import stored
 from ._planes import (
     Binning,
     Pixels,
@@ -32,13 +33,12 @@ Tiles = tuple[int, int]
 MOST_PIXELS = 2**30  # of a tile: stands for no limit, and every float holds it
 
 
-@partial(jax.jit, static_argnames=("tiles", "bins", "value_range"))
 def equalise_locally(
     image: Pixels,
     *,
-    tiles: Tiles = (8, 8),
+    tiles: Sequence[int] = (8, 8),
     clip_limit: float | Scalars | None = 2.0,
-    bins: int | None = None,
+    bins: int | np.integer | None = None,
     value_range: Range | None = None,
 ) -> Shaped[Array, "..."]:
     """Each plane equalised tile by tile, in its own dtype.
@@ -51,18 +51,31 @@ def equalise_locally(
     included; like it, a size that the tiles do not divide is first extended by `tiles - size %
     tiles` rows and columns, mirrored about the last pixel. Floating images use equal `bins` of
     `value_range` (default: 256 of [0, 1]) and fractional counts; values outside are clamped to the
-    range, NaN stays NaN.
+    range and counted there, NaN stays NaN. A tile whose values share one bin, after handing out,
+    or that has none, keeps them.
     """
     stack = as_stack(image)
-    if min(tiles) < 1:
-        raise ValueError(f"tiles must be at least (1, 1), got {tiles}.")
+    if np.shape(tiles) != (2,) or not all(isinstance(n, Integral) and n >= 1 for n in tiles):
+        raise ValueError(
+            f"tiles must be (rows, columns), whole numbers of at least (1, 1), got {tiles}."
+        )
     levels = levels_of(stack)
     if levels is not None and (bins, value_range) != (None, None):
         raise ValueError(
             f"an integer image is equalised code by code, without bins or value_range; got {bins} "
             f"and {value_range}."
         )
-    chosen = binning(stack, bins, value_range)
+    chosen, parts = binning(stack, bins, value_range), (int(tiles[0]), int(tiles[1]))
+    return _equalised(stack, clip_limit, chosen=chosen, tiles=parts).reshape(image.shape)
+
+
+@partial(jax.jit, static_argnames=("chosen", "tiles"))
+def _equalised(
+    stack: Stack, clip_limit: float | Scalars | None, *, chosen: Binning, tiles: Tiles
+) -> Stack:
+    levels = levels_of(stack)
+    if levels is None:
+        stack = jnp.clip(stack, chosen.low, chosen.high)
     extended = _extended(stack, tiles)
     tile = extended.shape[1] // tiles[0], extended.shape[2] // tiles[1]
     counts = _tile_counts(extended, chosen, tiles, tile)
@@ -78,9 +91,7 @@ def equalise_locally(
             return equalising_curves(_clipped(counts.astype(dtype), limit), chosen, dtype)
 
         curves = stored(to_curves, counts, limit)
-        return _blended(
-            partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile
-        ).reshape(image.shape)
+        return _blended(partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile)
 
     def to_table(counts: Int[Array, "groups levels"], limit: Scalars) -> Float[Array, " entries"]:
         below = jnp.cumsum(_clipped_whole(counts, limit), axis=-1).astype(jnp.float32)
@@ -92,7 +103,7 @@ def equalise_locally(
         return jnp.take(table, group * levels + codes, mode="clip")
 
     blended = jnp.round(_blended(look_up, stack, tiles, tile))
-    return jnp.clip(blended, 0, levels - 1).astype(stack.dtype).reshape(image.shape)
+    return jnp.clip(blended, 0, levels - 1).astype(stack.dtype)
 
 
 def _extended(stack: Stack, tiles: Tiles) -> Stack:

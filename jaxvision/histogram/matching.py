@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from ..filters._methods import stored
+from .._staging import stored
 from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, plane_numbers
 
 
