@@ -2,18 +2,23 @@
 
 RGB is linear and relative (1 is white) unless a name says otherwise; XYZ has Y = 1 at the white;
 L* of Lab and Luv is 0 to 100; the hue of LCh is rad in [0, 2 pi), that of HSV and HSL a turn in
-[0, 1). Nothing is clipped: colours outside a gamut convert there and back. Values and gradients
-are finite at black, white and every grey, where an undefined hue is 0 with gradient 0. Matrices
-come from `colour_data` by name, an option of the trace, and are never multiplied by `@`,
-which is slow over an axis of three.
+[0, 1). Nothing is clipped: colours outside a gamut convert there and back, save those out of [0, 1]
+whose largest component is 0, by HSV, or whose lightness is 0 or 1, by HSL.
+
+Values and gradients are finite at black, white and every grey, where an undefined hue is 0 with
+gradient 0, and however near to them. A divisor below `smallest_divisor` (3e-10 in float32) counts
+as 0: a colour so dark has no chromaticity and no saturation, one so grey no hue in HSV and HSL. A
+last axis other than 3 and integer codes are a `ValueError`. Matrices come from `colour_data` by
+name, an option of the trace, and are never multiplied by `@`, which is slow over an axis of three.
 """
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ._numerics import safe_sqrt
-from ._types import Scalars
+from ._numerics import arctan2, norm, safe_sqrt, smallest_divisor
+from ._types import Scalars, as_relative
+from ._vector import Vec
 from .colour_data import cone_matrix, luma_weights, rgb_to_xyz_matrix
 
 Colours = Float[Array, "... 3"]
@@ -24,6 +29,7 @@ Colours = Float[Array, "... 3"]
 def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
     """matrix times each colour, (..., 3): a camera's colour correction, or any linear change of
     three relative primaries."""
+    colours = _checked(colours)
     over_pixels = (1,) * (colours.ndim - 1) + (3,)
     # a sum of columns: on a CPU 25 times faster than `@`, and 3 times than three rows stacked
     columns = (matrix[:, i].reshape(over_pixels) for i in range(3))
@@ -33,10 +39,19 @@ def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
 
 def _by_constant(colours: Colours, matrix: np.ndarray) -> Colours:
     """`apply_matrix` of a matrix known while tracing, in the dtype of the colours."""
+    colours = _checked(colours)
     return apply_matrix(colours, jnp.asarray(matrix, colours.dtype))
 
 
+def _checked(colours: Colours) -> Colours:
+    colours = as_relative(colours)
+    if colours.shape[-1:] != (3,):
+        raise ValueError(f"colours must have a last axis of 3, got shape {colours.shape}.")
+    return colours
+
+
 def _parts(colours: Colours) -> tuple[Scalars, Scalars, Scalars]:
+    colours = _checked(colours)
     return colours[..., 0], colours[..., 1], colours[..., 2]
 
 
@@ -115,12 +130,17 @@ def xyy_to_xyz(xyy: Colours) -> Colours:
     """The inverse of `xyz_to_xyy`, relative; y = 0 is black."""
     x, y, luminance = _parts(xyy)
     scale = luminance * _reciprocal(y)
-    return _joined(x * scale, jnp.where(y == 0, 0, luminance), (1 - x - y) * scale)
+    return _joined(x * scale, jnp.where(_vanishes(y), 0, luminance), (1 - x - y) * scale)
+
+
+def _vanishes(x: Scalars) -> Bool[Array, "..."]:
+    """Whether a divisor counts as 0; NaN does not."""
+    return jnp.abs(x) < smallest_divisor(x.dtype)
 
 
 def _reciprocal(x: Scalars) -> Scalars:
-    """1 / x, with 0 at 0."""
-    return jnp.where(x == 0, 0, 1 / jnp.where(x == 0, 1, x))
+    """1 / x, with 0 where x vanishes."""
+    return jnp.where(_vanishes(x), 0, 1 / jnp.where(_vanishes(x), 1, x))
 
 
 # ---------------------------------------------------------------- CIE 1976
@@ -155,9 +175,9 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
 def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     """CIE 1976 L*, u*, v*; `white`: (3,) XYZ, relative like `xyz` (CIE 15:2018, 8.2.2). Black is
     0, 0, 0."""
-    lightness = 116 * _lightness(xyz[..., 1] / white[1]) - 16
-    # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
     x, y, z = _parts(xyz)
+    lightness = 116 * _lightness(y / white[1]) - 16
+    # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
     x_n, y_n, z_n = white
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
     scale = 13 * lightness * _reciprocal(total * total_n)
@@ -180,7 +200,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
 def to_lch(lab: Colours) -> Colours:
     """Lab or Luv in polar form: lightness, chroma, hue in rad in [0, 2 pi), 0 for greys."""
     lightness, a, b = _parts(lab)
-    return _joined(lightness, safe_sqrt(a * a + b * b), _hue_angle(a, b))
+    return _joined(lightness, _chroma(a, b), _hue_angle(a, b))
 
 
 def from_lch(lch: Colours) -> Colours:
@@ -189,10 +209,19 @@ def from_lch(lch: Colours) -> Colours:
     return _joined(lightness, chroma * jnp.cos(hue), chroma * jnp.sin(hue))
 
 
+def _chroma(a: Scalars, b: Scalars) -> Scalars:
+    return norm(Vec(a, b, jnp.zeros_like(a)))
+
+
 def _hue_angle(a: Scalars, b: Scalars) -> Scalars:
-    grey = (a == 0) & (b == 0)
-    angle = jnp.arctan2(jnp.where(grey, 0, b), jnp.where(grey, 1, a))
-    return jnp.where(angle < 0, angle + 2 * jnp.pi, angle)
+    below = b < 0
+    angle = arctan2(jnp.where(below, -b, b), a)
+    return _within(jnp.where(below, 2 * jnp.pi - angle, angle), 2 * jnp.pi)
+
+
+def _within(hue: Scalars, turn: float) -> Scalars:
+    """`hue`, with the full turn that rounding made of one just below it back at 0."""
+    return hue - jnp.where(hue >= turn, turn, 0)
 
 
 # ---------------------------------------------------------------- colour difference
@@ -201,8 +230,7 @@ def _hue_angle(a: Scalars, b: Scalars) -> Scalars:
 def delta_e_76(lab: Colours, other: Colours) -> Scalars:
     """Euclidean distance in Lab, CIE 1976, no unit: (..., 3) to (...); gradient 0 between equal
     colours."""
-    d_l, d_a, d_b = _parts(lab - other)
-    return safe_sqrt(d_l * d_l + d_a * d_a + d_b * d_b)
+    return norm(Vec(*_parts(lab - other)))
 
 
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
@@ -213,17 +241,17 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     """
     l1, a1, b1 = _parts(lab)
     l2, a2, b2 = _parts(other)
-    mean_chroma = (safe_sqrt(a1 * a1 + b1 * b1) + safe_sqrt(a2 * a2 + b2 * b2)) / 2
+    mean_chroma = (_chroma(a1, b1) + _chroma(a2, b2)) / 2
     g = (1 - _chroma_weight(mean_chroma)) / 2
     a1, a2 = (1 + g) * a1, (1 + g) * a2
-    c1, c2 = safe_sqrt(a1 * a1 + b1 * b1), safe_sqrt(a2 * a2 + b2 * b2)
+    c1, c2 = _chroma(a1, b1), _chroma(a2, b2)
     h1, h2 = _hue_angle(a1, b1), _hue_angle(a2, b2)
     hued = (c1 > 0) & (c2 > 0)
 
     turn = h2 - h1
     turn = turn - jnp.where(jnp.abs(turn) > jnp.pi, 2 * jnp.pi * jnp.sign(turn), 0)
     d_l, d_c = l2 - l1, c2 - c1
-    d_h = 2 * safe_sqrt(c1 * c2) * jnp.sin(jnp.where(hued, turn, 0) / 2)
+    d_h = 2 * safe_sqrt(c1) * safe_sqrt(c2) * jnp.sin(jnp.where(hued, turn, 0) / 2)
 
     mean_l, mean_c, mean_h = (l1 + l2) / 2, (c1 + c2) / 2, (h1 + h2) / 2
     apart = jnp.abs(h1 - h2) > jnp.pi
@@ -242,7 +270,9 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     d_theta = jnp.pi / 6 * jnp.exp(-(((jnp.rad2deg(mean_h) - 275) / 25) ** 2))
     r_t = -2 * _chroma_weight(mean_c) * jnp.sin(2 * d_theta)
     lightness, chroma, hue = d_l / s_l, d_c / s_c, d_h / s_h
-    return safe_sqrt(lightness**2 + chroma**2 + hue**2 + r_t * chroma * hue)
+    # sqrt(lightness^2 + chroma^2 + hue^2 + r_t chroma hue), r_t^2 < 4, as a sum of three squares,
+    # whose length neither underflows nor loses its gradient
+    return norm(Vec(lightness, chroma + r_t / 2 * hue, safe_sqrt(1 - r_t * r_t / 4) * hue))
 
 
 def _chroma_weight(chroma: Scalars) -> Scalars:
@@ -279,14 +309,15 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
     """Hue, saturation, lightness of relative RGB, usually encoded: hue a turn in [0, 1), 0 for
     greys; black and white have saturation 0."""
     hue, least, most = _hexagon(rgb)
-    room = 1 - jnp.abs(most + least - 1)
+    # 1 - |2 lightness - 1|, which keeps its digits near black
+    room = jnp.minimum(most + least, 2 - (most + least))
     return _joined(hue, (most - least) * _reciprocal(room), (most + least) / 2)
 
 
 def hsl_to_rgb(hsl: Colours) -> Colours:
     """The inverse of `rgb_to_hsl`, to relative RGB; hue is taken modulo 1."""
     hue, saturation, lightness = _parts(hsl)
-    reach = saturation * (0.5 - jnp.abs(lightness - 0.5))
+    reach = saturation * jnp.minimum(lightness, 1 - lightness)
 
     def channel(n: int) -> Scalars:
         k = jnp.mod(n + 12 * hue, 12)
@@ -308,7 +339,8 @@ def _hexagon(rgb: Colours) -> tuple[Scalars, Scalars, Scalars]:
     sextant = jnp.where(
         most == r, (g - b) * share, jnp.where(most == g, 2 + (b - r) * share, 4 + (r - g) * share)
     )
-    return jnp.where(sextant < 0, sextant + 6, sextant) / 6, least, most
+    turn = jnp.where(sextant < 0, sextant + 6, sextant) / 6
+    return jnp.where(_vanishes(most - least), 0, _within(turn, 1.0)), least, most
 
 
 def rgb_to_ycbcr(
@@ -322,7 +354,7 @@ def rgb_to_ycbcr(
     """
     matrix, zero = _ycbcr(standard, levels, bits)
     centred = _by_constant(rgb, matrix)
-    return centred + jnp.broadcast_to(jnp.asarray(zero, rgb.dtype), rgb.shape)
+    return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
 
 
 def ycbcr_to_rgb(
@@ -330,6 +362,7 @@ def ycbcr_to_rgb(
 ) -> Colours:
     """The inverse of `rgb_to_ycbcr`, to encoded R'G'B', relative."""
     matrix, zero = _ycbcr(standard, levels, bits)
+    ycbcr = _checked(ycbcr)
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
     return _by_constant(centred, np.linalg.inv(matrix))
 

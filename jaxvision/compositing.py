@@ -7,9 +7,12 @@ line for all channels,
     result = F_A A + F_B B,
 
 and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` lead from and to the
-straight, encoded RGBA of files. An alpha outside [0, 1], or not a number, is a `ValueError` that
-says how many there are when it comes with numbers; under a trace nothing is looked at and the same
-polynomials continue. Source: Porter and Duff, "Compositing Digital Images", SIGGRAPH 1984.
+straight, encoded RGBA of files. Integer codes are a `ValueError`.
+
+An alpha outside [0, 1] by more than rounding (100 units of the last place: blurred full coverage
+reaches 1 + 4 eps), or not a number, is a `ValueError` that says how many there are when it comes
+with numbers; under a trace nothing is looked at and the same polynomials continue. Nothing is
+clipped. Source: Porter and Duff, "Compositing Digital Images", SIGGRAPH 1984.
 """
 
 from collections.abc import Callable
@@ -20,7 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._numerics import smallest_divisor
-from ._types import Scalars
+from ._types import Scalars, as_relative
 from .point_ops import srgb_decode, srgb_encode
 
 Layer = Float[Array, "... _"]
@@ -60,6 +63,7 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     """
     if operator not in _FRACTIONS:
         raise ValueError(f"operator must be one of {', '.join(_FRACTIONS)}, got {operator!r}.")
+    front, back = as_relative(front), as_relative(back)
     if front.shape[-1] != back.shape[-1] or front.shape[-1] < 2:
         raise ValueError(
             "front and back must have the same channels, at least one of light and one of "
@@ -72,23 +76,32 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
     """All layers as one, the first in front: (layers, ..., channels) to (..., channels), relative
-    light; `over` from the back to the front."""
+    light; `over` from the back to the front. `ValueError` for no layer at all."""
+    if layers.shape[0] == 0:
+        raise ValueError(f"flatten needs at least one layer, got shape {layers.shape}.")
     return reduce(lambda behind, layer: over(layer, behind), layers[::-1])
 
 
-def dissolve(layer: Layer, fraction: Scalars) -> Layer:
+def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
     """The part `fraction` of a layer's surface, light and coverage alike; relative."""
-    return layer * fraction
+    return as_relative(layer) * fraction
 
 
-def darken(layer: Layer, factor: Scalars) -> Layer:
+def darken(layer: Layer, factor: Scalars | float) -> Layer:
     """A layer with its relative light times `factor` and its coverage kept."""
+    layer = as_relative(layer)
     return jnp.concatenate([layer[..., :-1] * factor, layer[..., -1:]], axis=-1)
 
 
 def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
-    """The layer of a straight colour (..., bands), linear and relative, and its alpha (..., 1)."""
-    covered = checked_alpha(alpha)
+    """The layer of a straight colour (..., bands), linear and relative, and its alpha (..., 1).
+    `ValueError` for shapes that do not fit."""
+    if alpha.shape != (*colour.shape[:-1], 1):
+        raise ValueError(
+            f"alpha must be (..., 1) for its colour (..., bands), got shapes {alpha.shape} and "
+            f"{colour.shape}."
+        )
+    colour, covered = as_relative(colour), checked_alpha(alpha)
     return jnp.concatenate([colour * covered, covered], axis=-1)
 
 
@@ -96,8 +109,8 @@ def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
     """The straight colour of a layer, relative light over coverage: (..., bands). Where nothing is
     covered there is no colour: 0, with gradient 0."""
     alpha = checked_alpha(layer[..., -1:])
-    covered = alpha > smallest_divisor(alpha.dtype)
-    return jnp.where(covered, layer[..., :-1] / jnp.where(covered, alpha, 1), 0)
+    empty = alpha <= smallest_divisor(alpha.dtype)
+    return jnp.where(empty, 0, layer[..., :-1] / jnp.where(empty, 1, alpha))
 
 
 def layer_from_srgb(rgba: Layer) -> Layer:
@@ -113,11 +126,13 @@ def layer_to_srgb(layer: Layer) -> Layer:
 
 
 def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`alpha` itself, relative; numbers outside [0, 1] or not finite are a `ValueError`, tracers
-    pass."""
+    """`alpha` itself, relative; numbers outside [0, 1] by more than 100 units of the last place or
+    not finite are a `ValueError`, tracers pass."""
+    alpha = as_relative(alpha)
     if isinstance(alpha, Tracer):
         return alpha
-    wrong = int(jnp.sum(~((alpha >= 0) & (alpha <= 1))))
+    rounding = 100 * float(jnp.finfo(alpha.dtype).eps)
+    wrong = int(jnp.sum(~((alpha >= -rounding) & (alpha <= 1 + rounding))))
     if wrong:
         raise ValueError(
             f"alpha must lie in [0, 1]: {wrong} of {alpha.size} values do not; clip or rescale it."

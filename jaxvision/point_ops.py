@@ -1,8 +1,9 @@
 """Point operators: each pixel by itself, elementwise on arrays of any shape and floating dtype.
 
-Encoded and linear values are relative, nominally in [0, 1] and continued above 1. Values and
-gradients are finite everywhere, also at and below 0; what is not finite stays so in its own pixel.
-Parameters broadcast with the pixels, so that one per band or one per pixel is as good as one.
+Encoded and linear values are relative, nominally in [0, 1] and continued above 1: integer codes are
+a `ValueError`. Values and gradients of finite pixels are finite everywhere, also at and below 0.
+NaN stays NaN and touches no other pixel, nor does infinity. Parameters are Python floats or arrays
+that broadcast with the pixels, so that one per band or one per pixel is as good as one.
 Inside one `jit` a chain of these is a single pass over the picture. The sources of linear light and
 superposition: Szeliski, Computer Vision, section 3.1.
 """
@@ -13,34 +14,38 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from ._numerics import power, safe_log, smallest_divisor
-from ._types import Image, Scalar, Scalars
+from ._types import Image, Scalar, Scalars, as_relative
 
 _LN_10 = 2.302585092994046
 
 # ---------------------------------------------------------------- linear in the light
 
 
-def gain_bias(x: Scalars, gain: Scalars, bias: Scalars) -> Scalars:
+def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scalars:
     """gain x + bias, `bias` in the unit of the result (Szeliski, Computer Vision, 3.1.1). A map
     (h, w, 1) for either makes it vary over the picture."""
-    return gain * x + bias
+    return gain * as_relative(x) + bias
 
 
 def contrast_brightness(
-    x: Scalars, contrast: Scalars, brightness: Scalars, *, pivot: Scalars | float = 0.5
+    x: Scalars,
+    contrast: Scalars | float,
+    brightness: Scalars | float,
+    *,
+    pivot: Scalars | float = 0.5,
 ) -> Scalars:
     """contrast (x - pivot) + pivot + brightness: contrast turns about the grey that it keeps."""
-    return contrast * (x - pivot) + (pivot + brightness)
+    return contrast * (as_relative(x) - pivot) + (pivot + brightness)
 
 
-def exposure(x: Scalars, stops: Scalars) -> Scalars:
+def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
     """2 ** stops x: what `stops` more exposure would have made of linear light."""
-    return jnp.exp2(stops) * x
+    return jnp.exp2(stops) * as_relative(x)
 
 
-def blend(first: Scalars, second: Scalars, fraction: Scalars) -> Scalars:
+def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:
     """(1 - fraction) first + fraction second, the linear blend (Szeliski, Computer Vision, 3.1)."""
-    return (1 - fraction) * first + fraction * second
+    return (1 - fraction) * as_relative(first) + fraction * as_relative(second)
 
 
 def cross_dissolve(
@@ -53,24 +58,30 @@ def cross_dissolve(
             "cross_dissolve needs two sequences of one shape and at least two frames, got "
             f"{first.shape} and {second.shape}."
         )
+    first, second = as_relative(first), as_relative(second)
     fraction = jnp.linspace(0, 1, first.shape[0], dtype=first.dtype)
     return blend(first, second, fraction.reshape((-1,) + (1,) * (first.ndim - 1)))
 
 
 def graded_filter(
-    image: Image, density: Scalar, angle: Scalar, centre: Scalar, width: Scalar
+    image: Image,
+    density: Scalar | float,
+    angle: Scalar | float,
+    centre: Scalar | float,
+    width: Scalar | float,
 ) -> Image:
     """A graded neutral density filter before the lens: linear light times 10 ** (-density s), with
     s rising smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
 
     `density`: () optical density of the dark side (0.3 is one stop). `angle`: () rad, the way it
-    darkens: 0 to the right, pi/2 up. `centre`: () where half of it is reached and `width`: () > 0
-    over which it rises, both relative to the height of the picture, from its centre.
+    darkens: 0 to the right, pi/2 up. `centre`: () where half of it is reached and `width`: () over
+    which it rises, both relative to the height of the picture, from its centre; a `width` of 0 or
+    less is a step.
     """
-    rows, columns = image.shape[-3:-1]
+    image, rows, columns = _sized(image)
     right, up = _from_centre(rows, columns, image.dtype, unit=rows)
     along = jnp.cos(angle) * right + jnp.sin(angle) * up
-    t = jnp.clip((along - centre) / width + 0.5, 0, 1)
+    t = jnp.clip((along - centre) / jnp.maximum(width, smallest_divisor(image.dtype)) + 0.5, 0, 1)
     return image * _per_pixel(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
 
 
@@ -81,26 +92,38 @@ def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
     `coefficients`: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0. Source: the "pa"
     model of lens tables; the cos^4 law of an ideal lens belongs to `optics`.
     """
-    return image * _per_pixel(_falloff(image, coefficients), image)
+    image, rows, columns = _sized(image)
+    return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
 
 
 def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Image:
     """The inverse of `vignette`, relative r and coefficients as there; pixels that got no light at
     all stay 0."""
-    falloff = _falloff(image, coefficients)
+    image, rows, columns = _sized(image)
+    falloff = _falloff(rows, columns, image.dtype, coefficients)
     lit = falloff > smallest_divisor(image.dtype)
     return image * _per_pixel(jnp.where(lit, 1 / jnp.where(lit, falloff, 1), 0), image)
 
 
-def _falloff(image: Image, coefficients: Float[Array, " terms"]) -> Float[Array, "h w"]:
-    rows, columns = image.shape[-3:-1]
+def _falloff(
+    rows: int, columns: int, dtype: np.dtype, coefficients: Float[Array, " terms"]
+) -> Float[Array, "h w"]:
     half_diagonal = ((rows - 1) ** 2 + (columns - 1) ** 2) ** 0.5 / 2
-    right, up = _from_centre(rows, columns, image.dtype, unit=half_diagonal or 1)
+    right, up = _from_centre(rows, columns, dtype, unit=half_diagonal or 1)
     r2 = right * right + up * up
     total = jnp.zeros_like(r2)
     for k in coefficients[::-1]:
         total = (total + k) * r2
     return jnp.maximum(1 + total, 0)
+
+
+def _sized(image: Image) -> tuple[Image, int, int]:
+    """The picture, its rows and its columns."""
+    image = as_relative(image)
+    if image.ndim < 3:
+        raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
+    rows, columns = image.shape[-3:-1]
+    return image, rows, columns
 
 
 def _from_centre(
@@ -120,21 +143,21 @@ def _per_pixel(values: Float[Array, "h w"], image: Image) -> Float[Array, "... h
 # ---------------------------------------------------------------- curves
 
 
-def gamma_encode(linear: Scalars, gamma: Scalars, *, method: str = "power") -> Scalars:
+def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """linear ** (1 / gamma), gamma > 0; values below 0 count as 0, where the gradient is 0.
 
     `method` as in `gamma_decode`.
     """
-    return _raised(linear, 1 / gamma, method)
+    return _raised(as_relative(linear), 1 / gamma, method)
 
 
-def gamma_decode(encoded: Scalars, gamma: Scalars, *, method: str = "power") -> Scalars:
+def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """encoded ** gamma, the inverse of `gamma_encode`; values below 0 count as 0.
 
     `method`: "power" is right to the last place; "exp2", exp2(gamma log2 x), takes a third of its
     time on a CPU and is off by up to 60 units of the last place on [1e-5, 1].
     """
-    return _raised(encoded, gamma, method)
+    return _raised(as_relative(encoded), gamma, method)
 
 
 def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
@@ -142,8 +165,9 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
 
     `method` as in `gamma_decode`.
     """
+    linear = as_relative(linear)
     curved = linear > 0.0031308
-    root = _raised(jnp.where(curved, linear, 1), jnp.asarray(1 / 2.4, linear.dtype), method)
+    root = _raised(jnp.where(curved, linear, 1), 1 / 2.4, method)
     return jnp.where(curved, 1.055 * root - 0.055, 12.92 * linear)
 
 
@@ -152,33 +176,36 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
 
     `method` as in `gamma_decode`.
     """
+    encoded = as_relative(encoded)
     curved = encoded > 0.04045
     base = (jnp.where(curved, encoded, 1) + 0.055) / 1.055
-    raised = _raised(base, jnp.asarray(2.4, encoded.dtype), method)
-    return jnp.where(curved, raised, encoded / 12.92)
+    return jnp.where(curved, _raised(base, 2.4, method), encoded / 12.92)
 
 
-def _raised(base: Scalars, exponent: Scalars, method: str) -> Scalars:
-    if method == "power":
-        return power(base, exponent)
-    if method != "exp2":
+def _raised(base: Scalars, exponent: Scalars | float, method: str) -> Scalars:
+    if method not in ("power", "exp2"):
         raise ValueError(f'method must be "power" or "exp2", got {method!r}.')
-    positive = base > 0
-    return jnp.where(positive, jnp.exp2(exponent * jnp.log2(jnp.where(positive, base, 1))), 0)
+    if method == "power":
+        raised = power(base, jnp.asarray(exponent))
+    else:
+        positive = base > 0
+        raised = jnp.where(positive, jnp.exp2(exponent * jnp.log2(jnp.where(positive, base, 1))), 0)
+    return jnp.where(jnp.isnan(base), base, raised)
 
 
-def clip(x: Scalars, low: Scalars, high: Scalars) -> Scalars:
-    """x limited to [low, high]; beyond, the gradient goes to the limit. NaN stays NaN."""
+def clip(x: Scalars, low: Scalars | float, high: Scalars | float) -> Scalars:
+    """x limited to [low, high]; beyond, the gradient goes to the limit."""
+    x = as_relative(x)
     return jnp.where(x < low, low, jnp.where(x > high, high, x))
 
 
 def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
     """A curve given by equally spaced entries, the first at x = 0 and the last at 1: piecewise
-    linear, constant beyond. NaN takes the first entry. `ValueError` for fewer than two entries.
+    linear, constant beyond. `ValueError` for fewer than two entries.
     """
     if table.shape[0] < 2:
         raise ValueError(f"table must hold at least two entries, got {table.shape[0]}.")
-    lower, t = _cell(x, table.shape[0])
+    lower, t = _cell(as_relative(x), table.shape[0])
     return blend(table[lower], table[lower + 1], t)
 
 
@@ -194,8 +221,11 @@ def lookup_3d(
     image: Float[Array, "... 3"], table: Float[Array, "red green blue channels"]
 ) -> Float[Array, "... channels"]:
     """A colour table (n_r, n_g, n_b, channels), its axes spanning [0, 1] of R, G, B: trilinear,
-    constant beyond. NaN takes the first entry. `ValueError` for an axis of fewer than two entries.
+    constant beyond. `ValueError` for an axis of fewer than two entries or other than three bands.
     """
+    image = as_relative(image)
+    if image.shape[-1:] != (3,):
+        raise ValueError(f"image must have a last axis of 3, got shape {image.shape}.")
     if min(table.shape[:3]) < 2:
         raise ValueError(f"table must have at least two entries an axis, got {table.shape}.")
     lower, t = zip(*(_cell(image[..., i], table.shape[i]) for i in range(3)), strict=True)
@@ -212,21 +242,23 @@ def lookup_3d(
 
 def _cell(x: Scalars, entries: int) -> tuple[Int[Array, "..."], Scalars]:
     """The entry at or below x in a table over [0, 1], and how far on to the next: in [0, 1]."""
-    at = jnp.where(x > 0, jnp.minimum(x, 1), 0) * (entries - 1)
-    lower = jnp.minimum(jax.lax.stop_gradient(at).astype(jnp.int32), entries - 2)
+    at = jnp.where(x <= 0, 0, jnp.minimum(x, 1)) * (entries - 1)
+    # NaN has no integer: whichever entry it takes, the fraction says NaN
+    lower = jnp.clip(jax.lax.stop_gradient(at).astype(jnp.int32), 0, entries - 2)
     return lower, at - lower.astype(at.dtype)
 
 
 # ---------------------------------------------------------------- tone mapping
 
 
-def reinhard(x: Scalars, *, white: Scalars | None = None) -> Scalars:
+def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     """x / (1 + x), or with `white`, the smallest x that burns out to 1, x (1 + x / white^2) /
     (1 + x). Relative x >= 0; below, x itself, which continues value and slope.
 
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
     equations 3 and 4; x is their scaled luminance, as `scaled_to_key` gives it.
     """
+    x = as_relative(x)
     positive = jnp.maximum(x, 0)
     lifted = positive if white is None else positive * (1 + positive / (white * white))
     return jnp.where(x > 0, lifted / (1 + positive), x)
@@ -235,18 +267,22 @@ def reinhard(x: Scalars, *, white: Scalars | None = None) -> Scalars:
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
     """Luminance times key / log-average: relative, the picture's middle grey at `key_value`.
 
-    The log-average clamps black at 1e-6 of the mean. Source: Reinhard et al. 2002, equations 1, 2.
+    The log-average clamps black at 1e-6 of the mean and leaves out what is not finite. Source:
+    Reinhard et al. 2002, equations 1, 2.
     """
-    floor = 1e-6 * jnp.maximum(jnp.mean(luminance), smallest_divisor(luminance.dtype))
-    average = jnp.exp(jnp.mean(safe_log(jnp.maximum(luminance, floor))))
+    luminance = as_relative(luminance)
+    known = jnp.isfinite(luminance)
+    mean = jnp.mean(luminance, where=known)
+    floor = 1e-6 * jnp.maximum(mean, smallest_divisor(luminance.dtype))
+    average = jnp.exp(jnp.mean(safe_log(jnp.maximum(luminance, floor)), where=known))
     return luminance * (key_value / average)
 
 
 def filmic(x: Scalars) -> Scalars:
-    """x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), to [0, 1): the ACES film curve. Relative
+    """x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), to [0, 1]: the ACES film curve. Relative
     x >= 0; below counts as 0. Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve"
     (2016); it ends a little above 1, at 1.033, and is clipped there."""
-    positive = jnp.maximum(x, 0)
+    positive = jnp.maximum(as_relative(x), 0)
     # both sides over x^2 where x is large, so that nothing overflows
     small = jnp.minimum(positive, 1)
     large = 1 / jnp.maximum(positive, 1)
@@ -255,10 +291,10 @@ def filmic(x: Scalars) -> Scalars:
     return jnp.minimum(jnp.where(positive < 1, low, high), 1)
 
 
-def log_curve(x: Scalars, strength: Scalars) -> Scalars:
+def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     """log(1 + strength x) / log(1 + strength): 0 at 0, 1 at 1, `strength` > 0 times steeper at the
     dark end. Relative x >= 0; below counts as 0. Source: the mu-law of ITU-T G.711."""
-    return jnp.log1p(strength * jnp.maximum(x, 0)) / jnp.log1p(strength)
+    return jnp.log1p(strength * jnp.maximum(as_relative(x), 0)) / jnp.log1p(strength)
 
 
 def with_luminance(
@@ -266,5 +302,6 @@ def with_luminance(
 ) -> Float[Array, "... channels"]:
     """image times wanted / luminance, pixel by pixel: a curve of the luminance that keeps the
     chromaticity. `luminance`, `wanted`: (...) in one unit, or relative; black stays black."""
-    lit = luminance > smallest_divisor(luminance.dtype)
-    return image * jnp.where(lit, wanted / jnp.where(lit, luminance, 1), 0)[..., None]
+    image, luminance = as_relative(image), as_relative(luminance)
+    black = luminance <= smallest_divisor(luminance.dtype)
+    return image * jnp.where(black, 0, wanted / jnp.where(black, 1, luminance))[..., None]

@@ -2,9 +2,11 @@
 inverses; finite at black, white and greys."""
 
 import colorsys
+import functools
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -35,10 +37,14 @@ SPACES = [
 QUICK = {"xla_backend_optimization_level": 0}
 
 
+@functools.cache
+def compiled(function, **options):
+    return jax.jit(lambda *x: function(*x, **options), compiler_options=QUICK)
+
+
 def run(function, *arrays, **options):
     """One compiled call on float64 arrays."""
-    call = jax.jit(lambda *x: function(*x, **options), compiler_options=QUICK)
-    return np.asarray(call(*map(jnp.asarray, arrays)))
+    return np.asarray(compiled(function, **options)(*map(jnp.asarray, arrays)))
 
 
 def same(ours, theirs, digits=12):
@@ -183,7 +189,14 @@ def test_ycbcr_as_colour_science(standard):
 # ------------------------------------------------ edges
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+NEAR = [
+    [v * scale for v in colour]
+    for scale in (1e-9, 1e-20, 1e-25, 1e-38)
+    for colour in ([1, 1, 1], [1, 0, 0], [0, 1, 0], [0.2, 0.5, 1], [0, -1, 1])
+]
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
     white = jnp.asarray(WHITE, dtype)
     chain = {
@@ -211,10 +224,75 @@ def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
             lambda x, f=function: (f(x), jax.vmap(jax.grad(lambda c: f(c).sum()))(x)),
             compiler_options=QUICK,
         )
-        value, slope = both(jnp.asarray([*GREYS, [2.0, 2.0, 2.0], [-0.1, 0.0, 0.1]], dtype))
+        colours = [*GREYS, [2.0, 2.0, 2.0], [-0.1, 0.0, 0.1], *NEAR]
+        value, slope = both(jnp.asarray(colours, dtype))
         assert value.dtype == dtype, name
         assert jnp.isfinite(value).all(), name
         assert jnp.isfinite(slope).all(), name
+
+
+def test_hue_stays_below_a_full_turn():
+    """Just below it, rounding would reach it."""
+    rgb, lab = np.float32([[1, 0.5, 0.50000006]]), np.float32([[50, 1, -1e-20]])
+    for to, colour in ((cs.rgb_to_hsv, rgb), (cs.rgb_to_hsl, rgb), (cs.to_lch, lab)):
+        hue = compiled(to)(jnp.asarray(colour))[0, 2 if to is cs.to_lch else 0]
+        assert hue == 0
+    _, slope = jax.jvp(cs.to_lch, (jnp.asarray(lab),), (jnp.asarray(np.float32([[0, 0, 1]])),))
+    np.testing.assert_array_equal(slope[0, 2], 1)
+
+
+def test_hexagons_there_and_back():
+    """Out of [0, 1] too; what is lost is lost in the two planes that are documented."""
+    inside, outside = RNG.uniform(size=(51, 3)), RNG.uniform(-1, 2, size=(51, 3))
+    dark = 1e-8 * inside
+    for to, back in ((cs.rgb_to_hsv, cs.hsv_to_rgb), (cs.rgb_to_hsl, cs.hsl_to_rgb)):
+        there_and_back = compiled(lambda x, to=to, back=back: back(to(x)))
+        for colours in (inside, outside):
+            same(there_and_back(jnp.asarray(colours)), colours)
+        again = there_and_back(jnp.asarray(dark, jnp.float32))
+        np.testing.assert_allclose(again, dark, rtol=1e-6, atol=1e-15)
+    lost = {cs.rgb_to_hsv: [-0.5, -0.2, 0.0], cs.rgb_to_hsl: [-0.1, 0.0, 0.1]}
+    for to, colour in lost.items():
+        assert to(jnp.asarray(colour))[1] == 0
+
+
+@pytest.fixture
+def as_for_users():
+    """Without the suite's checks of annotations, which would be the first to refuse."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+def test_what_is_not_three_floating_bands_is_named(as_for_users):
+    white = jnp.asarray(WHITE)
+    calls = [
+        cs.rgb_to_xyz,
+        cs.xyz_to_rgb,
+        cs.luminance,
+        cs.xyz_to_xyy,
+        cs.xyy_to_xyz,
+        cs.to_lch,
+        cs.from_lch,
+        cs.rgb_to_hsv,
+        cs.hsv_to_rgb,
+        cs.rgb_to_hsl,
+        cs.hsl_to_rgb,
+        cs.rgb_to_ycbcr,
+        cs.ycbcr_to_rgb,
+        lambda x: cs.apply_matrix(x, jnp.eye(3)),
+        lambda x: cs.adapt(x, white, white),
+        lambda x: cs.change_rgb_space(x, source="sRGB", target="ACEScg"),
+        *(lambda x, f=f: f(x, white) for f in (cs.xyz_to_lab, cs.xyz_to_luv)),
+        *(lambda x, f=f: f(x, white) for f in (cs.lab_to_xyz, cs.luv_to_xyz)),
+        *(lambda x, f=f: f(x, x) for f in (cs.delta_e_76, cs.delta_e_2000)),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="floating and relative, got uint8; divide by 255"):
+            call(jnp.full((2, 3), 200, jnp.uint8))
+        for bands in (2, 4):
+            with pytest.raises(ValueError, match=rf"a last axis of 3, got shape \(2, {bands}\)"):
+                call(jnp.ones((2, bands)))
 
 
 def test_unknown_names_list_the_known():

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from oracles import loops
@@ -98,7 +99,7 @@ def test_files_are_composited_in_linear_light():
     np.testing.assert_allclose(c.layer_to_srgb(c.layer_from_srgb(rgba)), rgba, rtol=1e-12)
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_uncovered_pixels_have_no_colour_and_no_slope(dtype):
     for light in (0.0, 0.3):
         empty = jnp.asarray([light, light, light, 0.0], dtype)
@@ -122,6 +123,53 @@ def test_alpha_outside_its_range_is_named_and_defined_under_a_trace():
             call()
     traced = jax.jit(c.over)(wrong, B)
     np.testing.assert_allclose(traced[0, 0], wrong[0, 0] - 0.5 * B[0, 0], rtol=1e-14)
+    assert jnp.isnan(jax.jit(c.unpremultiply)(wrong)[2, 2]).all()
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_rounding_is_no_wrong_alpha(dtype):
+    """Blurred full coverage, a sum of rounded weights, is 1 but for a few units: kept as it is."""
+    eps = float(jnp.finfo(dtype).eps)
+    nearly = jnp.asarray([1 + 4 * eps, 1 + 99 * eps, -99 * eps], dtype)[:, None]
+    layer = jnp.concatenate([jnp.full((3, 1), 0.5, dtype), nearly], axis=-1)
+    np.testing.assert_array_equal(c.over(layer, jnp.zeros_like(layer)), layer)
+    with pytest.raises(ValueError, match="1 of 3 values do not"):
+        c.checked_alpha(nearly.at[0].set(1 + 110 * eps))
+
+
+def test_numbers_for_fractions():
+    np.testing.assert_array_equal(c.dissolve(A, 0.3), c.dissolve(A, jnp.asarray(0.3)))
+    np.testing.assert_array_equal(c.darken(A, 0.3), c.darken(A, jnp.asarray(0.3)))
+
+
+@pytest.fixture
+def as_for_users():
+    """Without the suite's checks of annotations, which would be the first to refuse."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+def test_codes_and_shapes_that_do_not_fit_are_named(as_for_users):
+    codes = jnp.full((4, 5, 4), 128, jnp.uint8)
+    for call in (
+        lambda: c.over(codes, A),
+        lambda: c.over(A, codes),
+        lambda: c.flatten(jnp.stack([codes, codes])),
+        lambda: c.dissolve(codes, 0.5),
+        lambda: c.darken(codes, 0.5),
+        lambda: c.premultiply(codes[..., :3], A[..., 3:]),
+        lambda: c.premultiply(A[..., :3], codes[..., 3:]),
+        lambda: c.unpremultiply(codes),
+        lambda: c.layer_from_srgb(codes),
+        lambda: c.layer_to_srgb(codes),
+    ):
+        with pytest.raises(ValueError, match="floating and relative, got uint8; divide by 255"):
+            call()
+    with pytest.raises(ValueError, match=r"alpha must be \(..., 1\).*\(4, 5\) and \(4, 5, 3\)"):
+        c.premultiply(A[..., :3], A[..., 3])
+    with pytest.raises(ValueError, match=r"at least one layer, got shape \(0, 4, 5, 4\)"):
+        c.flatten(jnp.zeros((0, 4, 5, 4)))
 
 
 def test_bad_calls_are_named():

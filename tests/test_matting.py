@@ -3,6 +3,7 @@ SciPy's direct solver, and the whole against pymatting."""
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from scipy import sparse
@@ -109,7 +110,7 @@ def test_known_colours_and_difference():
     np.testing.assert_allclose(hard, np.clip((ALPHA - 0.3) / 0.2, 0, 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_backgrounds_that_tell_nothing_give_the_picture(dtype):
     seen, behind = (jnp.asarray(x, dtype) for x in (SEEN, BEHIND))
     keyed = {
@@ -118,13 +119,11 @@ def test_backgrounds_that_tell_nothing_give_the_picture(dtype):
         "screen": lambda x: matting.blue_screen_matte(x, jnp.zeros(3, dtype), foreground="none"),
     }
     for name, key in keyed.items():
-        alpha, slope = jax.value_and_grad(lambda x, k=key: k(x).sum())(seen)
+        alpha, slope = quick(jax.value_and_grad(lambda x, k=key: k(x).sum()))(seen)
         assert alpha.dtype == dtype
         assert alpha == 24 * 24, name
         assert jnp.isfinite(slope).all(), name
-    same = jax.grad(
-        lambda x: matting.difference_matte(x, behind, *arrays(dtype(0), dtype(1))).sum()
-    )(behind)
+    same = quick(jax.grad(lambda x: matting.difference_matte(x, behind, 0.0, 1.0).sum()))(behind)
     assert (same == 0).all()
 
 
@@ -171,7 +170,7 @@ def test_laplacian_is_the_paper_s(bands):
 
 def test_affine_in_the_colours_costs_nothing():
     image = picture(8, 9)
-    stencil = matting_laplacian(jnp.asarray(image), epsilon=1e-12)
+    stencil = quick(lambda x: matting_laplacian(x, epsilon=1e-12))(jnp.asarray(image))
     affine = jnp.asarray(image @ [0.3, -0.7, 0.2] + 0.4)
     assert jnp.abs(apply_stencil(stencil, affine)).max() < 1e-8
     noise = jnp.asarray(RNG.normal(size=(8, 9)))
@@ -179,8 +178,9 @@ def test_affine_in_the_colours_costs_nothing():
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
-def test_flat_pictures_have_a_finite_laplacian(dtype):
-    flat = jnp.stack([jnp.zeros((3, 4, 3), dtype), jnp.full((3, 4, 3), 0.7, dtype)])
+@pytest.mark.parametrize("bands", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
+    flat = jnp.stack([jnp.zeros((3, 4, bands), dtype), jnp.full((3, 4, bands), 0.7, dtype)])
     square = jax.value_and_grad(lambda x: jnp.square(matting_laplacian(x)).sum())
     value, slope = quick(jax.vmap(square))(flat)
     assert jnp.isfinite(value).all()
@@ -214,7 +214,11 @@ def test_coarse_grids_are_galerkin_s():
     assert np.vdot(r, of_r) > 0
 
 
-SMALL = (picture(8, 9), np.repeat([1.0, 0.5, 0.0], [2, 4, 2])[:, None] * np.ones((1, 9)))
+def band_of_unknown(columns, bands):
+    """(picture, trimap) of eight rows, the middle four of them unknown."""
+    rows = np.repeat([1.0, 0.5, 0.0], [2, 4, 2])
+    return picture(8, columns, bands), rows[:, None] * np.ones((1, columns))
+
 
 SOLVE = quick(lambda image, trimap: matting.closed_form_matte(image, trimap, tolerance=1e-11))
 
@@ -233,7 +237,7 @@ def test_closed_form_is_the_direct_solution():
 
 
 def test_confidence_is_the_paper_s():
-    image, trimap = SMALL
+    image, trimap = band_of_unknown(8, 3)
     soft = quick(lambda i, t: matting.closed_form_matte(i, t, confidence=0.01, tolerance=1e-12))
     known = np.diag(0.01 * (trimap != 0.5).ravel())
     direct = np.linalg.solve(levin(image, 1e-7) + known, known @ trimap.ravel())
@@ -251,15 +255,18 @@ def test_closed_form_finds_the_matte():
 
 
 def test_too_few_steps_are_said():
-    rushed = quick(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*arrays(*SMALL))
+    scene = arrays(*band_of_unknown(9, 1))
+    rushed = quick(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
     assert not rushed.converged
     assert jnp.isfinite(rushed.alpha).all()
 
 
-def test_gradient_is_that_of_the_solution():
-    """Central differences of the solved matte, in a random direction of the picture."""
-    image, trimap = arrays(*SMALL)
-    weights = jnp.asarray(RNG.normal(size=(8, 9, 1)))
+@pytest.mark.parametrize(("columns", "bands"), [(8, 1), pytest.param(9, 3, marks=pytest.mark.slow)])
+def test_gradient_is_that_of_the_solution(columns, bands):
+    """Central differences of the solved matte, in a random direction of the picture; without a
+    coarse grid and with one."""
+    image, trimap = arrays(*band_of_unknown(columns, bands))
+    weights = jnp.asarray(RNG.normal(size=(*trimap.shape, 1)))
 
     def loss(x):
         matte = matting.closed_form_matte(x, trimap, epsilon=1e-3, tolerance=1e-13)
@@ -341,8 +348,9 @@ def test_foreground_in_few_steps():
 
 def test_foreground_of_the_smallest_pictures():
     one = jnp.full((1, 1, 3), 0.4)
+    estimate = quick(matting.estimate_foreground)
     for alpha in (0.0, 0.3, 1.0):
-        for found in matting.estimate_foreground(one, jnp.full((1, 1, 1), alpha)):
+        for found in estimate(one, jnp.full((1, 1, 1), alpha)):
             np.testing.assert_allclose(found, one, rtol=1e-12)
 
 
@@ -361,6 +369,62 @@ def test_bad_trimaps_are_named():
     for message, call in cases.items():
         with pytest.raises(InputError, match=message):
             matting.closed_form_matte(*call)
+
+
+def test_numbers_that_solve_nothing_are_named():
+    image, trimap, alpha, behind = arrays(SEEN, TRIMAP, ALPHA, BEHIND)
+    for options, message in (
+        ({"epsilon": 0.0}, r"epsilon must be above 0, got 0\.0"),
+        ({"epsilon": -1.0}, r"epsilon must be above 0, got -1\.0"),
+        ({"confidence": 0.0}, r"confidence must be above 0, got 0\.0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            matting.closed_form_matte(image, trimap, **options)
+    with pytest.raises(ValueError, match=r"regularisation must be above 0, got 0\.0"):
+        matting.estimate_foreground(image, alpha, regularisation=0.0)
+    for wrong in (alpha.at[3, 4].set(jnp.nan), alpha.at[3, 4].set(-1.0), alpha.at[3, 4].set(2.0)):
+        for call in (matting.estimate_foreground, lambda i, a: matting.lift(i, a, behind)):
+            with pytest.raises(ValueError, match=r"alpha must lie in \[0, 1\]: 1 of 576 values"):
+                call(image, wrong)
+    for high in (0.2, 0.1):
+        with pytest.raises(ValueError, match=rf"low must lie below high, got 0\.2 and {high}"):
+            matting.difference_matte(image, behind, 0.2, high)
+    at, beyond = jnp.zeros((1, 3)), jnp.asarray([[0.0, 0.0, 1e-6]])
+    step = jax.jit(matting.difference_matte)
+    for pixel, covered in ((at, 0), (beyond, 1)):
+        assert step(pixel, at, *arrays(0.0, 0.0)) == covered
+
+
+@pytest.fixture
+def as_for_users():
+    """Without the suite's checks of annotations, which would be the first to refuse."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+def test_codes_and_ranks_that_do_not_fit_are_named(as_for_users):
+    image, trimap, alpha, behind = arrays(SEEN, TRIMAP, ALPHA, BEHIND)
+    codes = jnp.full(image.shape, 128, jnp.uint8)
+    for call in (
+        lambda: matting.difference_matte(codes, codes + 1, 1.0, 20.0),
+        lambda: matting.blue_screen_matte(codes, behind),
+        lambda: matting.projected_matte(codes, behind, behind),
+        lambda: matting.triangulation_matte(codes, codes, codes, codes),
+        lambda: matting.lift(codes, alpha, codes),
+        lambda: matting.closed_form_matte(codes, trimap),
+        lambda: jax.jit(matting.closed_form_matte)(image, codes[..., 0]),
+        lambda: matting.estimate_foreground(codes, alpha),
+        lambda: matting.estimate_foreground(image, codes[..., :1]),
+    ):
+        with pytest.raises(ValueError, match="floating and relative, got uint8; divide by 255"):
+            call()
+    for grey in (image[..., 0], image[:0]):
+        shape = str(grey.shape).replace("(", r"\(").replace(")", r"\)")
+        with pytest.raises(ValueError, match=rf"at least 3 x 3 pixels, got shape {shape}"):
+            matting.closed_form_matte(grey, trimap[: len(grey)])
+        with pytest.raises(ValueError, match=rf"\(h, w, bands\) and not empty, got shape {shape}"):
+            matting.estimate_foreground(grey, alpha[: len(grey)])
 
 
 def test_bad_shapes_are_named():
@@ -385,3 +449,14 @@ def test_a_nan_stays_in_its_own_pixel():
     seen = jnp.asarray(SEEN).at[4, 5, 0].set(jnp.nan)
     layer = matting.triangulation_matte(seen, *arrays(BEHIND, SEEN_2, BEHIND_2))
     assert int(jnp.isnan(layer).any(axis=-1).sum()) == 1
+    behind, front = arrays(BEHIND, FRONT)
+    unknown = behind.at[4, 5, 0].set(jnp.nan)
+    for alpha in (
+        matting.difference_matte(seen, behind, 0.1, 0.5),
+        matting.difference_matte(front, unknown, 0.1, 0.5),
+        matting.projected_matte(seen, front, behind),
+        matting.projected_matte(front, front, unknown),
+        matting.blue_screen_matte(front, unknown),
+    ):
+        assert jnp.isnan(alpha[4, 5]).all()
+        assert int(jnp.isnan(alpha).sum()) == 1

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from .._types import as_relative
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsened, v_cycle
@@ -47,10 +48,19 @@ def closed_form_matte(
     None takes 1e-7 in float64 and 1e-6 in float32. Compile it once, by `jax.jit`: that takes
     seconds, a call a fraction of one.
 
-    `ValueError` for shapes that do not fit. Where the numbers are known, an `InputError` says that
-    the picture or the trimap holds NaN or that the trimap lacks a foreground or a background; under
-    a trace, NaN gives a NaN matte and a trimap of one kind alone a constant one.
+    `ValueError` for shapes that do not fit, for integer codes and, where it is known, for an
+    `epsilon` or `confidence` that is not above 0. Where the numbers are known, an `InputError` says
+    that the picture or the trimap holds NaN or that the trimap lacks a foreground or a background;
+    under a trace, NaN gives a NaN matte and a trimap of one kind alone a constant one.
     """
+    image, trimap = as_relative(image), as_relative(trimap)
+    if image.ndim != 3 or min(image.shape[:2]) < 3:
+        raise ValueError(
+            f"image must be (h, w, bands) of at least 3 x 3 pixels, got shape {image.shape}."
+        )
+    for name, number in (("epsilon", epsilon), ("confidence", confidence)):
+        if number is not None and not isinstance(number, Tracer) and not number > 0:
+            raise ValueError(f"{name} must be above 0, got {number}.")
     if image.shape[:2] != trimap.shape:
         raise ValueError(
             f"image and trimap must have the same rows and columns, got {image.shape} and "

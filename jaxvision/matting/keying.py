@@ -2,14 +2,17 @@
 
 For pictures (..., bands) of linear relative light; alpha is (..., 1), clipped to [0, 1]. Where a
 background tells nothing (the same behind every picture, or equal to the foreground) the matte is
-opaque: the picture itself. NaN spreads no further than its own pixel.
+opaque: the picture itself. NaN stays NaN and spreads no further than its own pixel. Integer codes
+are a `ValueError`.
 """
 
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._numerics import safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars
+from .._types import Scalar, Scalars, as_relative
+from ..compositing import checked_alpha
 from ..point_ops import clip
 
 Picture = Float[Array, "... bands"]
@@ -17,12 +20,22 @@ Alpha = Float[Array, "... 1"]
 Layer = Float[Array, "... _"]
 
 
-def difference_matte(image: Picture, background: Picture, low: Scalar, high: Scalar) -> Alpha:
+def difference_matte(
+    image: Picture, background: Picture, low: Scalar | float, high: Scalar | float
+) -> Alpha:
     """How far each pixel is from the clean background: 0 up to a distance `low`, 1 from `high` on,
-    linear between; a Euclidean distance of colours, relative like the light."""
+    linear between; a Euclidean distance of colours, relative like the light.
+
+    `ValueError` unless `low` < `high`, where they are known; under a trace, a step at `low`.
+    """
+    if not isinstance(low, Tracer) and not isinstance(high, Tracer) and not low < high:
+        raise ValueError(f"low must lie below high, got {low} and {high}.")
+    image, background = as_relative(image), as_relative(background)
     apart = image - jnp.broadcast_to(background, image.shape)
-    distance = safe_sqrt(jnp.sum(apart * apart, axis=-1, keepdims=True))
-    return _unit((distance - low) / (high - low))
+    # safe_sqrt of NaN is 0
+    squared = jnp.sum(apart * apart, axis=-1, keepdims=True)
+    distance = jnp.where(jnp.isnan(squared), squared, safe_sqrt(squared))
+    return _unit((distance - low) / jnp.maximum(high - low, smallest_divisor(image.dtype)))
 
 
 def blue_screen_matte(
@@ -37,6 +50,7 @@ def blue_screen_matte(
     so that alpha = 1 - n . image / n . backing. Source: Smith and Blinn, "Blue Screen Matting",
     SIGGRAPH 1996, solutions 1 and 2, here for any backing. `ValueError` for another promise.
     """
+    image, backing = as_relative(image), as_relative(backing)
     bands = image.shape[-1]
     if foreground not in ("none", "grey"):
         raise ValueError(f'foreground must be "none" or "grey", got {foreground!r}.')
@@ -61,7 +75,10 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
     `foreground`, `background`: (..., bands) or (bands,) of relative light, a picture or a colour
     each. Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
     """
-    foreground, background = (jnp.broadcast_to(x, image.shape) for x in (foreground, background))
+    image = as_relative(image)
+    foreground, background = (
+        jnp.broadcast_to(as_relative(x), image.shape) for x in (foreground, background)
+    )
     span = foreground - background
     along = jnp.sum((image - background) * span, axis=-1, keepdims=True)
     length = jnp.sum(span * span, axis=-1, keepdims=True)
@@ -84,6 +101,7 @@ def least_squares_matte(
     "Blue Screen Matting", SIGGRAPH 1996, theorem 4 and its extension to more backings. `ValueError`
     for unequal shapes or fewer than two pictures.
     """
+    images, backgrounds = as_relative(images), as_relative(backgrounds)
     if images.shape != backgrounds.shape or images.shape[0] < 2:
         raise ValueError(
             "images and backgrounds must have one shape, at least two pictures of each, got "
@@ -93,7 +111,7 @@ def least_squares_matte(
     about_c, about_k = images - image[None], backgrounds - background[None]
     together = jnp.sum(about_c * about_k, axis=(0, -1))[..., None]
     spread = jnp.sum(about_k * about_k, axis=(0, -1))[..., None]
-    return lift(image, _unit(1 - _ratio(together, spread)), background)
+    return _lifted(image, _unit(1 - _ratio(together, spread)), background)
 
 
 def triangulation_matte(
@@ -106,16 +124,21 @@ def triangulation_matte(
 
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     """What the object itself sends, image - (1 - alpha) background, as a layer (..., bands + 1) of
-    relative light: over the same background it gives the picture back."""
+    relative light: over the same background it gives the picture back. An alpha out of [0, 1] is a
+    `ValueError`, as in `compositing`."""
+    return _lifted(as_relative(image), checked_alpha(alpha), as_relative(background))
+
+
+def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     behind = jnp.broadcast_to(background, image.shape)
     return jnp.concatenate([image - (1 - alpha) * behind, alpha], axis=-1)
 
 
 def _ratio(part: Scalars, whole: Scalars) -> Scalars:
     """part / whole, 0 where `whole` is."""
-    told = jnp.abs(whole) > smallest_divisor(whole.dtype)
-    return jnp.where(told, part / jnp.where(told, whole, 1), 0)
+    untold = jnp.abs(whole) <= smallest_divisor(whole.dtype)
+    return jnp.where(untold, 0, part / jnp.where(untold, 1, whole))
 
 
 def _unit(x: Scalars) -> Scalars:
-    return clip(x, jnp.zeros((), x.dtype), jnp.ones((), x.dtype))
+    return clip(x, 0.0, 1.0)
