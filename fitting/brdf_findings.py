@@ -38,6 +38,7 @@ def metric(errors: Errors, objective: Objective) -> float:
 
 
 def in_words(errors: Errors, objective: Objective) -> str:
+    """An error as a report says it: percent of the signal, or sr^(-1/3) of the cube roots."""
     value = metric(errors, objective)
     return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
 

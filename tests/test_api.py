@@ -174,6 +174,15 @@ def test_every_public_function_has_an_example():
 
 # Compositions of functions that are swept themselves, seconds to compile four times over.
 LONG = {
+    "brdf.albedo",
+    "brdf.torrance_sparrow.albedo",
+    "brdf.dichromatic_separation.body_colour",
+    "brdf.rgl.evaluate",
+    "brdf.rgl.sample",
+    "lights.incident_samples",
+    "lights.irradiance",
+    "lights.light_field.light_field_sample",
+    "filters.nonlocal_means.nonlocal_means_filter",
     "brdf.measured.samples_of",
     "brdf.measured.tabulate_sampler",
     "brdf.rgl.albedo",

@@ -28,6 +28,10 @@ from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.shading import lit_radiance, outgoing_radiance
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+# float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.
+single_first = pytest.mark.parametrize(
+    "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
+)
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
@@ -143,7 +147,7 @@ def everything(light, point, normal):
     return found, pull(tuple(jnp.ones_like(x) for x in found))
 
 
-@both_precisions
+@single_first
 @pytest.mark.parametrize(
     "where",
     {
@@ -225,6 +229,7 @@ def test_sampling_at_the_ends_of_the_square(dtype, u):
     assert density >= 0
 
 
+@pytest.mark.slow
 @both_precisions
 def test_all_lights_at_once_on_a_surface_seen_edge_on(dtype):
     field = LightFieldLight(

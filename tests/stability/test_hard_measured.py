@@ -74,7 +74,8 @@ def materials(dtype):
     return made | {"half difference": tabulate_sampler(plain, thetas=2, rows=5, columns=9)}
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@both_precisions
 def test_values_and_gradients_are_finite_at_awkward_pairs(dtype):
     wi, wo = (jnp.asarray(np.array(w), dtype) for w in zip(*AWKWARD.values(), strict=True))
     u = jnp.asarray([[0.0, 0.0, 0.9], [0.5, 0.25, 0.9], [1 - eps(dtype), 1 - eps(dtype), 0.9]])
