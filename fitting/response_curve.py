@@ -153,15 +153,6 @@ def fit_response_curve(
     return _curve(found, statistics, bins, noise, exposures[in_use], tau)
 
 
-def log_exposure_at(
-    curve: ResponseCurve, codes: Float[np.ndarray, " *points"]
-) -> Float[np.ndarray, " *points"]:
-    """g at any codes (DN) above black, linear in ln(z - black) between bins; constant beyond the
-    first and last bin."""
-    x = np.log(np.maximum(codes - curve.bins.black, 1e-9))
-    return np.interp(x, np.log(curve.codes - curve.bins.black), curve.log_exposure)
-
-
 def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
     """R of the prior energy smoothness g^T R g: squared increments of the local exponent
     dg / d ln(z - black), per tick of a clock that runs as dz / z + sqrt(F) dz / (F - z)^1.5, F

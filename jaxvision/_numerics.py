@@ -156,13 +156,3 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
     arguments; a negative base counts as 0."""
     positive = base > 0
     return jnp.where(positive, jnp.power(jnp.where(positive, base, 1), exponent), 0)
-
-
-def log1mexp(x: Scalars) -> Scalars:
-    """log(1 - exp(-x)) for x > 0 without cancellation (Maechler 2012)."""
-    small = x < 0.6931471805599453
-    return jnp.where(
-        small,
-        jnp.log(-jnp.expm1(-jnp.where(small, x, 1))),
-        jnp.log1p(-jnp.exp(-jnp.where(small, 1, x))),
-    )

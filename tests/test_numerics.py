@@ -77,7 +77,6 @@ def test_gradients_are_finite_at_every_edge(dtype):
         "log": num.safe_log,
         "power": lambda t: num.power(t, one / 2),
         "exponent": lambda t: num.power(jnp.zeros_like(t), t),
-        "log1mexp": lambda t: num.log1mexp(jnp.abs(t) + jnp.finfo(dtype).eps),
     }
     for name, function in scalar.items():
         assert jnp.isfinite(jax.vmap(jax.grad(function))(x)).all(), name
@@ -104,13 +103,6 @@ def test_defined_values_at_the_edges():
     assert num.safe_log(x)[0] == num.log_of_zero(jnp.float64)
     assert float(num.safe_log(x, floor=0.5)[1]) == np.log(0.5)
     assert num.norm(jnp.asarray([jnp.inf, 0, 0])) == jnp.inf
-
-
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_log1mexp(dtype):
-    for x in jnp.asarray([1e-6, 0.1, 0.69, 0.7, 5.0, 40.0], dtype):
-        truth = mp.log(1 - mp.exp(-exact.number(x)))
-        assert exact.ulps(num.log1mexp(x), truth) <= 3
 
 
 def test_gradient_of_norm_is_the_unit_vector():

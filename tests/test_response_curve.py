@@ -14,7 +14,6 @@ from fitting.code_pairs import (
 )
 from fitting.response_curve import (
     fit_response_curve,
-    log_exposure_at,
     roughness,
     shutter_basis,
 )
@@ -138,12 +137,6 @@ def test_pure_gamma_costs_nothing_in_the_prior():
     assert abs(pure @ roughness(bins) @ pure) < 1e-12 * scale
     bent = pure + 0.1 * np.log(bins.centres) ** 2
     assert bent @ roughness(bins) @ bent > 1e-3
-
-
-def test_between_bins_the_curve_is_interpolated():
-    _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(7), pixels=4000)
-    curve = fit_response_curve(codes, TIMES, bits=8)
-    np.testing.assert_allclose(log_exposure_at(curve, curve.codes), curve.log_exposure)
 
 
 @pytest.mark.parametrize("level", [0, 3, 255])

@@ -250,12 +250,6 @@ def _draw_medians(
     )
 
 
-def _displayed(
-    values: Float[np.ndarray, "channels pixels"],
-) -> Float[np.ndarray, "channels pixels"]:
-    return np.clip(values, 0, 1) ** (1 / DISPLAY_GAMMA)
-
-
 def _picture(
     observation: ReflectanceObservation, values: Float[np.ndarray, "channels pixels"]
 ) -> Float[np.ndarray, "h w 3"]:

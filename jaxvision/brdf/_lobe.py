@@ -1,15 +1,44 @@
 """What families built of a diffuse part and a lobe about one axis share. Local frame."""
 
 from collections.abc import Callable
+from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
+from ..scene import Material
+
+
+class PowerLobe(Material):
+    """What Phong's and Blinn's records hold: each says what its lobe is and stands for.
+
+    `diffuse`, `specular`: (bands,); a `specular` of shape (1,) is neutral. `exponent`: () >= 0, no
+    unit. `ambient`: (bands,) k_a, no unit, or None.
+    """
+
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    exponent: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_lobe(self, "exponent")
+
+
+def check_lobe(material: Any, shape: str) -> None:
+    """`ValueError` for a field of another shape than a diffuse part and a lobe have; `shape`: the
+    name of what shapes the lobe."""
+    name = type(material).__name__
+    check_shape(f"{name}.diffuse", material.diffuse, ("bands",))
+    check_shape(f"{name}.specular", material.specular, material.diffuse.shape, (1,))
+    check_shape(f"{name}.{shape}", getattr(material, shape), ())
+    check_shape(f"{name}.ambient", material.ambient, material.diffuse.shape)
 
 
 def mirrored(w: Vector) -> Vec:

@@ -16,60 +16,36 @@ Sources: Blinn, "Models of Light Reflection for Computer Synthesized Pictures", 
 by integration. Local frame, normal = +z; angles in radians.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, dot, smallest_divisor
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import direction_at
-from ..scene import Material
-from ._lobe import choose, circles, diffuse_share, divisor, lit_and_seen, mixed_pdf
+from ._lobe import PowerLobe, choose, circles, diffuse_share, divisor, lit_and_seen, mixed_pdf
 from ._registry import register
 from .phong import phong_lobe
 
 
-class Blinn(Material):
+class Blinn(PowerLobe):
     """SHADING k_d cos+ + k_s (n.h) ** exponent, no cosine on the specular term.
 
     `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
     `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None.
     """
 
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
-    def __check_init__(self) -> None:
-        check_shape("Blinn.diffuse", self.diffuse, ("bands",))
-        check_shape("Blinn.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("Blinn.exponent", self.exponent, ())
-        check_shape("Blinn.ambient", self.ambient, self.diffuse.shape)
-
-
-class BlinnBRDF(Material):
+class BlinnBRDF(PowerLobe):
     """The BRDF k_d + k_s (n.h) ** exponent.
 
     `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
     `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None.
     """
 
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
-    def __check_init__(self) -> None:
-        check_shape("BlinnBRDF.diffuse", self.diffuse, ("bands",))
-        check_shape("BlinnBRDF.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("BlinnBRDF.exponent", self.exponent, ())
-        check_shape("BlinnBRDF.ambient", self.ambient, self.diffuse.shape)
-
-
-class NormalisedBlinn(Material):
+class NormalisedBlinn(PowerLobe):
     """The BRDF k_d + k_s C(exponent) (n.h) ** exponent, energy-conserving: the lobe's albedo is
     at most k_s, and less away from the normal.
 
@@ -77,17 +53,6 @@ class NormalisedBlinn(Material):
     lobe's albedo along the normal. `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no
     unit, or None.
     """
-
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_shape("NormalisedBlinn.diffuse", self.diffuse, ("bands",))
-        check_shape("NormalisedBlinn.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("NormalisedBlinn.exponent", self.exponent, ())
-        check_shape("NormalisedBlinn.ambient", self.ambient, self.diffuse.shape)
 
 
 AnyBlinn = Blinn | BlinnBRDF | NormalisedBlinn

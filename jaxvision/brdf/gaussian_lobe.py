@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import angle_between, dot, smallest_divisor
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._lobe import (
     about,
+    check_lobe,
     choose,
     diffuse_share,
     divisor,
@@ -49,10 +50,7 @@ class GaussianLobe(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("GaussianLobe.diffuse", self.diffuse, ("bands",))
-        check_shape("GaussianLobe.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("GaussianLobe.concentration", self.concentration, ())
-        check_shape("GaussianLobe.ambient", self.ambient, self.diffuse.shape)
+        check_lobe(self, "concentration")
 
 
 class GaussianLobeBRDF(Material):
@@ -68,10 +66,7 @@ class GaussianLobeBRDF(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("GaussianLobeBRDF.diffuse", self.diffuse, ("bands",))
-        check_shape("GaussianLobeBRDF.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("GaussianLobeBRDF.concentration", self.concentration, ())
-        check_shape("GaussianLobeBRDF.ambient", self.ambient, self.diffuse.shape)
+        check_lobe(self, "concentration")
 
 
 AnyGaussianLobe = GaussianLobe | GaussianLobeBRDF

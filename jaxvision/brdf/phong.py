@@ -17,18 +17,17 @@ albedo is at most pi k_d + k_s, reached along the normal. Local frame, normal = 
 radians.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, log_cos_between, log_of_zero, safe_log
 from .._staging import stored
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
-from ..scene import Material
 from ._lobe import (
+    PowerLobe,
     about,
     choose,
     diffuse_share,
@@ -41,7 +40,7 @@ from ._lobe import (
 from ._registry import register
 
 
-class Phong(Material):
+class Phong(PowerLobe):
     """Phong SHADING: k_d cos+ + k_s cos(theta_s) ** exponent, no cosine on the specular term.
 
     `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
@@ -49,38 +48,16 @@ class Phong(Material):
     itself where both share one.
     """
 
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
-    def __check_init__(self) -> None:
-        check_shape("Phong.diffuse", self.diffuse, ("bands",))
-        check_shape("Phong.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("Phong.exponent", self.exponent, ())
-        check_shape("Phong.ambient", self.ambient, self.diffuse.shape)
-
-
-class PhongBRDF(Material):
+class PhongBRDF(PowerLobe):
     """The BRDF k_d + k_s cos(theta_s) ** exponent, fields as in `Phong`.
 
     `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
     `exponent`: () >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None.
     """
 
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
-    def __check_init__(self) -> None:
-        check_shape("PhongBRDF.diffuse", self.diffuse, ("bands",))
-        check_shape("PhongBRDF.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("PhongBRDF.exponent", self.exponent, ())
-        check_shape("PhongBRDF.ambient", self.ambient, self.diffuse.shape)
-
-
-class NormalisedPhong(Material):
+class NormalisedPhong(PowerLobe):
     """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, energy-conserving: the lobe's
     albedo is at most k_s, and less away from the normal, where the horizon cuts it off.
 
@@ -88,17 +65,6 @@ class NormalisedPhong(Material):
     lobe's albedo along the normal. `exponent`: () n >= 0, no unit. `ambient`: (bands,) k_a, no
     unit, or None.
     """
-
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    exponent: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_shape("NormalisedPhong.diffuse", self.diffuse, ("bands",))
-        check_shape("NormalisedPhong.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("NormalisedPhong.exponent", self.exponent, ())
-        check_shape("NormalisedPhong.ambient", self.ambient, self.diffuse.shape)
 
 
 AnyPhong = Phong | PhongBRDF | NormalisedPhong

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision import (
     Lambert,
@@ -46,19 +47,6 @@ pytestmark = pytest.mark.benchmark
 SIDE, FIELD, ALBEDO, RADIANCE = 512, 40.0, 0.5, 10.0
 EYE, CENTRE, EDGE_U, EDGE_V = np.array([0, 3.0, 5.0]), [0, 1.5, 0], [1.2, 0, 0], [0, 0, 0.8]
 ROUNDS = 7
-
-
-def interleaved(rivals):
-    """Median seconds of each, warmed up, in turn."""
-    for call in rivals.values():
-        call()
-    seconds = {name: [] for name in rivals}
-    for _ in range(ROUNDS):
-        for name, call in rivals.items():
-            start = time.perf_counter()
-            call()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
 
 
 def scene_and_view(dtype):
@@ -195,7 +183,7 @@ def test_error_against_time_beside_mitsuba():
     in_view = sees_the_floor(exact[1])
     assert in_view.mean() > 0.7
     error = {k: float(np.sqrt(np.mean((x / truth - 1)[in_view] ** 2))) for k, x in pictures.items()}
-    seconds = interleaved(rivals)
+    _, seconds = in_turns(rivals, rounds=ROUNDS)
 
     rate = np.log(error["Mitsuba 64"] / error["Mitsuba 256"]) / np.log(4)
     at_aim = seconds["Mitsuba 256"] * (error["Mitsuba 256"] / 1e-3) ** (1 / rate)

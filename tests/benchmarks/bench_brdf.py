@@ -8,12 +8,12 @@ many bytes, half read and half written; "of memory" is the part of its rate that
 """
 
 import time
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision import brdf
 from jaxvision._vector import Vec
@@ -115,19 +115,6 @@ def directions(rng) -> list[np.ndarray]:
     return [c.astype(np.float32) for c in (sine * np.cos(phi), sine * np.sin(phi), z)]
 
 
-def interleaved(rivals: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median seconds of each, warmed up, the rounds taking turns."""
-    seconds: dict[str, list[float]] = {name: [] for name in rivals}
-    for run in rivals.values():
-        run()
-    for _ in range(ROUNDS):
-        for name, run in rivals.items():
-            start = time.perf_counter()
-            run()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
-
-
 @pytest.mark.benchmark
 def test_throughput(capsys):
     rng = np.random.default_rng(0)
@@ -145,12 +132,13 @@ def test_throughput(capsys):
         got = np.asarray(compiled(wi, wo))
         assert got.dtype == np.float32
         np.testing.assert_allclose(got, plain(plain_i, plain_o), rtol=5e-3)
-        seconds = interleaved(
+        _, seconds = in_turns(
             {
                 "ours": lambda run=compiled: jax.block_until_ready(run(wi, wo)),
                 "numpy": lambda run=plain: run(plain_i, plain_o),
                 "copy": lambda: np.copyto(target, source),
-            }
+            },
+            rounds=ROUNDS,
         )
         rows.append((name, seconds, compilation))
     with capsys.disabled():

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision import (
     Pinhole,
@@ -41,19 +42,6 @@ CENTRES = np.stack(
 KD, KS = RNG.uniform(0.03, 0.2, (9, 3)), RNG.uniform(0.05, 0.6, (9, 1)) * np.ones((1, 3))
 EXPONENTS = RNG.uniform(5, 60, 9)
 LAMPS = [([3, 5, 3], [30, 28, 25]), ([-3, 4, 2], [15, 18, 25]), ([0.5, 6, -3], [20, 20, 20])]
-
-
-def interleaved(rivals):
-    """Median seconds of each, warmed up, in turn."""
-    for call in rivals.values():
-        call()
-    seconds = {name: [] for name in rivals}
-    for _ in range(ROUNDS):
-        for name, call in rivals.items():
-            start = time.perf_counter()
-            call()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
 
 
 def ours():
@@ -187,8 +175,9 @@ def test_the_sum_over_three_points_beside_mitsuba():
     print(f"pixels that differ by more than 1e-3: {100 * off:.2f} % (silhouettes)")
     assert off < 0.02
     assert np.median(difference) < 1e-5
-    seconds = interleaved(
-        {"jaxvision": lambda: jax.block_until_ready(compiled(*arguments)), "Mitsuba": draw}
+    _, seconds = in_turns(
+        {"jaxvision": lambda: jax.block_until_ready(compiled(*arguments)), "Mitsuba": draw},
+        rounds=ROUNDS,
     )
     for name, taken in seconds.items():
         print(f"{name:10s} {1e3 * taken:8.2f} ms, {seconds['Mitsuba'] / taken:5.2f} times as fast")

@@ -4,32 +4,15 @@ scikit-image: time, and how many levels apart the results are.
     pytest tests/benchmarks/bench_histogram.py -m benchmark -s
 """
 
-import time
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision import histogram
 
 ROUNDS = 41
-
-
-def interleaved(rivals: dict[str, Callable[[], object]]) -> dict[str, tuple[float, float]]:
-    """(first call, median of the later ones) in seconds of each, the rounds taking turns."""
-    first, seconds = {}, {name: [] for name in rivals}
-    for name, run in rivals.items():
-        start = time.perf_counter()
-        jax.block_until_ready(run())
-        first[name] = time.perf_counter() - start
-    for _ in range(ROUNDS):
-        for name, run in rivals.items():
-            start = time.perf_counter()
-            jax.block_until_ready(run())
-            seconds[name].append(time.perf_counter() - start)
-    return {name: (first[name], float(np.median(seconds[name]))) for name in rivals}
 
 
 @pytest.mark.benchmark
@@ -60,10 +43,11 @@ def test_against_opencv_and_scikit_image(side):
     for name, (mine, theirs, aim) in pairs.items():
         apart = np.abs(np.asarray(mine(), int) - np.asarray(theirs(), int)).max()
         jax.clear_caches()
-        taken = interleaved({"ours": mine, "peer": theirs})
-        (first, fast), (_, peer) = taken["ours"], taken["peer"]
+        rivals = {"ours": mine, "peer": theirs}
+        first, seconds = in_turns(rivals, rounds=ROUNDS)
+        fast, peer = seconds["ours"], seconds["peer"]
         print(
             f"{name:16s} {1e3 * fast:8.3f} ms {1e3 * peer:6.3f} ms {fast / peer:6.2f} "
-            f"{aim or 3:5.1f} {first:9.2f} s {apart:9d}"
+            f"{aim or 3:5.1f} {first['ours']:9.2f} s {apart:9d}"
         )
         assert apart <= 1

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision.colour_spaces import apply_matrix, rgb_to_ycbcr
 from jaxvision.compositing import over
@@ -23,19 +24,6 @@ MATRIX = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]], np.f
 LUMA = np.array(
     [[0.2126, 0.7152, 0.0722], [-0.114572, -0.385428, 0.5], [0.5, -0.454153, -0.045847]]
 )
-
-
-def interleaved(rivals: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median seconds of each, warmed up, the rounds taking turns."""
-    seconds: dict[str, list[float]] = {name: [] for name in rivals}
-    for run in rivals.values():
-        run()
-    for _ in range(ROUNDS):
-        for name, run in rivals.items():
-            start = time.perf_counter()
-            run()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
 
 
 def f32(x: float) -> jax.Array:
@@ -58,7 +46,7 @@ def report(
     first = np.asarray(next(iter(rivals.values()))())
     for name, run in rivals.items():
         np.testing.assert_allclose(np.asarray(run()), first, atol=tolerance, err_msg=name)
-    seconds = interleaved(rivals)
+    _, seconds = in_turns(rivals, rounds=ROUNDS)
     best = min(s for name, s in seconds.items() if not name.startswith("ours"))
     for name, s in seconds.items():
         print(f"  {title:24s} {name:12s} {1e3 * s:8.2f} ms   {s / best:5.2f} of the best peer")

@@ -4,14 +4,13 @@ Both sides see the same 4096 samples of a Phong sphere. Timings are interleaved 
 after a first call that compiles; compilation is printed apart.
 """
 
-import time
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
 from oracles.sphere_photographs import light_directions, sphere_normals
+from turns import in_turns
 
 from fitting.varpro import fit_separable
 
@@ -41,21 +40,6 @@ def samples(size, lights, count):
 
 def lobe(log_exponent, log_cos):
     return jnp.exp(jnp.exp(log_exponent) * log_cos)
-
-
-def interleaved(rounds, **rivals):
-    """Median seconds of each rival, called in turn after one warm-up each."""
-    first, times = {}, {name: [] for name in rivals}
-    for name, call in rivals.items():
-        begin = time.perf_counter()
-        call()
-        first[name] = time.perf_counter() - begin
-    for _ in range(rounds):
-        for name, call in rivals.items():
-            begin = time.perf_counter()
-            call()
-            times[name].append(time.perf_counter() - begin)
-    return {name: float(np.median(own)) for name, own in times.items()}, first
 
 
 @pytest.mark.parametrize("method", ["lm", "trf"])
@@ -90,7 +74,7 @@ def test_200_starts_against_variable_projection(method, capsys):
             fit_separable(fixed, lobe, values, mirror, lower=LOWEST, upper=HIGHEST)
         )
 
-    seconds, first = interleaved(5, scipy=by_scipy, projection=by_projection)
+    first, seconds = in_turns({"scipy": by_scipy, "projection": by_projection}, rounds=5)
     found = by_projection()
     ours = np.array([*found.amplitudes, np.exp(found.nonlinear)])
     fits = by_scipy()

@@ -4,31 +4,16 @@ createCalibrateRobertson on one RGB stack: time, and log-rms error of the curve.
     pytest tests/benchmarks/bench_response.py -m benchmark -s
 """
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, log_exposures, srgb
+from turns import in_turns
 
 from fitting.response_curve import fit_response_curve
 
 TIMES = 2.0 ** np.arange(-4, 5)
 SIDE = 128
 ROUNDS = 7
-
-
-def interleaved(rivals: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median seconds of each, warmed up, the rounds taking turns."""
-    for run in rivals.values():
-        run()
-    seconds: dict[str, list[float]] = {name: [] for name in rivals}
-    for _ in range(ROUNDS):
-        for name, run in rivals.items():
-            start = time.perf_counter()
-            run()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
 
 
 def log_rms(found: np.ndarray, codes: np.ndarray) -> float:
@@ -52,7 +37,7 @@ def test_against_opencv():
         "debevec": lambda: debevec.process(list(images), times32),
         "robertson": lambda: robertson.process(list(images), times32),
     }
-    seconds = interleaved(rivals)
+    _, seconds = in_turns(rivals, rounds=ROUNDS)
     curve = rivals["ours"]()[0]
     found = {"ours": np.interp(np.arange(256), curve.codes, curve.log_exposure)}
     for name in ("debevec", "robertson"):

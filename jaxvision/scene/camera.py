@@ -1,0 +1,15 @@
+"""A view, a sensor and a development."""
+
+import equinox as eqx
+
+from .developments import Development
+from .sensors import Sensor
+from .views import View
+
+
+class Camera(eqx.Module):
+    """What it sees, how it measures, and how its raw data become a picture (None: they do not)."""
+
+    view: View
+    sensor: Sensor
+    development: Development | None = None

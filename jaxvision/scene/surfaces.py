@@ -1,0 +1,44 @@
+"""Shapes with materials, and the scene they make with lights."""
+
+import equinox as eqx
+
+from .light import AmbientLight, Light
+from .shapes import Shape
+
+
+class Material(eqx.Module):
+    """What a surface is made of: the base of every family of BRDFs, whose record and equations
+    share a file in `brdf/`."""
+
+
+class Surface(eqx.Module):
+    """A shape and what it is made of."""
+
+    shape: Shape
+    material: Material
+
+
+class Scene(eqx.Module):
+    """Surfaces and the lights on them. All spectra share one number of bands, which is checked
+    here for the k_d of materials and for lights."""
+
+    surfaces: tuple[Surface, ...] = eqx.field(converter=tuple)
+    lights: tuple[Light, ...] = eqx.field(converter=tuple)
+    ambient: AmbientLight | None = None
+
+    def __check_init__(self) -> None:
+        if not self.surfaces:
+            raise ValueError("Scene.surfaces must hold at least one surface, got none.")
+        spectra = {
+            f"Scene.surfaces[{i}].material.diffuse": getattr(surface.material, "diffuse", None)
+            for i, surface in enumerate(self.surfaces)
+        }
+        for i, light in enumerate(self.lights):
+            for field in ("intensity", "irradiance", "radiance"):
+                spectra[f"Scene.lights[{i}].{field}: its spectrum"] = getattr(light, field, None)
+        spectra["Scene.ambient.radiance"] = getattr(self.ambient, "radiance", None)
+        bands = {name: x.shape[-1:] for name, x in spectra.items() if x is not None}
+        for name, got in bands.items():
+            first = next(iter(bands.values()))
+            if got != first:
+                raise ValueError(f"{name} must have {first[0]} bands, got {got[0]}.")
