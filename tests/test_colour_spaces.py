@@ -4,6 +4,7 @@ inverses; finite at black, white and greys."""
 import colorsys
 import functools
 
+import colour
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -13,8 +14,6 @@ import pytest
 from jaxvision import colour_data
 from jaxvision import colour_spaces as cs
 from jaxvision.errors import InputError
-
-colour = pytest.importorskip("colour")
 
 RNG = np.random.default_rng(12)
 GREYS = [[v, v, v] for v in (0.0, 1e-6, 0.008, 0.2, 1.0)]
@@ -234,8 +233,8 @@ def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
 def test_hue_stays_below_a_full_turn():
     """Just below it, rounding would reach it."""
     rgb, lab = np.float32([[1, 0.5, 0.50000006]]), np.float32([[50, 1, -1e-20]])
-    for to, colour in ((cs.rgb_to_hsv, rgb), (cs.rgb_to_hsl, rgb), (cs.to_lch, lab)):
-        hue = compiled(to)(jnp.asarray(colour))[0, 2 if to is cs.to_lch else 0]
+    for to, pixel in ((cs.rgb_to_hsv, rgb), (cs.rgb_to_hsl, rgb), (cs.to_lch, lab)):
+        hue = compiled(to)(jnp.asarray(pixel))[0, 2 if to is cs.to_lch else 0]
         assert hue == 0
     _, slope = jax.jvp(cs.to_lch, (jnp.asarray(lab),), (jnp.asarray(np.float32([[0, 0, 1]])),))
     np.testing.assert_array_equal(slope[0, 2], 1)
@@ -252,8 +251,8 @@ def test_hexagons_there_and_back():
         again = there_and_back(jnp.asarray(dark, jnp.float32))
         np.testing.assert_allclose(again, dark, rtol=1e-6, atol=1e-15)
     lost = {cs.rgb_to_hsv: [-0.5, -0.2, 0.0], cs.rgb_to_hsl: [-0.1, 0.0, 0.1]}
-    for to, colour in lost.items():
-        assert to(jnp.asarray(colour))[1] == 0
+    for to, pixel in lost.items():
+        assert to(jnp.asarray(pixel))[1] == 0
 
 
 @pytest.fixture

@@ -158,8 +158,9 @@ def test_quantile_is_within_a_bin():
 
 
 def test_otsu_is_opencvs_and_scikit_images():
-    cv2 = pytest.importorskip("cv2")
-    filters = pytest.importorskip("skimage.filters")
+    import cv2
+    from skimage import filters
+
     ours = otsu_threshold(exact_histogram(COLOUR))
     for band in range(3):
         plane = np.ascontiguousarray(COLOUR[..., band])
@@ -178,7 +179,8 @@ def levels_apart(ours, theirs):
     "codes", [CODES, CODES // 16 + 100, np.full((64, 48), 7, np.uint8)], ids=["hills", "few", "one"]
 )
 def test_equalisation_is_opencvs(codes):
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     assert levels_apart(equalise(codes), cv2.equalizeHist(codes)) <= 1
 
 
@@ -243,14 +245,16 @@ def test_gradient_of_equalisation_is_the_slope_of_the_fixed_curve():
 )
 def test_clahe_is_opencvs(tiles, clip_limit):
     """Sizes that the tiles divide and that they do not."""
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     peer = cv2.createCLAHE(0.0 if clip_limit is None else clip_limit, tiles[::-1])
     ours = equalise_locally(CODES, tiles=tiles, clip_limit=clip_limit)
     assert levels_apart(ours, peer.apply(CODES)) <= 1
 
 
 def test_clahe_of_sixteen_bits_is_opencvs():
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     wide = (CODES.astype(np.uint16) * 200 + RNG.integers(0, 200, CODES.shape)).astype(np.uint16)
     ours = equalise_locally(wide, tiles=(4, 4), clip_limit=3.0)
     assert levels_apart(ours, cv2.createCLAHE(3.0, (4, 4)).apply(wide)) <= 1
@@ -274,7 +278,8 @@ def test_clahe_with_a_limit_of_one_keeps_the_values():
 
 
 def test_matching_is_scikit_images():
-    exposure = pytest.importorskip("skimage.exposure")
+    from skimage import exposure
+
     reference = COLOUR[::-1, :30] // 2 + 60
     theirs = exposure.match_histograms(COLOUR, reference, channel_axis=-1)
     assert levels_apart(match_histogram(COLOUR, reference), theirs) <= 1

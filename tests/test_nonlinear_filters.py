@@ -129,7 +129,8 @@ def test_joint_bilateral_is_the_loop():
 
 def test_bilateral_is_opencvs():
     """Whose table of exp is good to about 1e-6."""
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     single = COLOUR.astype(np.float32)
     theirs = cv2.bilateralFilter(single, 7, 0.2, 1.5, borderType=cv2.BORDER_REPLICATE)
     options = {"radius": 3, "window": "disc", "difference": "sum", "border": "clamp"}
@@ -184,7 +185,8 @@ def test_nonlocal_means_is_the_loop(profile, noise, cutoff):
 def test_nonlocal_means_is_scikit_images():
     """Whose exp is approximate (weights within some 4 %), so the change it makes is within 4 %;
     inside, where its other border is not seen."""
-    restoration = pytest.importorskip("skimage.restoration")
+    from skimage import restoration
+
     image = RNG.random((20, 20)) * 0.2 + np.linspace(0, 1, 20)
     theirs = restoration.denoise_nl_means(image, 5, 3, 0.2, fast_mode=False)
     options = {"patch": 5, "radius": 3, "profile": "gaussian", "cutoff": 5.0}

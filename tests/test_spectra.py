@@ -1,6 +1,7 @@
 """Spectra against colour-science, published tables, and quadrature in many digits; the tables of
 `colour_data` against the library they come from."""
 
+import colour
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -8,8 +9,6 @@ import numpy as np
 import pytest
 
 from jaxvision import InputError, colour_data, spectra
-
-colour = pytest.importorskip("colour")
 
 NM = np.arange(380, 785, 5.0)
 GRID = colour_data.nanometres(NM)
