@@ -1,9 +1,20 @@
 """Where each pixel looks: the projections of a camera."""
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import Scalar, as_float, as_optional_float, check_shape
+from .._types import (
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_count,
+    check_kind,
+    check_range,
+    check_shape,
+    is_known,
+)
+from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
 
 
 class Orthographic(eqx.Module):
@@ -26,12 +37,13 @@ class Orthographic(eqx.Module):
 
 
 class Pinhole(eqx.Module):
-    """Central projection through a small hole.
+    """Central projection through a small hole: all is in focus.
 
     `position`: (3,) m, the hole. `rotation`: (3, 3), rows the unit axes right, down and forward of
     the camera in the world. `focal_length`: () m from the hole to the sensor. `pixel_pitch`: () m
     between pixels, on the sensor. `resolution`: (rows, columns), static. `f_number`: () focal
-    length over hole diameter, or None: radiance is handed on as it is.
+    length over hole diameter, or None: radiance is handed on as it is. `distortion`: of the image,
+    or None.
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -40,13 +52,63 @@ class Pinhole(eqx.Module):
     pixel_pitch: Scalar = eqx.field(converter=as_float)
     resolution: tuple[int, int] = eqx.field(static=True, kw_only=True)
     f_number: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    distortion: Distortion | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
         _check_view(self)
         check_shape("Pinhole.focal_length", self.focal_length, ())
+        check_range("Pinhole.focal_length", self.focal_length, 0, above=True)
+        check_kind("Pinhole.distortion", self.distortion, Distortion)
 
 
-View = Orthographic | Pinhole
+class ThinLens(eqx.Module):
+    """Central projection through a lens that is in focus at one distance.
+
+    `position`: (3,) m, the centre of the lens. `rotation`: (3, 3), rows the unit axes right, down
+    and forward of the camera in the world. `focal_length`: () m. `pixel_pitch`: () m between
+    pixels, on the sensor. `resolution`: (rows, columns), static. `f_number`: () focal length over
+    the lens's diameter; inf closes the aperture. `focus_distance`: () m along the axis from the
+    lens to the plane that is sharp, beyond the focal length; None or inf is infinity. The sensor
+    stands where the lens law images that plane.
+
+    `aperture`: the shape of the opening. `rim`: a second opening that cuts off oblique light, or
+    None. `distortion`: of the image, or None. `diffraction`: at a round aperture, or None.
+    """
+
+    position: Float[Array, "3"] = eqx.field(converter=as_float)
+    rotation: Float[Array, "3 3"] = eqx.field(converter=as_float)
+    focal_length: Scalar = eqx.field(converter=as_float)
+    pixel_pitch: Scalar = eqx.field(converter=as_float)
+    resolution: tuple[int, int] = eqx.field(static=True, kw_only=True)
+    f_number: Scalar = eqx.field(converter=as_float, kw_only=True)
+    focus_distance: Scalar | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    aperture: Aperture = eqx.field(default_factory=CircularAperture, kw_only=True)
+    rim: Rim | None = eqx.field(default=None, kw_only=True)
+    distortion: Distortion | None = eqx.field(default=None, kw_only=True)
+    diffraction: Diffraction | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        _check_view(self)
+        check_shape("ThinLens.focal_length", self.focal_length, ())
+        check_shape("ThinLens.focus_distance", self.focus_distance, ())
+        check_range("ThinLens.focal_length", self.focal_length, 0, above=True)
+        if is_known(self.focal_length):
+            nearest = float(self.focal_length)
+            check_range(
+                "ThinLens.focus_distance", self.focus_distance, nearest, above=True, finite=False
+            )
+        check_kind("ThinLens.aperture", self.aperture, Aperture)
+        check_kind("ThinLens.rim", self.rim, Rim)
+        check_kind("ThinLens.distortion", self.distortion, Distortion)
+        check_kind("ThinLens.diffraction", self.diffraction, Diffraction)
+        if self.diffraction is not None and not isinstance(self.aperture, CircularAperture):
+            kind = type(self.aperture).__name__
+            raise ValueError(f"ThinLens.diffraction needs a CircularAperture, got {kind}.")
+
+
+View = Orthographic | Pinhole | ThinLens
 
 
 def _check_view(view: View) -> None:
@@ -55,5 +117,27 @@ def _check_view(view: View) -> None:
     check_shape(f"{name}.rotation", view.rotation, (3, 3))
     check_shape(f"{name}.pixel_pitch", view.pixel_pitch, ())
     check_shape(f"{name}.f_number", view.f_number, ())
-    if len(view.resolution) != 2 or min(view.resolution) < 1:
-        raise ValueError(f"{name}.resolution must be (rows, columns) >= 1, got {view.resolution}.")
+    check_range(f"{name}.pixel_pitch", view.pixel_pitch, 0, above=True)
+    check_range(f"{name}.f_number", view.f_number, 0, above=True, finite=False)
+    check_range(f"{name}.position", view.position, -float("inf"))
+    _check_rotation(f"{name}.rotation", view.rotation)
+    if not isinstance(view.resolution, tuple) or len(view.resolution) != 2:
+        raise ValueError(f"{name}.resolution must be (rows, columns), got {view.resolution!r}.")
+    for size in view.resolution:
+        check_count(f"{name}.resolution", size, 1)
+
+
+# How far from unit axes at right angles the rows of a rotation may be: three digits of a file.
+_ASKEW = 2e-3
+
+
+def _check_rotation(name: str, rotation: Float[Array, "3 3"]) -> None:
+    if not is_known(rotation):
+        return
+    axes = np.asarray(rotation, float)
+    turned = np.abs(axes @ axes.T - np.eye(3)).max() <= _ASKEW and np.linalg.det(axes) > 0
+    if not turned:
+        raise ValueError(
+            f"{name} must be a rotation, rows of unit axes right, down and forward at right "
+            f"angles, right x down = forward, got {axes.tolist()}."
+        )

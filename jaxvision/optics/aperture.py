@@ -1,0 +1,176 @@
+"""The opening of a lens: its points, its area, and what it makes of a point out of focus.
+
+Points are (right, down) of the camera, relative to the radius of the lens. Everything is in
+closed form and differentiable in the shape.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics import arctan2, safe_sqrt, smallest_divisor
+from .._types import Scalar, Scalars
+from ..scene import (
+    AnnularAperture,
+    Aperture,
+    CircularAperture,
+    PolygonalAperture,
+    RectangularAperture,
+)
+
+
+def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
+    """(right, down) of a point of the opening, relative to the lens's radius, from `u`, (2,) in the
+    unit square: equal areas go to equal areas.
+
+    A disc by the concentric map, which keeps neighbours together (Shirley and Chiu, "A Low
+    Distortion Map between Disk and Square", Journal of Graphics Tools 2 (1997)); a ring by squared
+    radius and angle; a polygon blade by blade.
+    """
+    match aperture:
+        case CircularAperture():
+            return _concentric(u)
+        case AnnularAperture():
+            inner = aperture.obstruction * aperture.obstruction
+            radius = safe_sqrt(inner + (1 - inner) * u[0])
+            return radius * jnp.cos(2 * jnp.pi * u[1]), radius * jnp.sin(2 * jnp.pi * u[1])
+        case RectangularAperture():
+            return (2 * u[0] - 1) * aperture.width, (2 * u[1] - 1) * aperture.height
+        case PolygonalAperture():
+            return _in_polygon(aperture, u)
+
+
+def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
+    """The area of the opening of a lens of that diameter: m^2 for m."""
+    square = diameter * diameter / 4
+    match aperture:
+        case CircularAperture():
+            return jnp.pi * square
+        case AnnularAperture():
+            return jnp.pi * (1 - aperture.obstruction * aperture.obstruction) * square
+        case RectangularAperture():
+            return 4 * aperture.width * aperture.height * square
+        case PolygonalAperture():
+            n = aperture.blades
+            return float(n / 2 * np.sin(2 * np.pi / n)) * square
+
+
+def aperture_corners(
+    aperture: PolygonalAperture | RectangularAperture, dtype: np.dtype
+) -> tuple[Float[Array, " corners"], Float[Array, " corners"]]:
+    """(right, down) of the corners in turn, from right towards down, relative to the radius."""
+    if isinstance(aperture, RectangularAperture):
+        signs = jnp.asarray([[1, -1, -1, 1], [1, 1, -1, -1]], dtype)
+        return signs[0] * aperture.width, signs[1] * aperture.height
+    angles = jnp.asarray(2 * np.pi / aperture.blades * np.arange(aperture.blades), dtype)
+    angles = angles if aperture.angle is None else angles + aperture.angle
+    return jnp.cos(angles), jnp.sin(angles)
+
+
+def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
+    """The image of a point out of focus, by which a pixel gathers: the opening with the lens's
+    radius at `radius` pixels, each weight the share of the opening in that pixel, of sum 1.
+
+    `radius`: () pixels; negative turns it about, as light from behind the plane in focus has it
+    (`defocus_radius`). 0 is the pixel itself. `size`: of the kernel, odd, static; what lies outside
+    is cut off, and the rest rescaled. `ValueError` for an even size.
+    """
+    if size < 1 or size % 2 == 0:
+        raise ValueError(f"size must be odd, got {size}.")
+    radius = jnp.asarray(radius)
+    # an opening of a hundredth of a pixel is a point, and keeps its digits
+    radius = jnp.where(jnp.abs(radius) > _SMALLEST, radius, _SMALLEST)
+    edges = jnp.asarray(np.arange(size + 1) - size / 2, radius.dtype)
+    match aperture:
+        case CircularAperture():
+            covered = _disc_in_pixels(edges, jnp.abs(radius))
+        case AnnularAperture():
+            outer = _disc_in_pixels(edges, jnp.abs(radius))
+            covered = outer - _disc_in_pixels(edges, jnp.abs(radius) * aperture.obstruction)
+        case PolygonalAperture() | RectangularAperture():
+            x, y = aperture_corners(aperture, radius.dtype)
+            covered = _polygon_in_pixels(edges, radius * x, radius * y)
+    total = covered.sum()
+    return covered / jnp.where(total > smallest_divisor(total.dtype), total, 1)
+
+
+_SMALLEST = 0.01
+
+
+def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
+    a, b = 2 * u[0] - 1, 2 * u[1] - 1
+    wide = jnp.abs(a) > jnp.abs(b)
+    radius, other = jnp.where(wide, a, b), jnp.where(wide, b, a)
+    usable = jnp.abs(radius) > smallest_divisor(u.dtype)
+    angle = jnp.pi / 4 * other / jnp.where(usable, radius, 1)
+    along, across = radius * jnp.cos(angle), radius * jnp.sin(angle)
+    return jnp.where(wide, along, across), jnp.where(wide, across, along)
+
+
+def _in_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
+    """u[0] chooses the triangle between the centre and one side, and how far out in it; u[1] a
+    place along the side."""
+    n = aperture.blades
+    blade = jnp.minimum(jnp.floor(u[0] * n), n - 1)
+    outwards = safe_sqrt(u[0] * n - blade)
+    start = 2 * jnp.pi / n * blade
+    start = start if aperture.angle is None else start + aperture.angle
+    end = start + 2 * jnp.pi / n
+    first, second = outwards * (1 - u[1]), outwards * u[1]
+    return (
+        first * jnp.cos(start) + second * jnp.cos(end),
+        first * jnp.sin(start) + second * jnp.sin(end),
+    )
+
+
+def _disc_in_pixels(edges: Float[Array, " n"], radius: Scalar) -> Float[Array, "m m"]:
+    """The area of a disc about 0 in each pixel between the edges: the second differences of its
+    area in the rectangles between 0 and the corners."""
+    size = jnp.abs(edges)
+    area = _disc_in_rectangle(radius, size[:, None], size[None, :])
+    signed = jnp.sign(edges)[:, None] * jnp.sign(edges)[None, :] * area
+    return jnp.diff(jnp.diff(signed, axis=0), axis=1)
+
+
+def _disc_in_rectangle(radius: Scalar, width: Scalars, height: Scalars) -> Scalars:
+    """The area of the disc where 0 < x < width and 0 < y < height: two triangles and a sector, or
+    the whole rectangle."""
+    a, b = jnp.minimum(width, radius), jnp.minimum(height, radius)
+    square = radius * radius
+    whole = a * a + b * b <= square
+    beside_a, beside_b = safe_sqrt(square - a * a), safe_sqrt(square - b * b)
+    sector = arctan2(b + 0 * a, beside_b + 0 * a) - arctan2(beside_a + 0 * b, a + 0 * b)
+    return jnp.where(whole, a * b, (a * beside_a + b * beside_b + square * sector) / 2)
+
+
+def _polygon_in_pixels(
+    edges: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
+) -> Float[Array, "m m"]:
+    """The area of a polygon in each pixel between the edges.
+
+    Green's theorem: to a pixel's share, the integral of x dy around it, each side of the polygon
+    gives its run in y within the pixel's row times the mean of x in the pixel along that run.
+    """
+    start = edges[:-1]
+
+    def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
+        run = y1 - y0
+        level = jnp.abs(run) <= smallest_divisor(run.dtype)
+        slope = (x1 - x0) / jnp.where(level, 1, run)
+        enters, leaves = jnp.clip(y0, top, top + 1), jnp.clip(y1, top, top + 1)
+        a, b = x0 + (enters - y0) * slope - left, x0 + (leaves - y0) * slope - left
+        inside = _mean_above(a, b) - _mean_above(a - 1, b - 1)
+        return jnp.where(level, 0, (leaves - enters) * inside)
+
+    sides = jax.vmap(share, in_axes=(0, 0, 0, 0, None, None))
+    pixels = jax.vmap(jax.vmap(sides, in_axes=(None,) * 5 + (0,)), in_axes=(None,) * 4 + (0, None))
+    return pixels(x, y, jnp.roll(x, -1), jnp.roll(y, -1), start, start).sum(-1)
+
+
+def _mean_above(a: Scalar, b: Scalar) -> Scalar:
+    """The mean of max(t, 0) for t from a to b."""
+    low, high = jnp.minimum(a, b), jnp.maximum(a, b)
+    crosses = (low < 0) & (high > 0)
+    part = high * high / (2 * jnp.where(crosses, high - low, 1))
+    return jnp.where(crosses, part, jnp.maximum(low + high, 0) / 2)

@@ -1,0 +1,114 @@
+"""Diffraction at a round opening: the sharpest image that there can be of a point.
+
+All lengths in m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working one,
+image distance over diameter (`working_f_number`), which at infinity focus is that of the lens.
+Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band. Source:
+Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import Colour, Image, Scalar, Scalars
+from ..filters import correlate
+from ..scene import Diffraction, ThinLens
+from ._bessel import jinc
+from .overlap import overlap_of_discs
+from .thin_lens import _reciprocal
+from .views import sensor_vergence
+
+# The first zero of J_1, over pi.
+_FIRST_ZERO = 1.2196698912665045
+
+
+def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
+    """1.22 lambda N in m: where the first dark ring of the Airy pattern lies, for a `wavelength` in
+    m."""
+    return _FIRST_ZERO * wavelength * f_number
+
+
+def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
+    """(2 J_1(x) / x)^2 with x = pi r / (lambda N): irradiance relative to that in the middle, at
+    `radius` from it, lengths in m. Times pi / (2 lambda N)^2 its integral over the plane is 1."""
+    x = jnp.pi * radius / (wavelength * f_number)
+    amplitude = jinc(x * x)
+    return amplitude * amplitude
+
+
+def airy_kernel(
+    wavelength: Scalar | Colour,
+    f_number: Scalar,
+    pixel_pitch: Scalar,
+    *,
+    size: int,
+    order: int = 8,
+) -> Float[Array, "..."]:
+    """The share of a point's light that falls on each pixel around it: (size, size), or
+    (size, size, bands) for wavelengths (bands,), of sum 1. Lengths in m.
+
+    Gauss-Legendre quadrature over each pixel, `order` nodes a side: the knob, static; 8 nodes are
+    good to 1e-6 of the sum up to a pixel of 2 lambda N. Of the light a share of about
+    2 lambda N / (pi^2 R) falls beyond the distance R, and what falls outside the kernel is put back
+    by rescaling. At a wavelength or an f-number of 0 all of it is in the middle. `ValueError` for
+    an even size or an order below 1.
+    """
+    if size < 1 or size % 2 == 0 or order < 1:
+        raise ValueError(f"size must be odd and order at least 1, got {size} and {order}.")
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    places = np.arange(size)[:, None] - size // 2 + nodes / 2
+    along = jnp.asarray(places.ravel(), pixel_pitch.dtype) * pixel_pitch
+    share = jnp.asarray(np.tile(weights, size), pixel_pitch.dtype)
+    point = jnp.zeros((size, size), pixel_pitch.dtype).at[size // 2, size // 2].set(1)
+
+    def of_band(wavelength: Scalar) -> Float[Array, "size size"]:
+        unit = wavelength * f_number
+        sharp = unit <= 0
+        scale = jnp.pi / jnp.where(sharp, 1, unit)
+        amplitude = jinc(scale * scale * (along[:, None] ** 2 + along[None, :] ** 2))
+        light = amplitude * amplitude * share[:, None] * share[None, :]
+        kernel = light.reshape(size, order, size, order).sum((1, 3))
+        return jnp.where(sharp, point, kernel / kernel.sum())
+
+    return (
+        of_band(wavelength) if wavelength.ndim == 0 else jax.vmap(of_band, out_axes=-1)(wavelength)
+    )
+
+
+def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> Image:
+    """Irradiance (..., h, w, bands) in W m^-2 on the sensor of that view, spread by diffraction at
+    its aperture: `airy_kernel` of the working f-number.
+
+    What lies beyond the picture is taken as its border is, so a flat picture stays flat.
+    """
+    # a closed aperture passes no light to spread
+    f_number = jnp.where(jnp.isfinite(view.f_number), view.f_number, 1)
+    working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
+    kernel = airy_kernel(diffraction.wavelength, working, view.pixel_pitch, size=diffraction.size)
+    # no light is negative; what a transform leaves of none may be, by its rounding
+    return jnp.maximum(correlate(irradiance, kernel, border="clamp"), 0)
+
+
+def diffraction_mtf(
+    frequency: Scalars,
+    wavelength: Scalars,
+    f_number: Scalars,
+    *,
+    obstruction: Scalars | None = None,
+) -> Scalars:
+    """The contrast, relative, that is left of a sine pattern of that frequency in m^-1, for a
+    `wavelength` in m: 0 from the cut-off 1 / (lambda N) on.
+
+    The pupil's overlap with itself, shifted by 2 lambda N frequency radii: for a full disc
+    (2 / pi) (arccos v - v sqrt(1 - v^2)), v the frequency over the cut-off. `obstruction`: in
+    [0, 1), diameter of a round stop in the middle over that of the opening, or None.
+    """
+    shift = 2 * jnp.abs(frequency * wavelength * f_number)
+    outer = jnp.ones_like(shift)
+    shared = overlap_of_discs(shift, outer, outer)
+    if obstruction is None:
+        return shared / jnp.pi
+    inner = obstruction * outer
+    with_stop = 2 * overlap_of_discs(shift, outer, inner) - overlap_of_discs(shift, inner, inner)
+    return (shared - with_stop) / (jnp.pi * (1 - obstruction * obstruction))

@@ -1,0 +1,132 @@
+"""The image that a lens bends: from the slopes of chief rays to where they meet the sensor, in
+units of the image distance, and back. Slopes are relative: m to the side per m forward.
+
+Forward is the closed form of `Distortion` (Brown, "Close-Range Camera Calibration", 1971); back is
+Newton's method, which from the distorted place converges for barrels and pincushions alike. Its
+derivative is that of the implicit function, not of the steps.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool
+
+from .._numerics import smallest_divisor
+from .._types import Scalar
+from ..scene import Distortion
+
+_MOST_STEPS = 60
+
+
+def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """Where the chief ray of the slopes (x, y), right and down, meets the sensor: (right, down) in
+    units of the image distance, relative."""
+    s, _ = _scale(distortion, x, y)
+    if distortion.tangential is None:
+        return x * s, y * s
+    p1, p2 = distortion.tangential
+    r2 = x * x + y * y
+    return (
+        x * s + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * s + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
+    """How much larger a small area is in the distorted image than in an ideal one, at the slopes
+    (x, y) of the chief ray: relative, the determinant of the derivative of `distort`; 0 at a fold
+    and negative beyond."""
+    a, b, c = _jacobian(distortion, x, y)
+    return a * c - b * b
+
+
+@jax.custom_jvp
+def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """The slopes (right, down) of the chief ray that meets the sensor at (x, y), relative to the
+    image distance: the inverse of `distort`.
+
+    A strong barrel folds the plane, and nothing is imaged beyond its rim: there the result is a
+    slope near the fold, with gradient 0. NaN stays NaN.
+    """
+    accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
+
+    def residual(u: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
+        at_x, at_y = distort(distortion, u, v)
+        return at_x - x, at_y - y
+
+    def goes_on(state):
+        number, u, v, _ = state
+        off_x, off_y = residual(u, v)
+        return (number < _MOST_STEPS) & (jnp.maximum(jnp.abs(off_x), jnp.abs(off_y)) > accuracy)
+
+    def step(state):
+        number, u, v, share = state
+        by_u, by_v = _solve(distortion, u, v, *residual(u, v))
+        next_u, next_v = u - share * by_u, v - share * by_v
+        before_fold = _is_before_fold(distortion, next_u, next_v)
+        return (
+            number + 1,
+            jnp.where(before_fold, next_u, u),
+            jnp.where(before_fold, next_v, v),
+            jnp.where(before_fold, jnp.minimum(2 * share, 1), share / 2),
+        )
+
+    starts_well = _is_before_fold(distortion, x, y)
+    start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
+    _, u, v, _ = lax.while_loop(goes_on, step, (0, *start, jnp.ones_like(x)))
+    lost = jnp.isnan(x) | jnp.isnan(y)
+    return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)
+
+
+@undistort.defjvp
+def _undistort_jvp(primals, tangents):
+    """D(k, u) = x: D_u du = dx - D_k dk."""
+    distortion, x, y = primals
+    by_distortion, dx, dy = tangents
+    u, v = undistort(distortion, x, y)
+    at, moved = jax.jvp(lambda k: distort(k, u, v), (distortion,), (by_distortion,))
+    du, dv = _solve(distortion, u, v, dx - moved[0], dy - moved[1])
+    off = jnp.maximum(jnp.abs(at[0] - x), jnp.abs(at[1] - y))
+    size = jnp.maximum(jnp.abs(x), jnp.abs(y))
+    met = off <= float(jnp.finfo(x.dtype).eps) ** 0.5 * size
+    return (u, v), (jnp.where(met, du, 0), jnp.where(met, dv, 0))
+
+
+def _scale(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """s = 1 + k_1 r^2 + ..., and its derivative in r^2."""
+    r2 = x * x + y * y
+    s, slope = jnp.zeros_like(r2), jnp.zeros_like(r2)
+    for k in distortion.radial[::-1]:
+        s, slope = r2 * (k + s), (k + s) + r2 * slope
+    return 1 + s, slope
+
+
+def _jacobian(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """The derivative of `distort`, which is symmetric: (xx, xy, yy)."""
+    s, slope = _scale(distortion, x, y)
+    xx, xy, yy = s + 2 * slope * x * x, 2 * slope * x * y, s + 2 * slope * y * y
+    if distortion.tangential is None:
+        return xx, xy, yy
+    p1, p2 = distortion.tangential
+    return (
+        xx + 2 * p1 * y + 6 * p2 * x,
+        xy + 2 * p1 * x + 2 * p2 * y,
+        yy + 6 * p1 * y + 2 * p2 * x,
+    )
+
+
+def _is_before_fold(distortion: Distortion, x: Scalar, y: Scalar) -> Bool[Array, ""]:
+    """Where the derivative of `distort` is positive definite, as it is on the axis."""
+    a, b, c = _jacobian(distortion, x, y)
+    return (a > 0) & (a * c - b * b > 0)
+
+
+def _solve(
+    distortion: Distortion, x: Scalar, y: Scalar, right: Scalar, down: Scalar
+) -> tuple[Scalar, Scalar]:
+    """The step whose image under the derivative of `distort` is (right, down); 0 at a fold."""
+    a, b, c = _jacobian(distortion, x, y)
+    area = a * c - b * b
+    regular = jnp.abs(area) > smallest_divisor(area.dtype)
+    inverse = jnp.where(regular, 1 / jnp.where(regular, area, 1), 0)
+    return (c * right - b * down) * inverse, (a * down - b * right) * inverse

@@ -1,0 +1,63 @@
+"""From radiance in front of the lens to irradiance on the sensor.
+
+    E = L A cos^4 / z_i^2,   with a round aperture   E = L (pi / 4) (d / z_i)^2 cos^4
+
+A is the area of the aperture, d its diameter, z_i the distance to the sensor (the focal length only
+at infinity focus) and cos that of the chief ray to the axis: the aperture is small, at distance
+z_i / cos, and inclined to both the ray and the sensor (Szeliski, Computer Vision, section 2.2.3).
+cos^4 is applied once, here, never in a ray's weight.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from .._numerics import smallest_divisor
+from .._types import Colour, Image, Scalar
+from ..scene import Orthographic, ThinLens, View
+from .aperture import aperture_area
+from .diffraction import diffracted
+from .distortion import distortion_area
+from .views import chief_slope, cos_to_axis, pixel_grid, sensor_vergence
+from .vignetting import clear_fraction
+
+
+def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
+    """Irradiance (bands,) in W m^-2 at a pixel that sees `radiance` (bands,) in W m^-2 sr^-1.
+
+    A rim takes its part away (`clear_fraction`), and where distortion stretches the image the light
+    is spread as much thinner. Without an f-number radiance is handed on as it is, and nothing falls
+    off.
+    """
+    if isinstance(view, ThinLens):
+        area = aperture_area(view.aperture, view.focal_length / view.f_number)
+        opening = area * sensor_vergence(view) ** 2
+    elif view.f_number is None:
+        return radiance
+    else:
+        opening = jnp.pi / (4 * view.f_number**2)
+    if isinstance(view, Orthographic):
+        return radiance * opening
+    light = opening * cos_to_axis(view, row, column) ** 4
+    if isinstance(view, ThinLens) and view.rim is not None:
+        light = light * clear_fraction(view, row, column)
+    if view.distortion is not None:
+        spread = distortion_area(view.distortion, *chief_slope(view, row, column))
+        imaged = spread > smallest_divisor(spread.dtype)
+        light = jnp.where(imaged, light / jnp.where(imaged, spread, 1), 0)
+    return radiance * light
+
+
+def sensor_irradiance(view: View, radiance: Image) -> Image:
+    """`pixel_irradiance` of a whole picture, and a thin lens's diffraction: (h, w, bands) to
+    (h, w, bands) in W m^-2. `ValueError` for a picture of another resolution."""
+    if radiance.shape[:-1] != view.resolution:
+        raise ValueError(
+            f"radiance must be {view.resolution} and bands, as the view's resolution, got shape "
+            f"{radiance.shape}."
+        )
+    over_columns = jax.vmap(pixel_irradiance, in_axes=(None, 0, None, 0))
+    over_rows = jax.vmap(over_columns, in_axes=(None, 0, 0, None))
+    irradiance = over_rows(view, radiance, *pixel_grid(view))
+    if isinstance(view, ThinLens) and view.diffraction is not None:
+        irradiance = diffracted(view, view.diffraction, irradiance)
+    return irradiance

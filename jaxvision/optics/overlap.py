@@ -1,0 +1,107 @@
+"""Where two openings cover each other, seen through one another: areas in closed form, in the
+square of the unit of their lengths, such as m^2 for m.
+
+The derivative of such an area is the length of an arc or a chord, also in closed form; that is
+finite where the area's own formula is not.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import arctan2, safe_sqrt, smallest_divisor
+from .._types import Scalar, Scalars
+
+
+@jax.custom_jvp
+def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
+    """The area that two discs share whose centres are `distance` apart, in m^2 for m, elementwise;
+    all three >= 0.
+
+    Two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the angle of the arc,
+    found from half of it by the sides of the triangle of the centres and a crossing: no digits are
+    lost where the circles just touch.
+    """
+    first, second = _half_angles(distance, first_radius, second_radius)
+    smaller = jnp.minimum(first_radius, second_radius)
+    segments = first_radius * first_radius * _segment(first) + (
+        second_radius * second_radius * _segment(second)
+    )
+    inside = distance <= jnp.abs(first_radius - second_radius)
+    return jnp.where(inside, jnp.pi * smaller * smaller, segments)
+
+
+@overlap_of_discs.defjvp
+def _overlap_of_discs_jvp(primals, tangents):
+    """It loses the common chord with the distance, and gains each disc's arc with its radius."""
+    distance, r1, r2 = primals
+    along, d1, d2 = tangents
+    first, second = _half_angles(distance, r1, r2)
+    chord = 2 * jnp.minimum(r1 * jnp.sin(first), r2 * jnp.sin(second))
+    change = 2 * r1 * first * d1 + 2 * r2 * second * d2 - chord * along
+    return overlap_of_discs(distance, r1, r2), change
+
+
+def overlap_of_disc_and_polygon(
+    right: Scalar,
+    down: Scalar,
+    radius: Scalar,
+    corner_right: Float[Array, " corners"],
+    corner_down: Float[Array, " corners"],
+) -> Scalar:
+    """The area, in m^2 for m, that a disc about (`right`, `down`) shares with the polygon of those
+    corners, which run from right towards down.
+
+    Each side gives the signed area that the disc shares with the triangle of its centre and that
+    side: a sector, a triangle over what lies in the disc, and a sector.
+    """
+    x, y = corner_right - right, corner_down - down
+    return jax.vmap(_side, in_axes=(None, 0, 0, 0, 0))(
+        radius, x, y, jnp.roll(x, -1), jnp.roll(y, -1)
+    ).sum()
+
+
+def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
+    """Half the angle of each circle's arc that lies in the other disc: pi and 0 where one disc
+    holds the other, pi / 2 where they are the same."""
+    # the semi-perimeter, and it less each side, all doubled; what is negative is no triangle
+    whole, beyond = r1 + r2 + d, jnp.maximum((r1 + r2) - d, 0)
+    less_first, less_second = jnp.maximum(d - (r1 - r2), 0), jnp.maximum(d + (r1 - r2), 0)
+    same = (less_first == 0) & (less_second == 0)
+    less_first, less_second = jnp.where(same, 1, less_first), jnp.where(same, 1, less_second)
+    first = 2 * arctan2(safe_sqrt(beyond * less_first), safe_sqrt(whole * less_second))
+    second = 2 * arctan2(safe_sqrt(beyond * less_second), safe_sqrt(whole * less_first))
+    return first, second
+
+
+def _segment(alpha: Scalars) -> Scalars:
+    """alpha - sin alpha cos alpha = (t - sin t) / 2 of t = 2 alpha, by the series
+    t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...))) where the two nearly cancel."""
+    t = 2 * alpha
+    small = t < 1
+    square = jnp.where(small, t * t, 0)
+    series = jnp.ones_like(square)
+    for k in range(18, 2, -2):
+        series = 1 - square / (k * (k + 1)) * series
+    return jnp.where(small, t * square / 6 * series, t - jnp.sin(t)) / 2
+
+
+def _side(radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
+    along_x, along_y = x1 - x0, y1 - y0
+    square = along_x * along_x + along_y * along_y
+    some = square > smallest_divisor(square.dtype) ** 2
+    scale = jnp.where(some, square, 1)
+    nearest = -(x0 * along_x + y0 * along_y) / scale
+    beside = (x0 * along_y - y0 * along_x) / scale
+    half = safe_sqrt(radius * radius / scale - beside * beside)
+    enters, leaves = jnp.clip(nearest - half, 0, 1), jnp.clip(nearest + half, 0, 1)
+    ax, ay = x0 + enters * along_x, y0 + enters * along_y
+    bx, by = x0 + leaves * along_x, y0 + leaves * along_y
+    arcs = _turn(x0, y0, ax, ay) + _turn(bx, by, x1, y1)
+    return jnp.where(some, (radius * radius * arcs + ax * by - ay * bx) / 2, 0)
+
+
+def _turn(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
+    """The angle from one direction to another, in (-pi, pi]; 0 between equal ones."""
+    across, along = x0 * y1 - y0 * x1, x0 * x1 + y0 * y1
+    return jnp.where(across < 0, -1, 1) * arctan2(jnp.abs(across), along)

@@ -1,0 +1,129 @@
+"""A picture looked up between its pixels, and the pictures that a lens bends or whose colours it
+sets apart. Coordinates are (row, column) in pixels, (0, 0) the centre of the upper left one; beyond
+the picture its outermost pixels go on. Values keep their unit.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Image, Scalars
+from ..scene import Pinhole, ThinLens
+from .distortion import distort, undistort
+from .views import pixel_grid, pixel_offset, sensor_vergence
+
+INTERPOLATIONS = ("linear", "cubic")
+
+Coordinates = Float[Array, "rows columns"]
+
+
+def sample_image(
+    image: Image, row: Coordinates, column: Coordinates, *, interpolation: str = "cubic"
+) -> Float[Array, "..."]:
+    """The image (..., h, w, bands) at the pixel coordinates `row` and `column`, each (rows,
+    columns): (..., rows, columns, bands).
+
+    `interpolation`: "linear", or "cubic", which keeps parabolas (Keys, "Cubic Convolution
+    Interpolation", IEEE Trans. ASSP 29 (1981)) but may overshoot. `ValueError` for another.
+    """
+    if interpolation not in INTERPOLATIONS:
+        raise ValueError(
+            f"interpolation must be one of {', '.join(INTERPOLATIONS)}, got {interpolation!r}."
+        )
+    taps = _linear_taps if interpolation == "linear" else _cubic_taps
+    h, w = image.shape[-3:-1]
+    down, across = taps(jnp.clip(row, 0, h - 1)), taps(jnp.clip(column, 0, w - 1))
+    total = jnp.zeros((), image.dtype)
+    for r, weight_r in down:
+        for c, weight_c in across:
+            seen = image[..., jnp.clip(r, 0, h - 1), jnp.clip(c, 0, w - 1), :]
+            total = total + (weight_r * weight_c)[..., None].astype(image.dtype) * seen
+    return total
+
+
+def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic") -> Image:
+    """What the view's lens makes of an ideal picture (..., h, w, bands) of its resolution, in the
+    picture's unit: each pixel is looked up where its light would have gone without distortion.
+
+    Without distortion the picture itself. `ValueError` for another resolution or interpolation.
+    """
+    return _bent(view, image, undistort, interpolation)
+
+
+def undistort_image(
+    view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic"
+) -> Image:
+    """The picture (..., h, w, bands) that the view would have taken without distortion, from the
+    one it took: the inverse of `distort_image`, whose arguments it takes."""
+    return _bent(view, image, distort, interpolation)
+
+
+def lateral_aberration(
+    image: Image, magnification: Float[Array, "..."], *, interpolation: str = "cubic"
+) -> Image:
+    """Lateral chromatic aberration: each band of (..., h, w, bands), in any unit, magnified about
+    the middle of the picture by its own factor, > 0 and relative; 1 leaves a band as it is.
+
+    Its inverse is the aberration by 1 / `magnification`. `ValueError` for another number of bands.
+    """
+    if magnification.shape != image.shape[-1:]:
+        raise ValueError(
+            f"magnification must be {image.shape[-1:]}, one a band, got {magnification.shape}."
+        )
+    h, w = image.shape[-3:-1]
+    rows = jnp.arange(h, dtype=magnification.dtype) - (h - 1) / 2
+    columns = jnp.arange(w, dtype=magnification.dtype) - (w - 1) / 2
+
+    def of_band(plane: Float[Array, "... h w"], factor: Float[Array, ""]) -> Array:
+        row, column = jnp.meshgrid(
+            rows / factor + (h - 1) / 2, columns / factor + (w - 1) / 2, indexing="ij"
+        )
+        return sample_image(plane[..., None], row, column, interpolation=interpolation)[..., 0]
+
+    return jax.vmap(of_band, in_axes=(-1, 0), out_axes=-1)(image, magnification)
+
+
+def _bent(
+    view: Pinhole | ThinLens, image: Image, move: Callable[..., tuple], interpolation: str
+) -> Image:
+    """Each pixel looked up where `move` takes the slope of its chief ray."""
+    if view.distortion is None:
+        return image
+    if image.shape[-3:-1] != view.resolution:
+        raise ValueError(
+            f"the picture must be {view.resolution}, as the view is, got {image.shape[-3:-1]}."
+        )
+    rows, columns = view.resolution
+    per_pixel = sensor_vergence(view) * view.pixel_pitch
+
+    def source(row: Float[Array, ""], column: Float[Array, ""]) -> tuple[Array, Array]:
+        x, y = pixel_offset(view, row, column)
+        vergence = sensor_vergence(view)
+        right, down = move(view.distortion, x * vergence, y * vergence)
+        return down / per_pixel + (rows - 1) / 2, right / per_pixel + (columns - 1) / 2
+
+    row, column = jnp.meshgrid(*pixel_grid(view), indexing="ij")
+    at_row, at_column = jax.vmap(jax.vmap(source))(row, column)
+    return sample_image(image, at_row, at_column, interpolation=interpolation)
+
+
+def _linear_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
+    """(index, weight) of the samples around x."""
+    start = jnp.floor(x)
+    t, first = x - start, start.astype(int)
+    return [(first, 1 - t), (first + 1, t)]
+
+
+def _cubic_taps(x: Scalars) -> list[tuple[Array, Scalars]]:
+    """(index, weight) of the samples around x: Keys' kernel with a = -1/2."""
+    start = jnp.floor(x)
+    t, first = x - start, start.astype(int)
+    s = 1 - t
+    return [
+        (first - 1, -t * s * s / 2),
+        (first, s * (2 + 2 * t - 3 * t * t) / 2),
+        (first + 1, t * (2 + 2 * s - 3 * s * s) / 2),
+        (first + 2, -s * t * t / 2),
+    ]

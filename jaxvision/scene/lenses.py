@@ -1,0 +1,117 @@
+"""What shapes the light on its way through a lens: its openings, and the bending of its image."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .._types import (
+    Colour,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_count,
+    check_range,
+    check_shape,
+)
+
+# A ring that is thinner, relative to its radius, lets nothing through.
+_WIDEST_STOP = 1 - 1e-6
+
+
+class CircularAperture(eqx.Module):
+    """A round opening that fills the lens's diameter."""
+
+
+class PolygonalAperture(eqx.Module):
+    """The opening of an iris: a regular polygon whose corners lie on the lens's diameter.
+
+    `blades`: static, >= 3. `angle`: () rad, of one corner from the camera's right towards down, or
+    None: to the right.
+    """
+
+    blades: int = eqx.field(static=True)
+    angle: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_count("PolygonalAperture.blades", self.blades, 3)
+        check_shape("PolygonalAperture.angle", self.angle, ())
+        check_range("PolygonalAperture.angle", self.angle, -float("inf"))
+
+
+class RectangularAperture(eqx.Module):
+    """A slit or square, along the camera's right and down. `width`, `height`: () relative to the
+    lens's diameter."""
+
+    width: Scalar = eqx.field(converter=as_float)
+    height: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for side in ("width", "height"):
+            check_shape(f"RectangularAperture.{side}", getattr(self, side), ())
+            check_range(f"RectangularAperture.{side}", getattr(self, side), 0, above=True)
+
+
+class AnnularAperture(eqx.Module):
+    """A round opening with a round stop in its middle, as in a mirror lens. `obstruction`: ()
+    diameter of the stop relative to that of the opening, in [0, 1)."""
+
+    obstruction: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("AnnularAperture.obstruction", self.obstruction, ())
+        check_range("AnnularAperture.obstruction", self.obstruction, 0, _WIDEST_STOP)
+
+
+Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularAperture
+
+
+class Rim(eqx.Module):
+    """A second, round opening before the lens, the edge of its front element: it cuts off oblique
+    light. `distance`: () m in front of the aperture. `diameter`: () m."""
+
+    distance: Scalar = eqx.field(converter=as_float)
+    diameter: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Rim.distance", self.distance, ())
+        check_shape("Rim.diameter", self.diameter, ())
+        check_range("Rim.distance", self.distance, 0)
+        check_range("Rim.diameter", self.diameter, 0, above=True)
+
+
+class Diffraction(eqx.Module):
+    """The bending of light at a round opening, which spreads each point into an Airy pattern.
+
+    `wavelength`: () or (bands,) m. `size`: odd, static, the pixels across of the pattern's part
+    that is followed (samples, where a sensor's aperture is oversampled); the light beyond is put
+    back into it (`optics.airy_kernel` says how much that is).
+    """
+
+    wavelength: Scalar | Colour = eqx.field(converter=as_float)
+    size: int = eqx.field(static=True, default=33, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("Diffraction.wavelength", self.wavelength, (), ("bands",))
+        check_range("Diffraction.wavelength", self.wavelength, 0, above=True)
+        check_count("Diffraction.size", self.size, 1, odd=True)
+
+
+class Distortion(eqx.Module):
+    """Where a lens images what an ideal one would image at the slope (x, y) of the chief ray:
+
+        r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
+        (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
+
+    `radial`: (terms,) k_1, k_2, ...; k_1 < 0 is a barrel, k_1 > 0 a pincushion. `tangential`: (2,)
+    p_1, p_2 of lenses that are not centred, or None. Slopes, and so the coefficients, have no unit.
+    Source: Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with
+    the signs of OpenCV.
+    """
+
+    radial: Float[Array, " terms"] = eqx.field(converter=as_float)
+    tangential: Float[Array, "2"] | None = eqx.field(converter=as_optional_float, default=None)
+
+    def __check_init__(self) -> None:
+        check_shape("Distortion.radial", self.radial, ("terms",))
+        check_shape("Distortion.tangential", self.tangential, (2,))
+        for name in ("radial", "tangential"):
+            check_range(f"Distortion.{name}", getattr(self, name), -float("inf"))
