@@ -3,117 +3,37 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float
 
-from ._staging import TILE, in_tiles, stored
-from ._types import Colour, Image, Key, group_by_structure, take
-from ._vector import Vec
+from ._types import Image, Key, Scalar
 from .develop import develop
-from .geometry import Hit, Ray, hit_shape, nearest_shape
-from .lights import LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for
-from .lights.light_field import light_field_ray
-from .optics import camera_ray, pixel_grid, sensor_irradiance
-from .scene import Camera, Scene, Shape, View
-from .sensor import raw_image
-from .shading import DEFAULT_RULE, outgoing_radiance
+from .lights import Rule
+from .optics import sensor_irradiance
+from .rendering import PixelSamples, render
+from .scene import Camera, PixelAperture, Scene, View
+from .sensor import exposed, pixel_means, raw_image
+from .shading import DEFAULT_RULE
 
-_LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
+Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
+Renderer = Callable[[Scene, View], Image]
 
 
 class Capture(eqx.Module):
     """Every stage of one picture, each (h, w, bands).
 
-    `radiance`: W m^-2 sr^-1 seen by each pixel. `irradiance`: W m^-2 on the sensor. `raw`: DN.
-    `picture`: developed, or None for a camera without development.
+    `radiance`: W m^-2 sr^-1 seen by each pixel. `irradiance`: W m^-2 on the sensor. `raw`: DN, (h,
+    w, 1) under a colour filter. `picture`: developed, or None for a camera without development.
     """
 
     radiance: Image
     irradiance: Image
-    raw: Image
-    picture: Image | None
-
-
-def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:
-    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
-
-    The nearest surface or extended light is seen; a ray that meets neither sees the environments,
-    or black. `rule`: how finely extended lights are taken apart where they light a surface.
-    Materials of one kind are shaded by one piece of code.
-    """
-    shapes = [surface.shape for surface in scene.surfaces]
-    index = stored(nearest_shape, ray, shapes)
-    hit, point = stored(_meet, ray, shapes, index)
-    radiance = jnp.zeros((), ray.origin.x.dtype)
-    materials = [surface.material for surface in scene.surfaces]
-    for members, group in group_by_structure(materials, largest=_LARGEST):
-        material, among = stored(partial(take, members), group, index)
-        shaded = outgoing_radiance(
-            material,
-            scene.lights,
-            point,
-            hit.normal,
-            -ray.direction,
-            ambient=scene.ambient,
-            rule=rule,
-        )
-        radiance = jnp.where(among, shaded, radiance)
-    if not any(can_be_seen(light) for light in scene.lights):
-        return radiance
-    light = nearest_seen(scene.lights, ray)
-    return jnp.where((light.distance < hit.distance) | (index < 0), light.radiance, radiance)
-
-
-def _meet(ray: Ray, shapes: list[Shape], index: Int[Array, ""]) -> tuple[Hit, Vec]:
-    """The hit of the shape of that index, and its point: the ray's origin where none is met."""
-    hit = hit_shape(ray, shapes, index)
-    return hit, ray.origin + jnp.where(index >= 0, hit.distance, 0) * ray.direction
-
-
-def render(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE) -> Image:
-    """The picture in radiance, one ray through each pixel's centre: (h, w, bands) in
-    W m^-2 sr^-1. `rule`: how finely extended lights are taken apart; `MonteCarlo` draws for each
-    pixel anew."""
-    rows, columns = pixel_grid(view)
-    height, width = view.resolution
-
-    def pixel(row, column, number):
-        return radiance_along(scene, camera_ray(view, row, column), rule=rule_for(rule, number))
-
-    def line(row, numbers):
-        return jax.vmap(pixel, in_axes=(None, 0, 0))(row, columns, numbers)
-
-    numbers = jnp.arange(height * width).reshape(height, width)
-    return in_tiles(line, rows, numbers, size=max(TILE // width, 1))
-
-
-def render_light_field(
-    scene: Scene,
-    aperture: Window,
-    focal: Window,
-    *,
-    resolution: tuple[int, int, int, int],
-    rule: Rule = DEFAULT_RULE,
-) -> LightFieldLight:
-    """What leaves a scene through a window, recorded: radiance in W m^-2 sr^-1 along each line
-    from a place of the aperture to one of the parallel focal window, corners in m.
-
-    The scene is what lies behind the aperture. `resolution`: samples (s, t, u, v), the outermost
-    on the windows' rims; one sample of an axis lies at its start.
-    """
-    axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
-    places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
-
-    def sample(place, number):
-        ray = light_field_ray(aperture, focal, place)
-        return radiance_along(scene, ray, rule=rule_for(rule, number))
-
-    radiance = in_tiles(sample, places, jnp.arange(len(places)), size=TILE)
-    return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)
+    raw: Float[Array, "*batch h w channels"]
+    picture: Float[Array, "*batch h w colours"] | None
 
 
 def capture(
@@ -123,15 +43,54 @@ def capture(
     *,
     die_key: Key | None = None,
     rule: Rule = DEFAULT_RULE,
+    shadows: bool = True,
+    samples: PixelSamples | None = None,
+    motion: Motion | None = None,
+    moments: int = 8,
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
-    `key` draws what changes from frame to frame, `die_key` what stays with this camera (DSNU,
-    PRNU); either may be None where the sensor has nothing to draw from it, else `ValueError`.
-    `rule`: how finely extended lights are taken apart.
+    `key` draws what changes from frame to frame, `die_key` what stays with this camera; either may
+    be None where the sensor has nothing to draw from it, else `ValueError`. `rule`, `shadows`,
+    `samples`: of `render`; a thin lens needs samples to defocus. `motion`: the scene and the view
+    at a time in s after the first row's exposure began, from what they are at rest; they are looked
+    at in so many `moments` (`sensor.exposure_slots` places them) over the sensor's exposure time,
+    which must be given.
     """
-    radiance = render(scene, camera.view, rule=rule)
-    irradiance = sensor_irradiance(camera.view, radiance)
+    renderer = partial(render, rule=rule, shadows=shadows, samples=samples)
+    radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture)
+
+
+def _light_on_sensor(
+    renderer: Renderer, scene: Scene, camera: Camera, motion: Motion | None, moments: int
+) -> tuple[Image, Image]:
+    """Radiance and irradiance of each pixel, over its aperture and its exposure."""
+    sensor = camera.sensor
+    if motion is None:
+        return _seen(renderer, scene, camera.view, sensor.pixel_aperture)
+    if sensor.exposure_time is None:
+        raise ValueError("Sensor.exposure_time must be given in seconds for a motion, got None.")
+
+    def seen_at(time: Scalar) -> tuple[Image, Image]:
+        return _seen(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)
+
+    rows, _ = camera.view.resolution
+    return exposed(sensor.shutter, sensor.exposure_time, seen_at, rows=rows, slots=moments)
+
+
+def _seen(
+    renderer: Renderer, scene: Scene, view: View, aperture: PixelAperture | None
+) -> tuple[Image, Image]:
+    """What stands still: radiance and irradiance, sampled as finely as the aperture asks."""
+    if aperture is None or aperture.oversampling == 1:
+        radiance = renderer(scene, view)
+        return radiance, sensor_irradiance(view, radiance)
+    n = aperture.oversampling
+    rows, columns = view.resolution
+    fine = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
+    radiance = renderer(scene, fine)
+    irradiance = sensor_irradiance(fine, radiance)
+    return pixel_means(radiance, aperture), pixel_means(irradiance, aperture)

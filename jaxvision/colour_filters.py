@@ -8,12 +8,13 @@ in any unit, relative, electrons or DN, which they keep. `ValueError` for any ot
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int, Shaped
 
-from ._types import Image
+from ._types import check_tile
 
 Pattern = tuple[tuple[int, ...], ...]
-Mosaic = Float[Array, "*batch h w"]
+Picture = Shaped[Array | np.ndarray, "*picture"]
+Mosaic = Shaped[Array, "*batch h w"]
 
 BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
 
@@ -31,19 +32,7 @@ def bayer(phase: str) -> Pattern:
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
     """Raises `ValueError` unless the tile is a rectangle (else it does not tile the plane) of bands
     0 to its largest, all of them there; `bands`: how many a picture has, which must be as many."""
-    widths = sorted({len(row) for row in pattern})
-    if len(widths) != 1 or widths == [0]:
-        raise ValueError(
-            f"{name} must be rows of one length, at least 1, to tile the picture, got {pattern}."
-        )
-    cells = [cell for row in pattern for cell in row]
-    whole = all(isinstance(cell, int | np.integer) for cell in cells)
-    if not whole or sorted(set(cells)) != list(range(len(set(cells)))):
-        raise ValueError(f"{name} must hold the bands 0, 1, ... without a gap, got {pattern}.")
-    if bands is not None and len(set(cells)) != bands:
-        raise ValueError(
-            f"{name} has the {len(set(cells))} bands of {pattern}, the picture has {bands}."
-        )
+    check_tile(name, pattern, bands=bands)
 
 
 def band_at(pattern: Pattern, height: int, width: int) -> Int[np.ndarray, "h w"]:
@@ -74,7 +63,7 @@ def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"]
     return tuple(of_band(band) for band in range(tile.max() + 1))
 
 
-def mosaic(image: Image, pattern: Pattern) -> Mosaic:
+def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
     """What a sensor behind that filter array sees of (..., h, w, bands): the one value of each
     pixel, (..., h, w), in the unit of the image.
 

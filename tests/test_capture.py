@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import loops
+from scipy import ndimage, special
 
 from jaxvision import (
     DirectionalLight,
@@ -20,8 +21,9 @@ from jaxvision import (
     as_dtype,
 )
 from jaxvision import scene as s
-from jaxvision.capture import capture, render
-from jaxvision.optics import look_at
+from jaxvision.capture import capture
+from jaxvision.optics import look_at, sensor_irradiance
+from jaxvision.rendering import PixelSamples, render
 
 BANDS = 3
 ROTATION = look_at(
@@ -221,3 +223,106 @@ def test_a_measured_material_is_not_copied_for_every_pixel():
     view = s.Orthographic((0.0, 0.0, 5.0), np.diag([1.0, -1.0, -1.0]), 0.03, resolution=(64, 64))
     compiled = jax.jit(render).lower(scene, view).compile()
     assert compiled.memory_analysis().temp_size_in_bytes < 100e6
+
+
+# ------------------------------------------------ the sensor's own sampling of space and time
+
+
+def moved(scene, view, time):
+    """The camera glides to the right at 0.5 m/s."""
+    right = jnp.asarray(ROTATION[0])
+    return scene, replace(view, position=view.position + 0.5 * time * right)
+
+
+def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
+    sensor = s.Sensor(exposure_time=0.4)
+    view = replace(PARALLEL, resolution=(4, 5))
+    take = quick_jit(lambda camera: capture(None, LAMBERT_ONLY, camera, motion=moved, moments=2))
+    shot = take(s.Camera(view, sensor))
+    still = [draw(*moved(LAMBERT_ONLY, view, time)) for time in (0.1, 0.3)]
+    np.testing.assert_allclose(shot.radiance, (still[0] + still[1]) / 2, rtol=1e-12)
+    rolling = take(s.Camera(view, replace(sensor, shutter=s.RollingShutter(0.4 / 3))))
+    # the span is 0.8 s in two slots: the first row sees the first alone, the last the second
+    seen = [draw(*moved(LAMBERT_ONLY, view, time)) for time in (0.2, 0.6)]
+    np.testing.assert_allclose(rolling.irradiance[0], seen[0][0], rtol=1e-12)
+    np.testing.assert_allclose(rolling.irradiance[3], seen[1][3], rtol=1e-12)
+    with pytest.raises(ValueError, match=r"Sensor\.exposure_time must be given"):
+        capture(None, LAMBERT_ONLY, s.Camera(view, s.Sensor()), motion=moved)
+
+
+def test_oversampled_pixels_are_means_over_their_apertures():
+    view = replace(PINHOLE, resolution=(4, 5), f_number=2.0)
+    aperture = s.PixelAperture(0.25, oversampling=2)
+    shot = quick_jit(capture)(None, LAMBERT_ONLY, s.Camera(view, s.Sensor(pixel_aperture=aperture)))
+    fine = replace(view, resolution=(8, 10), pixel_pitch=view.pixel_pitch / 2)
+    samples = np.asarray(sensor_irradiance(fine, draw(LAMBERT_ONLY, fine)))
+    means = samples.reshape(4, 2, 5, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(shot.irradiance, means, rtol=1e-12)
+    np.testing.assert_allclose(shot.raw, 0.25 * means, rtol=1e-12)
+
+
+def test_a_mosaic_is_captured_as_one_number_a_pixel():
+    colours = s.ColourFilter(np.eye(3), pattern=((0, 1), (1, 2)))
+    shot = quick_jit(capture)(None, SCENE, s.Camera(PINHOLE, s.Sensor(colour_filter=colours)))
+    assert shot.irradiance.shape == (10, 12, 3)
+    np.testing.assert_array_equal(shot.raw[1::2, 1::2, 0], shot.irradiance[1::2, 1::2, 2])
+
+
+# ------------------------------------------------ through a lens
+
+F, F_NUMBER, WALL = 0.05, 2.0, 2.0
+LENS = s.ThinLens(
+    [0, 0, 0], np.eye(3), F, 1e-4, resolution=(4, 24), f_number=F_NUMBER, focus_distance=1.0
+)
+HALF_WALL = s.Scene(
+    [s.Surface(s.Quad([0, -1, WALL], [0, 2, 0], [1, 0, 0]), Lambert([0.0]), emission=[1.0])], []
+)
+
+
+def test_a_captured_edge_is_as_wide_as_the_circle_of_confusion():
+    """A shining half-plane out of focus is the integral of a disc, 1/2 + (t sqrt(1 - t^2) +
+    arcsin t) / pi, over each pixel; in focus it is a step."""
+    samples = PixelSamples(jax.random.key(2), 500)
+    shoot = quick_jit(lambda camera: capture(None, HALF_WALL, camera, samples=samples))
+
+    def lit(view):
+        shot = shoot(s.Camera(view, s.Sensor(gain=3.0)))
+        np.testing.assert_allclose(shot.raw, 3 * shot.irradiance, rtol=1e-12)
+        full = sensor_irradiance(view, jnp.ones((*view.resolution, 1)))
+        return np.asarray(shot.irradiance / full)[..., 0]
+
+    z_i = F / (1 - F)
+    blur = F / F_NUMBER * z_i * abs(1 / WALL - 1) / 1e-4  # similar triangles, in pixels
+    assert 6 < blur < 7
+    inside = (np.arange(500) + 0.5) / 500 - 0.5
+    t = np.clip(2 * (np.arange(24)[:, None] - 11.5 + inside) / blur, -1, 1)
+    expected = (0.5 + (t * np.sqrt(1 - t * t) + np.arcsin(t)) / np.pi).mean(axis=1)
+    got = lit(LENS)
+    error = np.sqrt(expected * (1 - expected) / 500)
+    assert (np.abs(got - expected) <= 5 * error + 1e-12).all()
+    assert (np.abs(got.mean(axis=0) - expected) <= 5 * error / 2 + 1e-12).all()
+    sharp = lit(replace(LENS, focus_distance=jnp.asarray(WALL)))
+    np.testing.assert_allclose(sharp, np.broadcast_to(np.arange(24) >= 12, (4, 24)), atol=1e-12)
+
+
+def test_a_captured_picture_is_spread_by_diffraction():
+    """By an Airy pattern of scipy's Bessel function, integrated over the pixels by midpoints; a
+    flat picture stays flat, and the seen radiance as it was."""
+    view = replace(LENS, focus_distance=None, f_number=jnp.asarray(8.0), pixel_pitch=1.5e-6)
+    wave, size, n = 5e-7, 21, 96
+    bent = replace(view, diffraction=s.Diffraction(wave, size=size))
+    shoot = quick_jit(lambda view: capture(None, HALF_WALL, s.Camera(view, s.Sensor())))
+    plain, spread = shoot(view), shoot(bent)
+    np.testing.assert_array_equal(plain.radiance, spread.radiance)
+    places = (np.arange(size * n) + 0.5) / n - size / 2
+    x = np.pi * 1.5e-6 * np.hypot(places[:, None], places) / (wave * 8)
+    airy = (2 * special.j1(x) / x) ** 2
+    kernel = airy.reshape(size, n, size, n).sum(axis=(1, 3))
+    expected = ndimage.correlate(
+        np.asarray(plain.irradiance)[..., 0], kernel / kernel.sum(), mode="nearest"
+    )
+    np.testing.assert_allclose(spread.irradiance[..., 0], expected, atol=2e-6 * expected.max())
+    assert np.abs(spread.irradiance - plain.irradiance).max() > 0.05 * expected.max()
+    flat = sensor_irradiance(bent, jnp.ones((*view.resolution, 1)))
+    cos4 = sensor_irradiance(view, jnp.ones((*view.resolution, 1)))
+    np.testing.assert_allclose(flat, cos4, rtol=1e-6)

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from .._types import check_kind
 from .developments import Development
 from .sensors import Sensor
 from .views import View
@@ -13,3 +14,8 @@ class Camera(eqx.Module):
     view: View
     sensor: Sensor
     development: Development | None = None
+
+    def __check_init__(self) -> None:
+        check_kind("Camera.view", self.view, View)
+        check_kind("Camera.sensor", self.sensor, Sensor)
+        check_kind("Camera.development", self.development, Development)

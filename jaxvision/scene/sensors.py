@@ -1,14 +1,35 @@
-"""What turns light on a pixel into a number."""
+"""What turns light on a pixel into a number.
+
+Ranges are checked where a record is made, of numbers that are known then: `ValueError` names the
+field, the value and what is allowed. What is traced passes, and has a defined result.
+"""
+
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import (
+    Colour,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_count,
+    check_kind,
+    check_range,
+    check_shape,
+    check_tile,
+    is_known,
+)
+
+_LARGEST = float("inf")
 
 
 class PhotonConversion(eqx.Module):
     """What turns irradiance into photons: mu_p = lambda E A t / (h c), EMVA 1288.
 
-    `wavelength`: () or (bands,) m. `pixel_area`: () m^2.
+    `wavelength`: () or (bands,) m. `pixel_area`: () m^2, the whole of a pixel.
     """
 
     wavelength: Scalar | Colour = eqx.field(converter=as_float)
@@ -17,57 +38,371 @@ class PhotonConversion(eqx.Module):
     def __check_init__(self) -> None:
         check_shape("PhotonConversion.wavelength", self.wavelength, (), ("bands",))
         check_shape("PhotonConversion.pixel_area", self.pixel_area, ())
+        check_range("PhotonConversion.wavelength", self.wavelength, 0, above=True)
+        check_range("PhotonConversion.pixel_area", self.pixel_area, 0, above=True)
+
+
+class PixelAperture(eqx.Module):
+    """The square in the middle of each pixel that gathers light.
+
+    `fill_factor`: () share of the pixel's area, in (0, 1]. `microlens`: () share of the light on
+    the rest that a microlens brings in, in [0, 1]; None: no microlens. `oversampling`: samples of
+    irradiance along each side of a pixel, static; 1: the irradiance is taken as even over it.
+    """
+
+    fill_factor: Scalar = eqx.field(converter=as_float)
+    microlens: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    oversampling: int = eqx.field(static=True, default=1, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("PixelAperture.fill_factor", self.fill_factor, ())
+        check_shape("PixelAperture.microlens", self.microlens, ())
+        check_range("PixelAperture.fill_factor", self.fill_factor, 0, 1, above=True)
+        check_range("PixelAperture.microlens", self.microlens, 0, 1)
+        check_count("PixelAperture.oversampling", self.oversampling, 1)
+
+
+class ColourFilter(eqx.Module):
+    """A filter over each pixel, so that it measures one number: a weighted sum of the bands.
+
+    `transmission`: (colours, bands), relative; with a quantum efficiency of None, electrons per
+    photon. `pattern`: rows of indices of a colour, repeated from the first pixel on, static:
+    `bayer("RGGB")`, or any other tile; ((0,),) with one colour is a monochrome sensor.
+    """
+
+    transmission: Float[Array, "colours bands"] = eqx.field(converter=as_float)
+    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("ColourFilter.transmission", self.transmission, ("colours", "bands"))
+        check_range("ColourFilter.transmission", self.transmission, 0)
+        check_tile(
+            "ColourFilter.pattern",
+            self.pattern,
+            bands=self.transmission.shape[0],
+            holder="ColourFilter.transmission",
+        )
+
+
+class DoublingDarkCurrent(eqx.Module):
+    """I = rate 2^((T - T_ref) / doubling), EMVA 1288: `rate`, () e- s^-1 per pixel at
+    `reference_temperature`, doubles with each interval `doubling`; () K each. `temperature`: () K.
+    """
+
+    rate: Scalar = eqx.field(converter=as_float)
+    temperature: Scalar = eqx.field(converter=as_float)
+    reference_temperature: Scalar = eqx.field(converter=as_float)
+    doubling: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_temperatures(self)
+        check_shape("DoublingDarkCurrent.doubling", self.doubling, ())
+        check_range("DoublingDarkCurrent.doubling", self.doubling, 0, above=True)
+
+
+class ArrheniusDarkCurrent(eqx.Module):
+    """I = rate exp(-(E / k) (1 / T - 1 / T_ref)): thermal generation over `activation_energy`,
+    () eV, in silicon from half the band gap (0.56, in the depletion region) to all of it (1.12,
+    by diffusion). `rate`: () e- s^-1 per pixel at `reference_temperature`, () K. `temperature`:
+    () K.
+    """
+
+    rate: Scalar = eqx.field(converter=as_float)
+    temperature: Scalar = eqx.field(converter=as_float)
+    reference_temperature: Scalar = eqx.field(converter=as_float)
+    activation_energy: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_temperatures(self)
+        check_shape("ArrheniusDarkCurrent.activation_energy", self.activation_energy, ())
+        check_range("ArrheniusDarkCurrent.activation_energy", self.activation_energy, 0)
+
+
+DarkCurrent = DoublingDarkCurrent | ArrheniusDarkCurrent
+
+
+class HotPixels(eqx.Module):
+    """Pixels with more dark current. `fraction`: () of the pixels, in [0, 1]. `rate`: () e- s^-1,
+    the mean of their excess, which is distributed exponentially."""
+
+    fraction: Scalar = eqx.field(converter=as_float)
+    rate: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("HotPixels.fraction", self.fraction, ())
+        check_shape("HotPixels.rate", self.rate, ())
+        check_range("HotPixels.fraction", self.fraction, 0, 1)
+        check_range("HotPixels.rate", self.rate, 0)
 
 
 class PoissonShotNoise(eqx.Module):
     """Electrons are counted: a Poisson draw replaces the mean."""
 
 
+class FastPoissonShotNoise(eqx.Module):
+    """Electrons are counted by inverting the Poisson distribution: whole numbers, many times faster
+    to draw than `PoissonShotNoise`, and with gradients along the draw. Its distribution is within
+    1.4e-4 of Poisson's in total variation at every mean up to 1e5 (`count` says how)."""
+
+
 class GaussianShotNoise(eqx.Module):
-    """A Gaussian of variance equal to the mean, many times faster to draw than a Poisson; good
-    from about 20 electrons up, and below that it can go negative."""
+    """A Gaussian of variance equal to the mean; good from about 20 electrons up, and below that
+    it can go negative."""
 
 
-ShotNoise = PoissonShotNoise | GaussianShotNoise
+ShotNoise = PoissonShotNoise | FastPoissonShotNoise | GaussianShotNoise
+
+
+class ChargeTransfer(eqx.Module):
+    """What a CCD leaves behind at each transfer of a charge packet towards its read-out, which lies
+    before the first row and column.
+
+    `inefficiency`: () share of a packet per row transfer, in [0, 1/2]. `serial_inefficiency`: the
+    same along the register's columns, or None. `trail`: pixels that a packet is followed over,
+    static; what falls further behind is read in the last of them.
+    """
+
+    inefficiency: Scalar = eqx.field(converter=as_float)
+    serial_inefficiency: Scalar | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    trail: int = eqx.field(static=True, default=8, kw_only=True)
+
+    def __check_init__(self) -> None:
+        for name in ("inefficiency", "serial_inefficiency"):
+            check_shape(f"ChargeTransfer.{name}", getattr(self, name), ())
+            check_range(f"ChargeTransfer.{name}", getattr(self, name), 0, 0.5)
+        check_count("ChargeTransfer.trail", self.trail, 1)
+
+
+class ResetNoise(eqx.Module):
+    """The kT/C noise of a sense node that is reset before each read-out and not sampled then.
+    `capacitance`: () F. `temperature`: () K."""
+
+    capacitance: Scalar = eqx.field(converter=as_float)
+    temperature: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("capacitance", "temperature"):
+            check_shape(f"ResetNoise.{name}", getattr(self, name), ())
+            check_range(f"ResetNoise.{name}", getattr(self, name), 0)
+
+
+class HeavyTailedReadNoise(eqx.Module):
+    """Read noise whose tail is longer than a Gaussian's: a mixture of two Gaussians.
+
+    `rms`: () e- of most read-outs. `tail_rms`: () e- of the others. `tail_fraction`: () how many
+    are others, in [0, 1].
+    """
+
+    rms: Scalar = eqx.field(converter=as_float)
+    tail_rms: Scalar = eqx.field(converter=as_float)
+    tail_fraction: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("rms", "tail_rms", "tail_fraction"):
+            check_shape(f"HeavyTailedReadNoise.{name}", getattr(self, name), ())
+        check_range("HeavyTailedReadNoise.rms", self.rms, 0)
+        check_range("HeavyTailedReadNoise.tail_rms", self.tail_rms, 0)
+        check_range("HeavyTailedReadNoise.tail_fraction", self.tail_fraction, 0, 1)
+
+
+class TelegraphNoise(eqx.Module):
+    """Pixels with a trap that is full half of the time. Read twice and subtracted (correlated
+    double sampling), such a pixel is off by -amplitude, 0 or +amplitude in 1, 2 and 1 of 4 frames.
+
+    `fraction`: () of the pixels, in [0, 1]. `amplitude`: () e-.
+    """
+
+    fraction: Scalar = eqx.field(converter=as_float)
+    amplitude: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("TelegraphNoise.fraction", self.fraction, ())
+        check_shape("TelegraphNoise.amplitude", self.amplitude, ())
+        check_range("TelegraphNoise.fraction", self.fraction, 0, 1)
+        check_range("TelegraphNoise.amplitude", self.amplitude, 0)
+
+
+class Banding(eqx.Module):
+    """A hum over the rows of each frame, of random phase. `amplitude`: () e-. `period`: () rows."""
+
+    amplitude: Scalar = eqx.field(converter=as_float)
+    period: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Banding.amplitude", self.amplitude, ())
+        check_shape("Banding.period", self.period, ())
+        check_range("Banding.amplitude", self.amplitude, 0)
+        check_range("Banding.period", self.period, 0, above=True)
+
+
+class RollingShutter(eqx.Module):
+    """Each row begins and ends its exposure `line_time`, () s, after the row above."""
+
+    line_time: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("RollingShutter.line_time", self.line_time, ())
+        check_range("RollingShutter.line_time", self.line_time, 0)
+
+
+def _number_or_record(x: Any) -> Any:
+    return x if isinstance(x, eqx.Module) else as_optional_float(x)
 
 
 class Sensor(eqx.Module):
-    """A linear image sensor after EMVA 1288. Every effect is optional; `None` leaves it out.
+    """An image sensor after EMVA 1288, CCD or CMOS. Every effect is optional; `None` leaves it out.
 
+    In the order of the light's path. From light to electrons:
     `photon_conversion`: None takes the input as photons per pixel and second already.
+    `infrared_cut`: (bands,) transmission of a filter before the sensor, in [0, 1].
+    `quantum_efficiency`: () or (bands,) electrons per photon, in [0, 1].
+    `colour_filter`: None measures every band at every pixel.
+    `pixel_aperture`: None gathers light over the whole pixel.
+    `shutter`: None exposes all rows at once (a global shutter).
     `exposure_time`: () s; None takes rates as counts per exposure.
-    `quantum_efficiency`: () or (bands,) electrons per photon.
+    `crosstalk`: () share of a pixel's electrons that drift to each of its four neighbours, in
+    [0, 1/4].
+    `smear`: () time a row spends under each other row while a CCD shifts its frame, over the
+    exposure time.
     `prnu`: () relative rms of the pixels' sensitivities.
-    `dark_current`: () e- s^-1 per pixel; its electrons are counted with those of the light, so
-    they have shot noise if any have.
+    `dead_pixels`: () fraction of the pixels that see nothing, in [0, 1].
+    `dark_current`: () e- s^-1 per pixel, or its law of temperature; its electrons are counted with
+    those of the light, so they have shot noise if any have.
+    `hot_pixels`: pixels with more of it.
+
+    In the pixel:
     `shot_noise`: how counting is drawn.
     `full_well`: () e- a pixel holds.
-    `dsnu`: () e- rms of the pixels' offsets.
-    `read_noise`: () e- rms per read-out.
-    `gain`: () DN per e-. `offset`: () DN added before conversion (the black level).
-    `bits`: () of the ADC, up to 16: rounds to whole DN and clips to [0, 2^bits - 1].
+    `blooming`: () share of an overfull well's excess that its anti-blooming gate does not drain and
+    that spills along the column, in [0, 1].
+
+    Out of it:
+    `charge_transfer`: a CCD's.
+    `conversion_prnu`: () relative rms of the pixels' conversion gains, by the amplifier (source
+    follower) in each pixel of a CMOS sensor: unlike `prnu` it acts on what was counted.
+    `dsnu`, `column_dsnu`, `row_dsnu`: () e- rms of the offsets of pixels, columns and rows.
+    `reset_noise`: None where correlated double sampling removes it.
+    `read_noise`: () e- rms per read-out, Gaussian, or a distribution with a longer tail.
+    `telegraph_noise`: pixels that jump.
+    `row_noise`: () e- rms of an offset that each row of each frame draws.
+    `banding`: an offset that hums over the rows.
+    `column_prnu`: () relative rms of the gains of the columns' amplifiers.
+    `gain`: () DN per e-, > 0; a camera's ISO setting is in proportion to it (ISO 12232 by
+    saturation: 78 over the lx s that just fill the ADC's range). `offset`: () DN added before
+    conversion (the black level).
+    `bits`: () of the ADC, whole, at least 1 and at most as many as the dtype counts exactly (11, 24
+    and 53 of float16, float32 and float64): rounds to whole DN and clips to [0, 2^bits - 1].
     """
 
     photon_conversion: PhotonConversion | None = eqx.field(default=None, kw_only=True)
-    exposure_time: Scalar | None = eqx.field(
-        converter=as_optional_float, default=None, kw_only=True
-    )
+    infrared_cut: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     quantum_efficiency: Scalar | Colour | None = eqx.field(
         converter=as_optional_float, default=None, kw_only=True
     )
+    colour_filter: ColourFilter | None = eqx.field(default=None, kw_only=True)
+    pixel_aperture: PixelAperture | None = eqx.field(default=None, kw_only=True)
+    shutter: RollingShutter | None = eqx.field(default=None, kw_only=True)
+    exposure_time: Scalar | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    crosstalk: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    smear: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     prnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-    dark_current: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    dead_pixels: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    dark_current: Scalar | DarkCurrent | None = eqx.field(
+        converter=_number_or_record, default=None, kw_only=True
+    )
+    hot_pixels: HotPixels | None = eqx.field(default=None, kw_only=True)
     shot_noise: ShotNoise | None = eqx.field(default=None, kw_only=True)
     full_well: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    blooming: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    charge_transfer: ChargeTransfer | None = eqx.field(default=None, kw_only=True)
+    conversion_prnu: Scalar | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
     dsnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-    read_noise: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    column_dsnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    row_dsnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    reset_noise: ResetNoise | None = eqx.field(default=None, kw_only=True)
+    read_noise: Scalar | HeavyTailedReadNoise | None = eqx.field(
+        converter=_number_or_record, default=None, kw_only=True
+    )
+    telegraph_noise: TelegraphNoise | None = eqx.field(default=None, kw_only=True)
+    row_noise: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    banding: Banding | None = eqx.field(default=None, kw_only=True)
+    column_prnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     gain: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     offset: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     bits: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
+        for name, kinds in _RECORDS.items():
+            check_kind(f"Sensor.{name}", getattr(self, name), kinds)
+        check_shape("Sensor.infrared_cut", self.infrared_cut, ("bands",))
         check_shape("Sensor.quantum_efficiency", self.quantum_efficiency, (), ("bands",))
-        for name in ("exposure_time", "prnu", "dark_current", "full_well", "dsnu", "read_noise"):
-            check_shape(f"Sensor.{name}", getattr(self, name), ())
+        for name, high in _SCALARS.items():
+            value = getattr(self, name)
+            if isinstance(value, eqx.Module):
+                check_kind(f"Sensor.{name}", value, _LAWS[name])
+            else:
+                check_shape(f"Sensor.{name}", value, ())
+                check_range(f"Sensor.{name}", value, 0, high, finite=name != "full_well")
+        check_range("Sensor.infrared_cut", self.infrared_cut, 0, 1)
+        check_range("Sensor.quantum_efficiency", self.quantum_efficiency, 0, 1)
         for name in ("gain", "offset", "bits"):
             check_shape(f"Sensor.{name}", getattr(self, name), ())
+        check_range("Sensor.gain", self.gain, 0, above=True)
+        check_range("Sensor.offset", self.offset, -_LARGEST)
+        if self.bits is not None:
+            check_range("Sensor.bits", self.bits, 1, jnp.finfo(self.bits.dtype).nmant + 1)
+            if is_known(self.bits) and not float(self.bits).is_integer():
+                raise ValueError(f"Sensor.bits must be a whole number, got {self.bits}.")
+        if self.blooming is not None and self.full_well is None:
+            raise ValueError("Sensor.full_well must be given where blooming is, got None.")
+
+
+# The scalar fields that cannot be negative, each with the largest value allowed.
+_SCALARS = {
+    "exposure_time": _LARGEST,
+    "crosstalk": 0.25,
+    "smear": _LARGEST,
+    "prnu": _LARGEST,
+    "dead_pixels": 1.0,
+    "dark_current": _LARGEST,
+    "full_well": _LARGEST,
+    "blooming": 1.0,
+    "conversion_prnu": _LARGEST,
+    "dsnu": _LARGEST,
+    "column_dsnu": _LARGEST,
+    "row_dsnu": _LARGEST,
+    "read_noise": _LARGEST,
+    "row_noise": _LARGEST,
+    "column_prnu": _LARGEST,
+}
+
+
+# The fields that hold records only, and the records that a scalar field may hold instead.
+_RECORDS = {
+    "photon_conversion": PhotonConversion,
+    "colour_filter": ColourFilter,
+    "pixel_aperture": PixelAperture,
+    "shutter": RollingShutter,
+    "hot_pixels": HotPixels,
+    "shot_noise": ShotNoise,
+    "charge_transfer": ChargeTransfer,
+    "reset_noise": ResetNoise,
+    "telegraph_noise": TelegraphNoise,
+    "banding": Banding,
+}
+_LAWS = {"dark_current": DarkCurrent, "read_noise": HeavyTailedReadNoise}
+
+
+def _check_temperatures(law: DarkCurrent) -> None:
+    name = type(law).__name__
+    for field in ("rate", "temperature", "reference_temperature"):
+        check_shape(f"{name}.{field}", getattr(law, field), ())
+    check_range(f"{name}.rate", law.rate, 0)
+    check_range(f"{name}.temperature", law.temperature, 0, above=True)
+    check_range(f"{name}.reference_temperature", law.reference_temperature, 0, above=True)

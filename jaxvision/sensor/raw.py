@@ -1,0 +1,77 @@
+"""Irradiance to raw data, read downward; a step whose parameter is None is not traced.
+
+Elementwise on arrays (..., bands) of any shape, so a whole image is one call and one loop over its
+pixels; effects between pixels, rows or columns need an image (..., h, w, bands). Leading axes are
+more pixels of the same exposure: each draws its own numbers, what belongs to a row or column is
+shared along them. Frames of one die are a `vmap` over keys.
+"""
+
+import jax.numpy as jnp
+
+from .._types import Key
+from ..scene import Sensor
+from ._draws import Frame, needed
+from .adc import digitise
+from .ccd import bloomed, transfer_noise, transferred
+from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
+from .fixed_pattern import conversion_gains, hot_rates, offsets, sensitivity
+from .read_out import read_out_noise
+from .shot_noise import count
+
+
+def collect(
+    key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
+) -> Counts:
+    """Electrons read from each pixel in one exposure, (..., bands), or (..., h, w, 1) under a
+    colour filter.
+
+    `key` draws what changes from frame to frame, `die_key` what stays; `ValueError` if one is None
+    and needed. `irradiance` as in `mean_photoelectrons`, >= 0 (below counts as 0 where counted).
+
+    Each electron is left behind by a transfer, or not, by chance. A Poisson packet that is thinned
+    so stays Poisson's: transfers act on the expectation before it is counted. Where a full well
+    cuts the packets in between, they act on what is left, with the noise of that chance.
+    """
+    electrons = expected_charge(sensor, irradiance)
+    shape, dtype = electrons.shape, electrons.dtype
+    response = sensitivity(die_key, sensor, shape=shape, dtype=dtype)
+    if response is not None:
+        electrons = electrons * response
+    if sensor.dark_current is not None:
+        electrons = electrons + mean_dark(sensor, electrons)
+    if sensor.hot_pixels is not None:
+        rates = hot_rates(die_key, sensor.hot_pixels, shape=shape, dtype=dtype)
+        electrons = electrons + over_exposure(sensor, rates)
+    transfer = sensor.charge_transfer
+    if transfer is not None and sensor.full_well is None:
+        electrons = transferred(electrons, transfer)
+    if sensor.shot_noise is not None:
+        electrons = count(needed(key, Frame.SHOT), electrons, sensor.shot_noise)
+    if sensor.full_well is not None and sensor.blooming is not None:
+        electrons = bloomed(electrons, sensor.full_well, sensor.blooming)
+    elif sensor.full_well is not None:
+        electrons = jnp.minimum(electrons, sensor.full_well)
+    if transfer is not None and sensor.full_well is not None:
+        packets, electrons = electrons, transferred(electrons, transfer)
+        if sensor.shot_noise is not None:
+            electrons = electrons + transfer_noise(key, packets, transfer)
+    if sensor.conversion_prnu is not None:
+        electrons = electrons * conversion_gains(
+            die_key, sensor.conversion_prnu, shape=shape, dtype=dtype
+        )
+    for added in (
+        offsets(die_key, sensor, shape=shape, dtype=dtype),
+        read_out_noise(key, die_key, sensor, shape=shape, dtype=dtype),
+    ):
+        if added is not None:
+            electrons = electrons + added
+    return electrons
+
+
+def raw_image(
+    key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
+) -> Counts:
+    """The raw data of one exposure in DN, (..., bands), still floating point: `digitise` of
+    `collect`, with the same arguments."""
+    electrons = collect(key, sensor, irradiance, die_key=die_key)
+    return digitise(sensor, electrons, die_key=die_key)

@@ -1,0 +1,98 @@
+"""Noise of the read-out, in electrons: reset, read noise, telegraph noise, rows and banding."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from .._numerics import safe_sqrt
+from .._types import Key, Scalar, Scalars
+from ..scene import Banding, HeavyTailedReadNoise, ResetNoise, Sensor, TelegraphNoise
+from ._draws import Die, Frame, Shape, along_rows, check_image, gaussian, uniform, words
+from .dark import BOLTZMANN, ELEMENTARY_CHARGE
+
+
+def reset_noise_rms(reset: ResetNoise) -> Scalar:
+    """sqrt(k T C) / q: electrons rms () left on a sense node of capacitance C by its reset."""
+    # each factor within float32's range: k T C is not
+    electrons = BOLTZMANN / ELEMENTARY_CHARGE * reset.temperature
+    return safe_sqrt(electrons * (reset.capacitance / ELEMENTARY_CHARGE))
+
+
+def read_out_noise(
+    key: Key | None,
+    die_key: Key | None,
+    sensor: Sensor,
+    *,
+    shape: Shape,
+    dtype: DTypeLike,
+) -> Scalars | None:
+    """The sum of what reading one frame adds, in electrons, an array that combines with `shape`;
+    None for a sensor that reads without noise. Row noise and banding need an image."""
+    parts = []
+    rms = _rms_of_each(key, sensor, shape, dtype)
+    if rms is not None:
+        parts.append(rms * gaussian(key, Frame.READ, shape, dtype))
+    if sensor.telegraph_noise is not None:
+        parts.append(_telegraph(key, die_key, sensor.telegraph_noise, shape, dtype))
+    if sensor.row_noise is not None:
+        parts.append(sensor.row_noise * along_rows(key, Frame.ROW, shape, dtype))
+    if sensor.banding is not None:
+        parts.append(_hum(key, sensor.banding, shape, dtype))
+    return sum(parts[1:], parts[0]) if parts else None
+
+
+def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
+    """Variance () of `read_out_noise` in electrons^2 of a frame's pixel, whatever its place."""
+    variance = jnp.zeros((), dtype)
+    match sensor.read_noise:
+        case None:
+            pass
+        case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
+            variance = variance + (1 - fraction) * rms**2 + fraction * tail**2
+        case rms:
+            variance = variance + rms**2
+    if sensor.reset_noise is not None:
+        variance = variance + reset_noise_rms(sensor.reset_noise) ** 2
+    if sensor.telegraph_noise is not None:
+        telegraph = sensor.telegraph_noise
+        variance = variance + telegraph.fraction * telegraph.amplitude**2 / 2
+    if sensor.row_noise is not None:
+        variance = variance + sensor.row_noise**2
+    if sensor.banding is not None:
+        variance = variance + sensor.banding.amplitude**2 / 2
+    return variance
+
+
+def _rms_of_each(key: Key | None, sensor: Sensor, shape: Shape, dtype: DTypeLike) -> Scalars | None:
+    """Reset and read noise as one Gaussian: their variances add, and one draw serves both."""
+    match sensor.read_noise:
+        case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
+            in_tail = uniform(key, Frame.READ_TAIL, shape, dtype) <= fraction
+            read = jnp.where(in_tail, tail, rms)
+        case read:
+            pass
+    if sensor.reset_noise is None:
+        return read
+    reset = reset_noise_rms(sensor.reset_noise)
+    return reset if read is None else safe_sqrt(read**2 + reset**2)
+
+
+def _telegraph(
+    key: Key | None,
+    die_key: Key | None,
+    telegraph: TelegraphNoise,
+    shape: Shape,
+    dtype: DTypeLike,
+) -> Scalars:
+    """Full after less full before: two bits of a word."""
+    trapped = uniform(die_key, Die.TRAP, shape, dtype) <= telegraph.fraction
+    states = (words(key, Frame.TELEGRAPH, shape) >> 30).astype(jnp.int32)
+    jump = (states >> 1) - (states & 1)
+    return jnp.where(trapped, telegraph.amplitude * jump.astype(dtype), 0)
+
+
+def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
+    check_image("Sensor.banding", shape)
+    rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
+    phase = uniform(key, Frame.BANDING, (), dtype)
+    return banding.amplitude * jnp.sin(2 * np.pi * (rows / banding.period + phase))

@@ -1,0 +1,58 @@
+"""The pixel's aperture: a square, sqrt(fill factor) of the pitch wide, that averages irradiance.
+
+Its MTF is a sinc in each direction. A narrow aperture lets more of what lies above the Nyquist
+frequency through, to come back as aliases; a full one weakens it. A microlens widens the aperture.
+Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import safe_sqrt
+from .._types import Image, Scalar, Scalars
+from ..scene import PixelAperture
+
+
+def light_share(aperture: PixelAperture) -> Scalar:
+    """Share () of the light on a pixel that reaches its active area, relative to all of it: the
+    fill factor, and of the rest what the microlens brings in."""
+    if aperture.microlens is None:
+        return aperture.fill_factor
+    return aperture.fill_factor + aperture.microlens * (1 - aperture.fill_factor)
+
+
+def pixel_means(
+    irradiance: Image, aperture: PixelAperture
+) -> Float[Array, "*batch rows columns bands"]:
+    """Mean over the active area of each pixel: (..., h, w, bands) in W m^-2, of irradiance sampled
+    `oversampling` times along each side of a pixel, (..., h oversampling, w oversampling, bands).
+
+    Each sample stands for its cell. `ValueError` for a picture that is no whole number of pixels.
+    """
+    n = aperture.oversampling
+    if irradiance.ndim < 3:
+        raise ValueError(f"irradiance must be (..., h, w, bands), got shape {irradiance.shape}.")
+    *batch, fine_rows, fine_columns, bands = irradiance.shape
+    if fine_rows % n or fine_columns % n:
+        raise ValueError(
+            f"irradiance must have a multiple of {n} rows and columns, PixelAperture.oversampling, "
+            f"got shape {irradiance.shape}."
+        )
+    cells = irradiance.reshape(*batch, fine_rows // n, n, fine_columns // n, n, bands)
+    weights = _cell_weights(aperture)
+    return jnp.einsum("...iajbc,a,b->...ijc", cells, weights, weights)
+
+
+def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
+    """sinc(width frequency): contrast (...) relative to the scene's of a grating along rows or
+    columns, `frequency` (...) in cycles per pixel; negative where the contrast is reversed."""
+    return jnp.sinc(safe_sqrt(light_share(aperture)) * frequency)
+
+
+def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:
+    """Share of the aperture's width in each cell across a pixel; they add up to 1."""
+    n = aperture.oversampling
+    width = safe_sqrt(light_share(aperture))
+    edges = jnp.linspace(-0.5, 0.5, n + 1, dtype=width.dtype)
+    inside = jnp.clip(edges, -width / 2, width / 2)
+    return jnp.diff(inside) / width

@@ -1,0 +1,112 @@
+"""The sensor, stage by stage."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision import scene as s
+from jaxvision.colour_filters import bayer
+from jaxvision.sensor import Moments
+
+RNG = np.random.default_rng(4)
+KEY, DIE = jax.random.split(jax.random.key(1))
+X = jnp.asarray(RNG.uniform(0.1, 0.9, size=(4, 4, 2)))
+ELECTRONS = 1000 * X
+ONE, TWO = jnp.asarray(0.7), jnp.asarray(2.3)
+SMALL = jnp.asarray(0.01)
+APERTURE = s.PixelAperture(0.5, microlens=0.3, oversampling=2)
+FILTER = s.ColourFilter([[0.4, 0.1], [0.2, 0.3], [0.1, 0.2]], pattern=bayer("GRBG"))
+HOT = s.HotPixels(0.5, 300.0)
+TRANSFER = s.ChargeTransfer(1e-3, serial_inefficiency=2e-3, trail=3)
+DARK = s.DoublingDarkCurrent(100.0, 300.0, 293.0, 8.0)
+RESET = s.ResetNoise(1e-15, 300.0)
+SHUTTER = s.RollingShutter(0.004)
+SENSOR = s.Sensor(
+    photon_conversion=s.PhotonConversion([5e-7, 6e-7], 1e-11),
+    infrared_cut=[0.9, 0.8],
+    exposure_time=0.01,
+    quantum_efficiency=[0.5, 0.6],
+    pixel_aperture=APERTURE,
+    crosstalk=0.02,
+    smear=1e-3,
+    prnu=0.01,
+    dead_pixels=0.1,
+    dark_current=DARK,
+    hot_pixels=HOT,
+    shot_noise=s.GaussianShotNoise(),
+    full_well=2e9,
+    blooming=0.9,
+    charge_transfer=TRANSFER,
+    conversion_prnu=0.02,
+    dsnu=1.0,
+    column_dsnu=0.5,
+    row_dsnu=0.4,
+    reset_noise=RESET,
+    read_noise=s.HeavyTailedReadNoise(2.0, 9.0, 0.1),
+    telegraph_noise=s.TelegraphNoise(0.2, 5.0),
+    row_noise=0.3,
+    banding=s.Banding(2.0, 9.0),
+    column_prnu=0.01,
+    gain=0.1,
+    offset=64.0,
+)
+MOMENTS_OF = s.Sensor(
+    exposure_time=0.5,
+    dark_current=DARK,
+    shot_noise=s.GaussianShotNoise(),
+    full_well=900.0,
+    read_noise=5.0,
+    gain=0.3,
+    offset=10.0,
+    bits=8,
+)
+
+
+def moving(time):
+    return X * (1 + time)
+
+
+EXAMPLES = {
+    "sensor.adc.digitise": ((SENSOR, ELECTRONS), {"die_key": DIE}),
+    "sensor.adc.amplified": ((SENSOR, ELECTRONS), {}),
+    "sensor.adc.largest_number": ((TWO,), {}),
+    "sensor.ccd.bloomed": ((ELECTRONS, jnp.asarray(500.0), ONE), {}),
+    "sensor.ccd.transferred": ((ELECTRONS, TRANSFER), {}),
+    "sensor.ccd.transferred_variance": ((ELECTRONS, TRANSFER), {}),
+    "sensor.ccd.counted_variance": ((ELECTRONS, ELECTRONS, TRANSFER), {}),
+    "sensor.ccd.transfer_noise": ((KEY, ELECTRONS, TRANSFER), {}),
+    "sensor.dark.dark_rate": ((DARK,), {}),
+    "sensor.exposure.photon_rate": ((X, X[0, 0], ONE), {}),
+    "sensor.exposure.mean_photoelectrons": ((SENSOR, X), {}),
+    "sensor.exposure.expected_charge": ((SENSOR, X), {}),
+    "sensor.exposure.filtered": ((FILTER, ELECTRONS), {}),
+    "sensor.exposure.drifted": ((ELECTRONS, SMALL), {}),
+    "sensor.exposure.smeared": ((ELECTRONS, SMALL), {}),
+    "sensor.exposure.mean_dark": ((SENSOR, X), {}),
+    "sensor.exposure.over_exposure": ((SENSOR, X), {}),
+    "sensor.fixed_pattern.sensitivity": ((DIE, SENSOR), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.fixed_pattern.hot_rates": ((DIE, HOT), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.fixed_pattern.offsets": ((DIE, SENSOR), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.fixed_pattern.column_gains": ((DIE, SMALL), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.fixed_pattern.conversion_gains": ((DIE, SMALL), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.moments.censored": ((Moments(ELECTRONS, 3 * ELECTRONS),), {"high": jnp.asarray(700.0)}),
+    "sensor.moments.clipped_moments": ((MOMENTS_OF, ELECTRONS), {}),
+    "sensor.moments.expected_signal": ((SENSOR, X), {}),
+    "sensor.moments.signal_variance": ((SENSOR, X), {}),
+    "sensor.moments.pattern_variance": ((SENSOR, X), {}),
+    "sensor.raw.collect": ((KEY, SENSOR, X), {"die_key": DIE}),
+    "sensor.raw.raw_image": ((KEY, SENSOR, X), {"die_key": DIE}),
+    "sensor.read_out.read_out_noise": ((KEY, DIE, SENSOR), {"shape": X.shape, "dtype": X.dtype}),
+    "sensor.read_out.read_out_variance": ((SENSOR,), {"dtype": X.dtype}),
+    "sensor.read_out.reset_noise_rms": ((RESET,), {}),
+    "sensor.sampling.aperture_mtf": ((APERTURE, X), {}),
+    "sensor.sampling.light_share": ((APERTURE,), {}),
+    "sensor.sampling.pixel_means": ((X, APERTURE), {}),
+    "sensor.shot_noise.count": ((KEY, ELECTRONS, s.GaussianShotNoise()), {}),
+    "sensor.shutter.exposed": (
+        (SHUTTER, ONE),
+        {"picture_at": moving, "rows": 4, "slots": 5},
+    ),
+    "sensor.shutter.exposure_slots": ((SHUTTER, ONE), {"rows": 4, "slots": 5}),
+    "sensor.shutter.row_starts": ((SHUTTER, ONE), {"rows": 4}),
+}

@@ -1,0 +1,234 @@
+"""Cameras from files: the three that ship, and each mistake told in one sentence."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import Lambert, colour_data
+from jaxvision import scene as s
+from jaxvision.camera_files import read_camera, shipped_cameras
+from jaxvision.capture import capture
+from jaxvision.errors import InputError
+from jaxvision.sensor import expected_signal, mean_photoelectrons
+
+
+def test_three_cameras_ship():
+    assert shipped_cameras() == ("consumer_bayer", "emva1288", "ideal")
+
+
+@pytest.mark.real
+def test_the_industrial_camera_has_the_published_figures(data_folder):
+    lines = (data_folder / "emva1288" / "reference_results.csv").read_text().splitlines()[1:]
+    published = {line.split(",")[0]: float(line.split(",")[1]) for line in lines}
+    sensor = read_camera("emva1288").sensor
+    for field, name, scale in (
+        ("gain", "K", 1),
+        ("quantum_efficiency", "QE", 100),
+        ("read_noise", "sigma_d", 1),
+        ("dark_current", "u_I_mean", 1),
+        ("dsnu", "DSNU1288", 1),
+        ("prnu", "PRNU1288", 100),
+    ):
+        np.testing.assert_allclose(scale * getattr(sensor, field), published[name], rtol=1e-11)
+    responsivity = sensor.gain * sensor.quantum_efficiency
+    np.testing.assert_allclose(responsivity, published["R"], rtol=1e-9)
+
+
+def test_the_ideal_camera_counts_photons():
+    sensor = read_camera("ideal").sensor
+    joule = 6.62607015e-34 * 299792458 / 555e-9
+    electrons = expected_signal(sensor, jnp.asarray([1.0]))
+    np.testing.assert_allclose(electrons, 25e-12 * 0.01 / joule, rtol=1e-12)
+
+
+def test_the_consumer_camera_has_the_measured_sensitivities():
+    """An equal-energy band reaches each colour in proportion to the measured response per watt."""
+    sensor = read_camera("consumer_bayer").sensor
+    grid = colour_data.wavelength_grid(first=400e-9, last=700e-9, step=10e-9)
+    measured = np.asarray(colour_data.camera_sensitivities("Nikon 5100 (NPL)", grid))
+    assert sensor.colour_filter.transmission.shape == (3, 31)
+    assert float(sensor.colour_filter.transmission.max()) == pytest.approx(0.5)
+    band = 14  # 540 nm
+    light = jnp.zeros((2, 2, 31)).at[..., band].set(1.0)
+    tile = np.asarray(mean_photoelectrons(sensor, light))[..., 0]
+    red, green, blue = tile[0, 0], tile[0, 1], tile[1, 1]
+    assert tile[1, 0] == green
+    np.testing.assert_allclose(red / green, measured[band, 0] / measured[band, 1], rtol=1e-9)
+    np.testing.assert_allclose(blue / green, measured[band, 2] / measured[band, 1], rtol=1e-9)
+    three = read_camera("consumer_bayer", wavelengths=jnp.asarray([4.5e-7, 5.5e-7, 6.2e-7])).sensor
+    assert three.colour_filter.transmission.shape == (3, 3)
+    np.testing.assert_array_equal(three.photon_conversion.wavelength, [4.5e-7, 5.5e-7, 6.2e-7])
+
+
+@pytest.mark.parametrize("name", ["consumer_bayer", "emva1288", "ideal"])
+def test_each_takes_a_picture(name):
+    camera = read_camera(name)
+    bands = 31 if name == "consumer_bayer" else 1
+    camera = replace(camera, view=replace(camera.view, resolution=(8, 12)))
+    white = Lambert([0.0] * bands, ambient=[1.0] * bands)
+    wall = s.Surface(s.Plane([0, 0, 2.0], [0, 0, -1]), white)
+    scene = s.Scene([wall], [], s.AmbientLight([0.01 if bands > 1 else 5.0] * bands))
+    key = jax.random.key(0)
+    shot = jax.jit(capture, compiler_options={"xla_backend_optimization_level": 0})(
+        key, scene, camera, die_key=key
+    )
+    assert jnp.isfinite(shot.raw).all()
+    assert shot.raw.shape == (8, 12, 1)
+    assert float(shot.raw.std()) > 0
+    if camera.development is not None:
+        assert shot.picture.shape[:2] == (8, 12)
+
+
+GOOD = """
+[view]
+kind = "Pinhole"
+focal_length = 8e-3
+pixel_pitch = 5e-6
+resolution = [4, 6]
+[sensor]
+gain = 0.5
+[sensor.colour_filter]
+pattern = "GRBG"
+transmission = [[1.0], [0.5], [0.2]]
+[sensor.read_noise]
+kind = "HeavyTailedReadNoise"
+rms = 2.0
+tail_rms = 9
+tail_fraction = 0.01
+"""
+
+
+def test_tables_become_records(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(GOOD)
+    camera = read_camera(file)
+    assert camera.view.resolution == (4, 6)
+    np.testing.assert_array_equal(camera.view.rotation, np.eye(3))
+    assert camera.sensor.colour_filter.pattern == ((1, 0), (2, 1))
+    assert isinstance(camera.sensor.read_noise, s.HeavyTailedReadNoise)
+    assert float(camera.sensor.read_noise.tail_rms) == 9
+    assert camera.development is None
+
+
+MISTAKES = {
+    "key": ("gain = 0.5", "gian = 0.5", r"sensor\.gian is not a key .* nearest is 'gain'"),
+    "table": ("[view]", "[veiw]", r"veiw is not a key of a camera file; the nearest is 'view'"),
+    "kind": ('"Pinhole"', '"Pinhol"', r"view\.kind = 'Pinhol' is unknown; .* 'Pinhole'"),
+    "no kind": ('kind = "Pinhole"', "", r"view\.kind is missing; use one of Orthographic, Pinhole"),
+    "missing": ("focal_length = 8e-3", "", r"view\.focal_length is missing; add it"),
+    "value": ("gain = 0.5", "gain = -1", r"Sensor\.gain must be finite, above 0, got -1"),
+    "word": ("gain = 0.5", 'gain = "high"', r"sensor\.gain = 'high' must be a number"),
+    "toml": ("gain = 0.5", "gain 0.5", r"not a TOML file"),
+    "pattern": ('"GRBG"', '"GRRB"', r"pattern: phase must be one of RGGB"),
+    "number": ("gain = 0.5", "gain = {a = 1}", r"sensor\.gain is a number, not a table"),
+    "noise": (
+        "gain = 0.5",
+        "shot_noise = 3",
+        r"sensor\.shot_noise must be the table of a PoissonShotNoise or .*, got 3; head it "
+        r"\[sensor\.shot_noise\]",
+    ),
+    "noise in words": (
+        "gain = 0.5",
+        'shot_noise = "PoissonShotNoise"',
+        r"must be the table of a PoissonShotNoise or .*, got 'PoissonShotNoise'; head it",
+    ),
+    "distortion": (
+        "focal_length",
+        "distortion = 0.1\nfocal_length",
+        r"view\.distortion must be the table of a Distortion, got 0\.1",
+    ),
+    "development": (
+        "[view]",
+        "development = 3\n[view]",
+        r"development must be the table of a Development, got 3; head it \[development\]",
+    ),
+    "list of kinds": ('kind = "Pinhole"', "kind = []", r"view\.kind = \[\] is unknown; use one of"),
+    "rotation": (
+        "focal_length",
+        "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\nfocal_length",
+        r"Pinhole\.rotation must be a rotation",
+    ),
+    "broken tile": ('"GRBG"', "[[0, 1], [2]]", r"ColourFilter\.pattern must be rows of one length"),
+    "method": (
+        "[sensor]",
+        '[development.demosaicing]\npattern = "RGGB"\nmethod = "malver"\n[sensor]',
+        r"Demosaicing\.method must be one of bilinear, malvar, .*, got 'malver'",
+    ),
+    "subsampling": (
+        "[sensor]",
+        '[development.compression]\nquality = 50\nsubsampling = "4:2:1"\n[sensor]',
+        r"JPEG\.subsampling must be one of 4:4:4, 4:2:0, got '4:2:1'",
+    ),
+    "conversion": (
+        "transmission = [[1.0], [0.5], [0.2]]",
+        'sensitivities = "Nikon 5100 (NPL)"\npeak = 0.5\n[bands]\nfirst = 4e-7\nlast = 7e-7\n'
+        "step = 1e-7\n[sensor.photon_conversion]\nx = 1",
+        r"sensor\.photon_conversion\.x is not a key",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_mistakes_are_told_in_one_sentence(case, tmp_path):
+    right, wrong, message = MISTAKES[case]
+    assert right in GOOD
+    file = tmp_path / "mine.toml"
+    file.write_text(GOOD.replace(right, wrong, 1))
+    with pytest.raises(InputError, match=message) as caught:
+        read_camera(file)
+    assert "mine.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# What the type checks of these tests would catch before the records do: run without them.
+UNCHECKED = {
+    "Sensor(shot_noise=3.0)": "Sensor.shot_noise must be a record, PoissonShotNoise or "
+    "FastPoissonShotNoise or GaussianShotNoise, got 3.0.",
+    "Sensor(shot_noise=PoissonShotNoise)": "got the class PoissonShotNoise.",
+    "Sensor(pixel_aperture=0.5)": "Sensor.pixel_aperture must be a record, PixelAperture, got 0.5.",
+    "ColourFilter([[1.0]] * 2, pattern=[[0, 1]])": "ColourFilter.pattern must be a tuple of rows, "
+    "each a tuple of whole numbers, as in ((0, 1), (1, 2)), got [[0, 1]].",
+    "Demosaicing('RGGB')": "Demosaicing.pattern must be a tuple of rows",
+    "ChargeTransfer(1e-5, trail=8.5)": "trail must be a whole number of at least 1, got 8.5.",
+    "PixelAperture(0.5, oversampling='a')": "must be a whole number of at least 1, got 'a'.",
+    "PolygonalAperture(5.5)": "blades must be a whole number of at least 3, got 5.5.",
+    "Diffraction(5e-7, size=5.0)": "Diffraction.size must be an odd number of at least 1, got 5.0.",
+    "Pinhole(*EYE, resolution=(4.5, 6))": "must be a whole number of at least 1, got 4.5.",
+    "Pinhole(*EYE, resolution=4)": "Pinhole.resolution must be (rows, columns), got 4.",
+    "Pinhole(*EYE, resolution=(4, 6), distortion=0.1)": "must be a record, Distortion, got 0.1.",
+    "ThinLens(*EYE, resolution=(4, 6), f_number=2, aperture=3)": "ThinLens.aperture must be a "
+    "record, CircularAperture or",
+    "Development(tone=2.2)": "Development.tone must be a record, Gamma or SRGB, got 2.2.",
+    "pixel_means(np.ones((4, 4)), PixelAperture(0.5))": "irradiance must be (..., h, w, bands), "
+    "got shape (4, 4).",
+    "Camera(None, None, development=3)": "Camera.development must be a record, Development, got 3.",
+}
+
+
+def test_without_type_checks_the_records_say_what_is_wrong():
+    program = f"""
+import numpy as np
+from jaxvision.scene import *
+from jaxvision.sensor import pixel_means
+EYE = np.zeros(3), np.eye(3), 0.01, 1e-5
+for call in {list(UNCHECKED)}:
+    try:
+        eval(call)
+        print("accepted")
+    except ValueError as error:
+        print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    for said, (call, wanted) in zip(run.stdout.splitlines(), UNCHECKED.items(), strict=True):
+        assert wanted in said, call
+
+
+def test_a_camera_that_is_not_there_lists_those_that_are():
+    with pytest.raises(InputError, match="use one of consumer_bayer, emva1288, ideal"):
+        read_camera("emva1289")
