@@ -1,0 +1,113 @@
+"""From a camera's own primaries to those of a colour space, fitted on spectra.
+
+Sensitivities are no linear combinations of the colour matching functions (no camera meets Luther's
+condition), so a matrix maps camera RGB to colours only nearly: the best one depends on the light
+and on what is looked at. Colours are linear and relative, 1 is white.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Spectrum, as_float, check_shape
+from ..colour_spaces import adapt, xyz_to_rgb
+from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
+from .white_balance import neutral_gains
+
+
+class CameraColour(eqx.Module):
+    """How a camera's RGB becomes a picture's under one light. `gains`: (3,) of white balance, no
+    unit. `matrix`: (3, 3), no unit, from balanced camera RGB to linear RGB."""
+
+    gains: Float[Array, "3"] = eqx.field(converter=as_float)
+    matrix: Float[Array, "3 3"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("CameraColour.gains", self.gains, (3,))
+        check_shape("CameraColour.matrix", self.matrix, (3, 3))
+
+
+def fit_colour_matrix(
+    camera: Float[Array, "patches 3"],
+    wanted: Float[Array, "patches 3"],
+    *,
+    white: tuple[Float[Array, "3"], Float[Array, "3"]] | None = None,
+    weights: Float[Array, " patches"] | None = None,
+) -> Float[Array, "3 3"]:
+    """The matrix M, (3, 3), that minimises sum of weights |M camera - wanted|^2, relative colours.
+
+    `white`: a camera colour and what it must become, exactly (Finlayson and Drew, "White-point
+    preserving color correction", CIC 1997). `weights`: (patches,) >= 0, no unit. At least three
+    patches, two with `white`, else `ValueError`; colours that span less than three dimensions (two)
+    have no answer.
+    """
+    least = 3 if white is None else 2
+    if camera.shape != wanted.shape or camera.shape[0] < least:
+        raise ValueError(
+            f"camera and wanted must be (patches, 3) with at least {least} patches, got shapes "
+            f"{camera.shape} and {wanted.shape}."
+        )
+    if weights is not None:
+        root = jnp.sqrt(weights)[:, None]
+        camera, wanted = root * camera, root * wanted
+    if white is None:
+        return _least_squares(camera, wanted).T
+    seen, sought = white
+    # every M with M seen = sought is this one plus Z times the two directions across `seen`
+    through = jnp.outer(sought, seen) / jnp.vdot(seen, seen)
+    across = _across(seen)
+    rest = _least_squares(camera @ across, wanted - camera @ through.T)
+    return through + rest.T @ across.T
+
+
+def camera_colour(
+    sensitivities: Responses,
+    illuminant: Wavelengths,
+    reflectances: Spectrum,
+    wavelengths: Wavelengths,
+    observer: Responses,
+    white: Float[Array, "3"],
+    *,
+    space: str = "sRGB",
+    keep_white: bool = True,
+) -> CameraColour:
+    """The gains that balance a camera under a light, and the matrix from there to linear RGB that
+    reproduces reflectances best, in the least squares of that RGB.
+
+    `sensitivities`: (bands, 3), relative. `illuminant`: (bands,) relative power per wavelength.
+    `reflectances`: (patches, bands). `wavelengths`: (bands,) m. `observer`: (bands, 3) colour
+    matching functions; all of these from `colour_data`. `white`: (3,) XYZ of the white of `space`,
+    Y = 1; colours under the light are adapted to it (Bradford). `keep_white`: perfect white becomes
+    exactly white.
+    """
+    perfect = jnp.ones_like(reflectances[:1])
+    lit = jnp.concatenate([reflectances, perfect])
+    raw = spectrum_to_camera(lit * illuminant[None], wavelengths, sensitivities)
+    gains = neutral_gains(raw[-1:])
+    balanced = raw * gains[None] / jnp.max(raw[-1])
+    xyz = reflectance_to_xyz(lit, wavelengths, observer, illuminant)
+    rgb = xyz_to_rgb(adapt(xyz, xyz[-1], white), space=space)
+    ends = (balanced[-1], rgb[-1]) if keep_white else None
+    return CameraColour(gains, fit_colour_matrix(balanced[:-1], rgb[:-1], white=ends))
+
+
+def _least_squares(
+    a: Float[Array, "rows unknowns"], b: Float[Array, "rows 3"]
+) -> Float[Array, "unknowns 3"]:
+    import lineax as lx
+
+    operator, solver = lx.MatrixLinearOperator(a), lx.QR()
+    return jax.vmap(
+        lambda column: lx.linear_solve(operator, column, solver).value, in_axes=1, out_axes=1
+    )(b)
+
+
+def _across(v: Float[Array, "3"]) -> Float[Array, "3 2"]:
+    """Two orthonormal directions across v, by the reflection that turns v onto an axis."""
+    length = jnp.sqrt(jnp.vdot(v, v))
+    axis = jnp.zeros_like(v).at[0].set(jnp.where(v[0] < 0, -length, length))
+    mirror = v + axis
+    return (jnp.eye(3, dtype=v.dtype) - 2 * jnp.outer(mirror, mirror) / jnp.vdot(mirror, mirror))[
+        :, 1:
+    ]

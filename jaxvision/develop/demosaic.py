@@ -1,0 +1,329 @@
+"""From a mosaic, one band a pixel, to a picture with every band at every pixel.
+
+Mosaics are (..., h, w) in DN or relative, at least one tile of the pattern high and wide; integers
+become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit; what a
+pixel has seen stays as it is, except that Menon's green is refined. NaN spreads to the windows that
+hold it. Patterns are those of `colour_filters`; three of the four methods are for the tiles of
+Bayer, two greens on a diagonal and two other bands, in any order and phase.
+
+`border` says what lies beyond: "in_phase", c b | a b c d | c b, where the colours of such a tile go
+on as they would, or one of `padding.BORDERS`, the values of which are then taken for those of the
+colour that is due there.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+
+from .._staging import stored
+from .._types import as_float, check_choice
+from ..colour_filters import Pattern, check_pattern, sites
+from ..filters import correlate_separable
+from ..padding import pad
+from ..scene.developments import DEMOSAICINGS
+
+Mosaic = Shaped[Array | np.ndarray, "*mosaic"]
+Picture = Float[Array, "*batch h w bands"]
+Plane = Float[Array, "h w"]
+Mask = Bool[Array, "h w"]
+
+
+def demosaic(
+    raw: Mosaic, pattern: Pattern, *, method: str = "malvar", border: str = "in_phase"
+) -> Picture:
+    """The picture (..., h, w, bands) of a mosaic, by one of `METHODS`; in the mosaic's unit.
+
+    "bilinear": means of the nearest; "malvar": these, corrected by the gradient of the band that is
+    known; "menon": along the better of two directions, sharpest and slowest; "normalised": weighted
+    means, the one for patterns other than Bayer's. "menon" and "normalised" have a border of their
+    own. `ValueError` for an unknown method, a border it does not take, or a pattern it is not for.
+    """
+    check_choice("method", method, DEMOSAICINGS)
+    if method in ("bilinear", "malvar"):
+        return METHODS[method](raw, pattern, border=border)
+    if border != "in_phase":
+        raise ValueError(f'method "{method}" has a border of its own, got border {border!r}.')
+    return METHODS[method](raw, pattern)
+
+
+@partial(jax.jit, static_argnames=("pattern", "border"))
+def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
+    """The mean of the two or four nearest pixels that saw the band; a Bayer pattern, else
+    `ValueError`. In the mosaic's unit."""
+    layout = _layout(pattern)
+
+    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
+        at = _Shifted(stored(lambda f: _continued(f, 1, border), plane), 1)
+        beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
+        diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
+        return _chosen(layout, at(0, 0), (beside + above) / 4, beside / 2, above / 2, diagonal / 4)
+
+    return _per_image(of_image, raw, pattern)
+
+
+@partial(jax.jit, static_argnames=("pattern", "border"))
+def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
+    """`demosaic_bilinear` plus a share of the Laplacian of the band that the pixel saw: four 5 x 5
+    filters, in eighths; a Bayer pattern, else `ValueError`. In the mosaic's unit.
+
+    Source: Malvar, He, Cutler, "High-quality linear interpolation for demosaicing of
+    Bayer-patterned color images", ICASSP 2004, figure 2. (colour-demosaicing: border "mirror".)
+    """
+    layout = _layout(pattern)
+
+    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
+        at = _Shifted(stored(lambda f: _continued(f, 2, border), plane), 2)
+        own = at(0, 0)
+        beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
+        diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
+        far_beside, far_above = at(0, -2) + at(0, 2), at(-2, 0) + at(2, 0)
+        return _chosen(
+            layout,
+            own,
+            green=(4 * own + 2 * (beside + above) - (far_beside + far_above)) / 8,
+            along=(5 * own + 4 * beside - diagonal - far_beside + far_above / 2) / 8,
+            across=(5 * own + 4 * above - diagonal - far_above + far_beside / 2) / 8,
+            opposite=(6 * own + 2 * diagonal - 1.5 * (far_beside + far_above)) / 8,
+        )
+
+    return _per_image(of_image, raw, pattern)
+
+
+@partial(jax.jit, static_argnames=("pattern", "refine"))
+def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Picture:
+    """Directional filtering and a posteriori decision: green along rows or columns, whichever has
+    the smoother colour differences around, the other bands by their difference from it; then, if
+    `refine`, once more with what is known by now. A Bayer pattern, else `ValueError`. In the
+    mosaic's unit; the border is "in_phase", and beyond it no difference counts.
+
+    Source: Menon, Andriani, Calvagno, "Demosaicing with directional filtering and a posteriori
+    decision", IEEE Transactions on Image Processing 16 (2007), equations 1 to 12. The decision has
+    no gradient.
+    """
+    layout = _layout(pattern)
+
+    def of_image(plane: Plane) -> Float[Array, "h w 3"]:
+        is_green, first_rows = layout.masks(*plane.shape)
+        is_first = first_rows & ~is_green
+        green, by_rows = stored(lambda f: _directed_green(f, is_green), plane)
+
+        def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
+            return jnp.where(by_rows, near(difference, 1), near(difference, 0))
+
+        def at_green(from_green: Plane) -> tuple[Plane, Plane]:
+            """What either band exceeds green by, at the green pixels, from their neighbours."""
+            rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
+            return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
+
+        def others(raw: Plane, green: Plane) -> tuple[Plane, Plane]:
+            first, second = at_green(jnp.where(is_green, 0, raw - green))
+            apart = along(first - second, _mean_of_two)
+            return (
+                jnp.where(is_green, green + first, jnp.where(is_first, raw, raw + apart)),
+                jnp.where(is_green, green + second, jnp.where(is_first, raw - apart, raw)),
+            )
+
+        def refined(
+            raw: Plane, green: Plane, first: Plane, second: Plane
+        ) -> tuple[Plane, Plane, Plane]:
+            seen = (along(first - green, _mean_of_three), along(second - green, _mean_of_three))
+            green = jnp.where(is_green, green, raw - jnp.where(is_first, *seen))
+            above_green = at_green(jnp.where(is_green, 0, raw - green))
+            first = jnp.where(is_green, green + above_green[0], first)
+            second = jnp.where(is_green, green + above_green[1], second)
+            apart = along(first - second, _mean_of_three)
+            return (
+                green,
+                jnp.where(is_green | is_first, first, raw + apart),
+                jnp.where(is_green | ~is_first, second, raw - apart),
+            )
+
+        first, second = stored(others, plane, green)
+        if refine:
+            green, first, second = stored(refined, plane, green, first, second)
+        return _joined(layout, green, first, second)
+
+    return _per_image(of_image, raw, pattern)
+
+
+@partial(jax.jit, static_argnames="pattern")
+def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
+    """Means of the pixels near by that saw the band, weighted by tents as wide as the tile: any
+    pattern. In the mosaic's unit. Pixels outside the picture take no part.
+
+    Source: Knutsson and Westin, "Normalized and differential convolution", CVPR 1993. Of a Bayer
+    pattern it makes what `demosaic_bilinear` does, but for the outermost green.
+    """
+    rows, columns = len(pattern), len(pattern[0])
+    tents = (_tent(rows), _tent(columns))
+
+    def of_image(plane: Plane) -> Float[Array, "h w bands"]:
+        seen = jnp.stack(sites(pattern, *plane.shape), axis=-1)
+        weights = seen.astype(plane.dtype)
+        values = jnp.where(seen, plane[..., None], 0)
+        light = correlate_separable(values, *tents, border="zero")
+        return jnp.where(
+            seen, plane[..., None], light / correlate_separable(weights, *tents, border="zero")
+        )
+
+    return _per_image(of_image, raw, pattern)
+
+
+METHODS: dict[str, Callable[..., Picture]] = {
+    "bilinear": demosaic_bilinear,
+    "malvar": demosaic_malvar,
+    "menon": demosaic_menon,
+    "normalised": demosaic_normalised,
+}
+
+
+# ---------------------------------------------------------------- the tiles of Bayer
+
+
+class _Layout(NamedTuple):
+    """Which band is green, which shares a row with it in the first row, and which in the second;
+    and whether the first pixel is green."""
+
+    green: int
+    first: int
+    second: int
+    green_corner: bool
+
+    def masks(self, height: int, width: int) -> tuple[Mask, Mask]:
+        """(which pixels are green, which rows hold the first band)."""
+        row = jnp.asarray(np.arange(height)[:, None] % 2 == 0)
+        column = jnp.asarray(np.arange(width)[None] % 2 == 0)
+        is_green = (row == column) if self.green_corner else (row != column)
+        return is_green, jnp.broadcast_to(row, is_green.shape)
+
+
+def _layout(pattern: Pattern) -> _Layout:
+    check_pattern(pattern)
+    tile = np.asarray(pattern)
+    if tile.shape == (2, 2) and tile.max() == 2:
+        (a, b), (c, d) = tile.tolist()
+        if a == d:
+            return _Layout(a, b, c, True)
+        if b == c:
+            return _Layout(b, a, d, False)
+    raise ValueError(
+        "this method is for a 2 x 2 pattern of three bands, one of them twice on a diagonal, got "
+        f'{pattern}: take method "normalised".'
+    )
+
+
+def _chosen(
+    layout: _Layout, own: Plane, green: Plane, along: Plane, across: Plane, opposite: Plane
+) -> Float[Array, "h w 3"]:
+    """The three bands of each pixel: `own` where it saw the band, else the estimate for where the
+    band's pixels are around it: in its row (`along`), its column or its diagonals."""
+    is_green, first_rows = layout.masks(*own.shape)
+    in_rows = jnp.where(is_green, along, own)
+    in_others = jnp.where(is_green, across, opposite)
+    return _joined(
+        layout,
+        jnp.where(is_green, own, green),
+        jnp.where(first_rows, in_rows, in_others),
+        jnp.where(first_rows, in_others, in_rows),
+    )
+
+
+def _joined(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
+    """The planes in the order of the bands, by a choice in each number, which vectorises: three
+    planes that are stacked last are copied number by number."""
+    planes = dict(zip(layout[:3], (green, first, second), strict=True))
+    shape = (*green.shape, 3)
+    band = jax.lax.broadcasted_iota(jnp.int32, shape, 2)
+    wide = [jnp.broadcast_to(planes[i][..., None], shape) for i in range(3)]
+    return jnp.where(band == 0, wide[0], jnp.where(band == 1, wide[1], wide[2]))
+
+
+# ---------------------------------------------------------------- planes
+
+
+def _per_image(
+    of_image: Callable[[Plane], Float[Array, "h w bands"]], raw: Mosaic, pattern: Pattern
+) -> Picture:
+    check_pattern(pattern)
+    planes, tile = as_float(raw), (len(pattern), len(pattern[0]))
+    size = planes.shape[-2:]
+    if planes.ndim < 2 or size[0] < tile[0] or size[1] < tile[1]:
+        raise ValueError(
+            f"raw must be (..., h, w) with at least a tile of {tile} pixels, got shape "
+            f"{planes.shape}."
+        )
+    for _ in range(planes.ndim - 2):
+        of_image = jax.vmap(of_image)
+    return of_image(planes)
+
+
+def _continued(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
+    if border == "in_phase":
+        return jnp.pad(plane, reach, mode="reflect")
+    return pad(plane, ((reach, reach), (reach, reach)), border=border)
+
+
+class _Shifted(NamedTuple):
+    """A plane that was continued by `reach` on all sides, seen from pixels next to each."""
+
+    wide: Float[Array, "_ _"]
+    reach: int
+
+    def __call__(self, down: int, right: int) -> Plane:
+        top, left = self.reach + down, self.reach + right
+        height, width = (size - 2 * self.reach for size in self.wide.shape)
+        return self.wide[top : top + height, left : left + width]
+
+
+def _neighbours(plane: Plane, axis: int, distance: int) -> tuple[Plane, Plane]:
+    """The pixels so far before and behind each, along an axis, turned about at the ends."""
+    n = plane.shape[axis]
+    reach = [(0, 0), (0, 0)]
+    reach[axis] = (distance, distance)
+    wide = jnp.pad(plane, reach, mode="reflect")
+    before = jax.lax.slice_in_dim(wide, 0, n, axis=axis)
+    return before, jax.lax.slice_in_dim(wide, 2 * distance, 2 * distance + n, axis=axis)
+
+
+def _mean_of_two(plane: Plane, axis: int) -> Plane:
+    before, behind = _neighbours(plane, axis, 1)
+    return (before + behind) / 2
+
+
+def _mean_of_three(plane: Plane, axis: int) -> Plane:
+    before, behind = _neighbours(plane, axis, 1)
+    return (before + plane + behind) / 3
+
+
+def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Mask]:
+    """Menon's green, and where it goes along the rows: equations 1 to 6."""
+    greens, roughness = [], []
+    for axis in (1, 0):
+        far_before, far_behind = _neighbours(raw, axis, 2)
+        curvature = raw - (far_before + far_behind) / 2
+        green = jnp.where(is_green, raw, _mean_of_two(raw, axis) + curvature / 2)
+        difference = jnp.where(is_green, 0, raw - green)
+        change = jnp.abs(difference - _neighbours(difference, axis, 2)[1])
+        greens.append(green)
+        roughness.append(_near(change, axis))
+    by_rows = roughness[1] >= roughness[0]
+    return jnp.where(by_rows, *greens), by_rows
+
+
+def _near(change: Plane, axis: int) -> Plane:
+    """Changes from one pixel to the next but one, summed about each pixel: its own three times."""
+    at = _Shifted(jnp.pad(change if axis == 1 else change.T, 2), 2)
+    own = at(0, -2) + at(0, 0)
+    beside = at(-2, -2) + at(-2, 0) + at(2, -2) + at(2, 0) + at(-1, -1) + at(1, -1)
+    total = 3 * own + beside
+    return total if axis == 1 else total.T
+
+
+def _tent(tile: int) -> np.ndarray:
+    """Weights that fall to 0 a tile away, so that the nearest of a band is always within."""
+    return tile - np.abs(np.arange(1 - tile, tile), dtype=float)

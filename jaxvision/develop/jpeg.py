@@ -1,0 +1,249 @@
+"""The loss of a JPEG file without the file: ITU-T T.81 (baseline) as libjpeg does it.
+
+Colour to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division by a table and
+rounding, and all the way back. Pictures are (..., h, w, bands) with one band or R'G'B', encoded and
+relative: 1 is code 255, what lies outside [0, 1] is cut, as bytes are, and NaN is black.
+
+`rounding` says how what a file cannot hold is dropped:
+"straight_through": every code and coefficient is a whole number, the same as libjpeg's own (its
+accurate integer transform, its chroma filters); gradients pass as if nothing had been rounded;
+"cubic": only the coefficients are rounded, softly, by round(x) + (x - round(x))^3, which has a
+slope (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
+
+Quality 1 to 100 is libjpeg's (Independent JPEG Group), and scales the tables of T.81, annex K.
+"""
+
+from functools import partial, reduce
+from operator import add
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
+
+from .._numerics import with_gradient_of
+from .._staging import stored
+from .._types import Image, Scalar, as_float, as_relative, check_choice
+from ..padding import Picture
+from ..scene.developments import ROUNDINGS, SUBSAMPLINGS
+
+Plane = Float[Array, "h w"]
+Other = Float[Array, "_ _"]
+Table = Float[Array, "8 8"]
+
+_LUMA_TABLE = np.array(
+    [
+        [16, 11, 10, 16, 24, 40, 51, 61],
+        [12, 12, 14, 19, 26, 58, 60, 55],
+        [14, 13, 16, 24, 40, 57, 69, 56],
+        [14, 17, 22, 29, 51, 87, 80, 62],
+        [18, 22, 37, 56, 68, 109, 103, 77],
+        [24, 35, 55, 64, 81, 104, 113, 92],
+        [49, 64, 78, 87, 103, 121, 120, 101],
+        [72, 92, 95, 98, 112, 100, 103, 99],
+    ],
+    float,
+)
+_CHROMA_TABLE = np.full((8, 8), 99.0)
+_CHROMA_TABLE[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
+
+# sqrt(8) times the orthonormal cosines in 2^-13, as libjpeg's thirteen-bit constants add up to them
+# (jfdctint.c, after Loeffler, Ligtenberg and Moschytz, ICASSP 1989); its inverse is the transpose.
+_COSINES = np.array(
+    [
+        [8192, 8192, 8192, 8192, 8192, 8192, 8192, 8192],
+        [11363, 9633, 6437, 2260, -2260, -6437, -9633, -11363],
+        [10703, 4433, -4433, -10703, -10703, -4433, 4433, 10703],
+        [9633, -2259, -11362, -6436, 6436, 11362, 2259, -9633],
+        [8192, -8192, -8192, 8192, 8192, -8192, -8192, 8192],
+        [6437, -11362, 2261, 9633, -9633, -2261, 11362, -6437],
+        [4433, -10704, 10704, -4433, -4433, 10704, -10704, 4433],
+        [2260, -6436, 9633, -11363, 11363, -9633, 6436, -2260],
+    ],
+    np.int32,
+)
+
+
+def quantisation_tables(
+    quality: Scalar | float, *, rounding: str = "straight_through"
+) -> tuple[Table, Table]:
+    """(luma, chroma): what the coefficients (8, 8) are divided by, from 1 to 255, no unit.
+
+    `quality`: () from 1 to 100, beyond which it is cut. Whole numbers, except with the `rounding`
+    "cubic", which leaves them where the scale puts them.
+    """
+    whole = _is_whole(rounding)
+    quality = jnp.clip(as_float(quality), 1, 100)
+    low = quality < 50
+    divisor = jnp.where(low, quality, 1)
+    enlarged = _part(jnp.full_like(divisor, 5000), _NO_TIE, divisor, whole)
+    percent = jnp.where(low, enlarged, 200 - 2 * quality)
+
+    def scaled(table: np.ndarray) -> Table:
+        hundredfold = jnp.asarray(table, percent.dtype) * percent
+        return jnp.clip(_part(hundredfold, 50 + _NO_TIE, 100, whole), 1, 255)
+
+    return scaled(_LUMA_TABLE), scaled(_CHROMA_TABLE)
+
+
+@partial(jax.jit, static_argnames=("subsampling", "rounding"))
+def jpeg(
+    picture: Picture,
+    quality: Scalar | float,
+    *,
+    subsampling: str = "4:2:0",
+    rounding: str = "straight_through",
+) -> Image:
+    """The picture as it comes back from a JPEG file: relative, of the same shape.
+
+    `quality`: () 1 to 100. `subsampling`: "4:4:4" keeps the chroma, "4:2:0" halves it both ways
+    (and is upsampled by libjpeg's triangle filter). `rounding`: as in the module. `ValueError` for
+    another choice or for other than one or three bands.
+    """
+    picture = as_relative(picture)
+    if picture.ndim < 3 or picture.shape[-1] not in (1, 3):
+        raise ValueError(
+            f"picture must be (..., h, w, 1) or (..., h, w, 3), got shape {picture.shape}."
+        )
+    check_choice("subsampling", subsampling, SUBSAMPLINGS)
+    whole = _is_whole(rounding)
+    luma_table, chroma_table = (
+        table.astype(picture.dtype) for table in quantisation_tables(quality, rounding=rounding)
+    )
+    coded_chroma = _coded if subsampling == "4:4:4" else _coded_at_half_size
+
+    def of_image(image: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
+        known = jnp.where(jnp.isnan(image), 0, image)
+        codes = _part(255 * jnp.clip(known, 0, 1), 0.5, 1, whole)
+        if image.shape[-1] == 1:
+            return _coded(codes[..., 0], luma_table, whole)[..., None] / 255
+        luma, chroma = _to_ycbcr(codes, whole)
+        luma = _coded(luma, luma_table, whole)
+        chroma = jax.vmap(lambda plane: coded_chroma(plane, chroma_table, whole))(chroma)
+        return _to_rgb(luma, chroma, whole) / 255
+
+    for _ in range(picture.ndim - 3):
+        of_image = jax.vmap(of_image)
+    return of_image(picture)
+
+
+# ---------------------------------------------------------------- whole numbers
+
+# Added to a whole number before it is divided by another and rounded down: it changes no result,
+# and a product with the reciprocal, which compilers make of a quotient, does not fall short of one.
+_NO_TIE = 0.5
+
+
+def _is_whole(rounding: str) -> bool:
+    check_choice("rounding", rounding, ROUNDINGS)
+    return rounding == "straight_through"
+
+
+def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool) -> Array:
+    """floor((total + bias) / of), as integers are divided with a bias that makes it a rounding; or
+    total / of."""
+    exact = total / of
+    return with_gradient_of(jnp.floor((total + bias) / of), exact) if whole else exact
+
+
+# ---------------------------------------------------------------- colour
+
+# 16-bit fractions, rounded as in libjpeg (jccolor.c, jdcolor.c); JFIF's, from ITU-R BT.601. Their
+# products with codes stay below 2^24, where float32 counts exactly.
+_ONE = 1 << 16
+
+
+def _fraction(x: float) -> int:
+    return int(x * _ONE + 0.5)
+
+
+def _to_ycbcr(codes: Float[Array, "h w 3"], whole: bool) -> tuple[Plane, Float[Array, "2 h w"]]:
+    """Luma, and the two chromas about 128, in codes."""
+    r, g, b = (codes[..., i] for i in range(3))
+    half, f = _ONE // 2, _fraction
+    luma = f(0.29900) * r + f(0.58700) * g + f(0.11400) * b
+    blue = f(0.50000) * b - f(0.16874) * r - f(0.33126) * g
+    red = f(0.50000) * r - f(0.41869) * g - f(0.08131) * b
+    chroma = jnp.stack([blue, red]) + 128 * _ONE
+    return _part(luma, half, _ONE, whole), _part(chroma, half - 1, _ONE, whole)
+
+
+def _to_rgb(luma: Plane, chroma: Float[Array, "2 h w"], whole: bool) -> Float[Array, "h w 3"]:
+    f = _fraction
+    blue, red = chroma[0] - 128, chroma[1] - 128
+    above_luma = (f(1.40200) * red, -f(0.34414) * blue - f(0.71414) * red, f(1.77200) * blue)
+    parts = [luma + _part(above, _ONE // 2, _ONE, whole) for above in above_luma]
+    return jnp.clip(jnp.stack(parts, axis=-1), 0, 255)
+
+
+# ---------------------------------------------------------------- chroma at half size
+
+
+def _coded_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
+    height, width = plane.shape
+    small = _coded(_halved(plane, whole), table, whole)
+    seen = small[: (height + 1) // 2, : (width + 1) // 2]
+    return _doubled(seen, whole)[:height, :width]
+
+
+def _halved(plane: Plane, whole: bool) -> Other:
+    """Means of 2 x 2 codes, the halves rounded down and up in turn (jcsample.c)."""
+    height, width = plane.shape
+    # codes are repeated to the right at full size until the blocks are full, downwards at half size
+    even = jnp.pad(plane, ((0, height % 2), (0, -width % 16)), mode="edge")
+    total = even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]
+    bias = jnp.asarray(1 + np.arange(total.shape[1]) % 2, plane.dtype)[None]
+    return _part(total, bias, 4, whole)
+
+
+def _doubled(plane: Plane, whole: bool) -> Other:
+    """Each code nine, three, three and one sixteenth of its nearest four (jdsample.c)."""
+    wide = jnp.pad(plane, 1, mode="edge")
+    height, width = plane.shape
+    rows = [3 * wide[1:-1] + wide[:-2], 3 * wide[1:-1] + wide[2:]]
+    tall = jnp.stack(rows, axis=1).reshape(2 * height, width + 2)
+    columns = [
+        _part(3 * tall[:, 1:-1] + tall[:, :-2], 8, 16, whole),
+        _part(3 * tall[:, 1:-1] + tall[:, 2:], 7, 16, whole),
+    ]
+    return jnp.stack(columns, axis=2).reshape(2 * height, 2 * width)
+
+
+# ---------------------------------------------------------------- blocks
+
+
+def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
+    """The codes of a plane from its rounded coefficients. Rows, then columns, and back in reverse,
+    with the whole numbers that libjpeg has in between (jfdctint.c, jcdctmgr.c, jidctint.c)."""
+    height, width = plane.shape
+    full = jnp.pad(plane - 128, ((0, -height % 8), (0, -width % 8)), mode="edge")
+    along = stored(lambda x: _pass(x.T, _COSINES, 11, whole), full)
+    eighths = stored(lambda x: _pass(x.T, _COSINES, 15, whole), along)
+    divisor = jnp.tile(table, (full.shape[0] // 8, full.shape[1] // 8))
+    levels = eighths / (8 * divisor)
+    if whole:
+        away = jnp.floor((jnp.abs(eighths) + 4 * divisor + _NO_TIE) / (8 * divisor))
+        levels = with_gradient_of(jnp.sign(eighths) * away, levels)
+    else:
+        nearest = jax.lax.stop_gradient(jnp.round(levels))
+        levels = nearest + (levels - nearest) ** 3
+    down = stored(lambda x: _pass(x, _COSINES.T, 11, whole), levels * divisor)
+    back = stored(lambda x: _pass(x.T, _COSINES.T, 18, whole), down).T
+    return jnp.clip(back + 128, 0, 255)[:height, :width]
+
+
+def _pass(
+    plane: Plane, matrix: Int[np.ndarray, "8 8"], bits: int, whole: bool
+) -> Float[Array, "h w"]:
+    """Every eight rows through the matrix, and over 2^bits."""
+
+    def product(rows: Shaped[Array, "blocks 8 w"]) -> Shaped[Array, "blocks 8 w"]:
+        columns = jnp.asarray(matrix, rows.dtype)[None]
+        return reduce(add, (columns[:, :, j : j + 1] * rows[:, j : j + 1] for j in range(8)))
+
+    rows = plane.reshape(-1, 8, plane.shape[1])
+    smooth = product(rows) / 2**bits
+    if whole:
+        exact = (product(rows.astype(jnp.int32)) + 2 ** (bits - 1)) >> bits
+        smooth = with_gradient_of(exact.astype(plane.dtype), smooth)
+    return smooth.reshape(plane.shape)

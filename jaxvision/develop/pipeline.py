@@ -1,0 +1,100 @@
+"""From raw data to a picture, stage after stage; and to the integers of a file."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, UInt
+
+from .._types import Image, Scalars
+from ..colour_spaces import apply_matrix
+from ..filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
+from ..scene import (
+    Bilateral,
+    Denoising,
+    Development,
+    GreyWorld,
+    NeutralPatch,
+    NonLocalMeans,
+    WhiteBalance,
+    WhiteBalancing,
+)
+from .demosaic import demosaic
+from .jpeg import jpeg
+from .tone import encode_tone, map_tone
+from .white_balance import Gains, grey_world_gains, neutral_gains, white_balance
+
+
+def develop(raw: Scalars, development: Development) -> Scalars:
+    """(raw - black) / (white - black), then one stage after the other, as they stand below.
+
+    `raw`: DN, a mosaic (..., h, w) or (..., h, w, 1) if it is to be demosaiced, else (..., h, w,
+    bands), or of any shape where only levels and curves are asked for. Returns relative values, 1
+    being the white level (DN where there is none). Nothing is clipped, unless a stage says so:
+    noise below black stays negative, except that a gamma curve makes it 0. `ValueError` from the
+    stages.
+    """
+    picture = _scaled(raw, development)
+    if development.demosaicing is not None:
+        how = development.demosaicing
+        mosaic = picture[..., 0] if picture.shape[-1] == 1 else picture
+        picture = demosaic(mosaic, how.pattern, method=how.method)
+    if development.white_balance is not None:
+        gains = _gains(picture, development.white_balance, development.saturation)
+        picture = white_balance(picture, gains, saturation=development.saturation)
+    if development.denoising is not None:
+        picture = _denoised(picture, development.denoising)
+    if development.colour_matrix is not None:
+        picture = apply_matrix(picture, development.colour_matrix)
+    if development.tone_map is not None:
+        picture = map_tone(picture, development.tone_map)
+    if development.tone is not None:
+        picture = encode_tone(picture, development.tone)
+    if development.sharpening is not None:
+        how = development.sharpening
+        picture = unsharp_mask(picture, how.sigma, how.amount, size=how.size)
+    if development.compression is not None:
+        how = development.compression
+        picture = jpeg(picture, how.quality, subsampling=how.subsampling, rounding=how.rounding)
+    return picture
+
+
+def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
+    """The codes of an integer file: round((2^bits - 1) x) of relative x, clipped to [0, 1].
+
+    8 bits give uint8, 16 uint16, anything else `ValueError`. NaN becomes 0.
+    """
+    dtypes = {8: jnp.uint8, 16: jnp.uint16}
+    if bits not in dtypes:
+        raise ValueError(f"bits must be 8 or 16, got {bits}.")
+    clipped = jnp.clip(jnp.where(jnp.isnan(picture), 0, picture), 0, 1)
+    return jnp.round(clipped * (2**bits - 1)).astype(dtypes[bits])
+
+
+def _scaled(raw: Scalars, development: Development) -> Scalars:
+    picture, span = raw, development.white_level
+    if development.black_level is not None:
+        picture = picture - development.black_level
+        span = None if span is None else span - development.black_level
+    return picture if span is None else picture / span
+
+
+def _gains(picture: Image, balance: WhiteBalancing, saturation: Scalars | None) -> Gains:
+    match balance:
+        case WhiteBalance(gains=gains):
+            return gains
+        case GreyWorld(norm=norm):
+            return grey_world_gains(picture, norm=norm, saturation=saturation)
+        case NeutralPatch(rows=(top, bottom), columns=(left, right)):
+            height, width = picture.shape[-3:-1]
+            if bottom > height or right > width:
+                raise ValueError(
+                    f"NeutralPatch must end by row {height} and column {width} of the picture, got "
+                    f"{bottom} and {right}."
+                )
+            return neutral_gains(picture[..., top:bottom, left:right, :])
+
+
+def _denoised(picture: Image, denoising: Denoising) -> Image:
+    match denoising:
+        case Bilateral(sigma_space=space, sigma_range=over_values, radius=radius):
+            return bilateral_filter(picture, space, over_values, radius=radius)
+        case NonLocalMeans(strength=strength, noise=noise, patch=patch, radius=radius):
+            return nonlocal_means_filter(picture, strength, noise=noise, patch=patch, radius=radius)

@@ -1,0 +1,84 @@
+"""Tone curves through points, and the choice among the named ones.
+
+Elementwise on relative values of any shape; the named curves are in `point_ops`.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalars, as_relative
+from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
+from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
+
+Points = Float[Array, " points"]
+
+
+def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
+    """The smooth curve through (inputs, outputs), monotone wherever the points are; constant beyond
+    the outermost. Relative values.
+
+    `inputs`: (points,) strictly ascending, at least two, else `ValueError`. `outputs`: (points,).
+    The cubic Hermite spline with the slopes of Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5
+    (1984), which scipy calls PCHIP. NaN stays NaN.
+    """
+    x = as_relative(x)
+    if inputs.shape != outputs.shape or inputs.shape[0] < 2:
+        raise ValueError(
+            "inputs and outputs must be (points,) with at least two points, got shapes "
+            f"{inputs.shape} and {outputs.shape}."
+        )
+    slopes = _monotone_slopes(inputs, outputs)
+    within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))
+    k = jnp.clip(jnp.searchsorted(inputs, within, side="right") - 1, 0, inputs.shape[0] - 2)
+    width = (inputs[1:] - inputs[:-1])[k]
+    t = (within - inputs[k]) / width
+    from_end = 1 - t
+    return (
+        outputs[k] * (1 + 2 * t) * from_end**2
+        + outputs[k + 1] * (1 + 2 * from_end) * t**2
+        + width * t * from_end * (slopes[k] * from_end - slopes[k + 1] * t)
+    )
+
+
+def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
+    """Linear light to what a display can show, relative: each band by the curve of the record."""
+    match tone_map:
+        case Reinhard(white=white):
+            return reinhard(picture, white=white)
+        case Filmic():
+            return filmic(picture)
+        case ToneCurve(inputs=inputs, outputs=outputs):
+            return tone_curve(picture, inputs, outputs)
+
+
+def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
+    """Linear relative values to encoded ones, by the curve of the record."""
+    match tone:
+        case Gamma(gamma=gamma):
+            return gamma_encode(picture, gamma)
+        case SRGB():
+            return srgb_encode(picture)
+
+
+def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
+    """The weighted harmonic mean of the chords on both sides, 0 at an extremum."""
+    width = jnp.diff(inputs)
+    chord = jnp.diff(outputs) / width
+    if inputs.shape[0] == 2:
+        return jnp.concatenate([chord, chord])
+    before, behind = chord[:-1], chord[1:]
+    near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
+    onward = before * behind > 0
+    safe_before, safe_behind = (jnp.where(onward, c, 1) for c in (before, behind))
+    mean = (near_before + near_behind) / (near_before / safe_before + near_behind / safe_behind)
+    first = _end_slope(width[0], width[1], chord[0], chord[1])
+    last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])
+    return jnp.concatenate([first[None], jnp.where(onward, mean, 0), last[None]])
+
+
+def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
+    """The parabola through three points, kept from overshooting."""
+    slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
+    slope = jnp.where(slope * chord > 0, slope, 0)
+    steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))
+    return jnp.where(steep, 3 * chord, slope)

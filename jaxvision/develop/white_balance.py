@@ -1,0 +1,80 @@
+"""White balance: one gain a band, so that what is neutral looks it.
+
+Images are (..., h, w, bands), linear, in DN or relative; gains have no unit, the least of them 1:
+no band is made darker than the sensor saw it. They are von Kries' law in the camera's own primaries
+(Szeliski, Computer Vision, section 2.3.2).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import power, smallest_divisor
+from .._types import Image, Scalar, Spectrum, as_relative
+
+Gains = Float[Array, "*images bands"]
+
+
+def white_balance(
+    image: Image, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
+) -> Image:
+    """Each band times its gain, in the image's unit. `gains`: (bands,), or (..., bands) with one
+    set for each image of a batch.
+
+    `saturation`: () where every band of the sensor ends, in the unit of the image. A pixel that is
+    burnt out in all bands would take the colour of the gains, magenta as a rule: with `saturation`
+    nothing exceeds it times the least gain, the brightest value that all bands can have, and it
+    comes out neutral. None cuts nothing.
+    """
+    if gains.shape[-1:] != image.shape[-1:] or gains.ndim not in (1, image.ndim - 2):
+        raise ValueError(
+            f"gains must be (bands,) or (..., bands) of an image of shape {image.shape}, got shape "
+            f"{gains.shape}."
+        )
+    shape = as_relative(image).shape
+    balanced = image * jnp.broadcast_to(gains[..., None, None, :], shape)
+    if saturation is None:
+        return balanced
+    most = jnp.asarray(saturation, image.dtype) * jnp.min(gains, axis=-1)
+    return jnp.minimum(balanced, jnp.broadcast_to(most[..., None, None, None], shape))
+
+
+def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
+    """The gains (bands,), no unit, that make the mean of a patch (..., bands) neutral: of a grey
+    card, a cloud, or `image[..., 10:20, 30:40, :]`. A band without light keeps the gain 1; NaN is
+    left out, and a band of nothing else makes all gains NaN. `ValueError` for an empty patch."""
+    if patch.size == 0:
+        raise ValueError(f"patch must hold a pixel, got shape {patch.shape}.")
+    return _balancing(jnp.nanmean(as_relative(patch), axis=tuple(range(patch.ndim - 1))))
+
+
+def grey_world_gains(
+    image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
+) -> Gains:
+    """The gains (..., bands), no unit, that make each image grey on average.
+
+    `norm`: () >= 1, the p of the mean (mean x^p)^(1/p): 1 is the grey world (Buchsbaum, J. Franklin
+    Institute 310, 1980), 6 shades of grey, and towards infinity the brightest value is white
+    (Finlayson and Trezzi, "Shades of gray and colour constancy", CIC 2004). `saturation`: () in the
+    image's unit; pixels that reach it in any band are left out. Values below 0 count as 0.
+    """
+    image = as_relative(image)
+    used = jnp.ones_like(image)
+    if saturation is not None:
+        used = jnp.broadcast_to((image < saturation).all(-1, keepdims=True), image.shape)
+        used = used.astype(image.dtype)
+    norm = jnp.asarray(norm, image.dtype)
+    # a power of what is at most 1 does not overflow, nor do all of a band vanish
+    largest = jax.lax.stop_gradient(jnp.max(image * used, axis=(-3, -2)))
+    scale = jnp.where(largest > 0, largest, 1)
+    raised = used * power(image / jnp.broadcast_to(scale[..., None, None, :], image.shape), norm)
+    count = jnp.maximum(used.sum((-3, -2)), 1)
+    return _balancing(scale * power(raised.sum((-3, -2)) / count, 1 / norm))
+
+
+def _balancing(means: Gains) -> Gains:
+    """The largest mean over each: 1 where there is none. NaN spreads to all."""
+    brightest = jnp.max(means, axis=-1, keepdims=True)
+    share = means / jnp.where(brightest <= 0, 1, brightest)
+    lit = ~(share <= smallest_divisor(means.dtype))
+    return jnp.where(lit, 1 / jnp.where(lit, share, 1), 1)
