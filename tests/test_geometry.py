@@ -8,6 +8,7 @@ from oracles import exact
 
 from jaxvision import as_array, as_dtype
 from jaxvision.geometry import (
+    Encounter,
     Ray,
     hit_shape,
     intersect,
@@ -94,12 +95,17 @@ def test_plane():
 def test_nearest_of_several_and_the_first_of_equals():
     shapes = [Plane([0, 0, 0], [0, 0, 1]), Sphere([0, 0, 3], 1), Sphere([0, 0, 3], 1)]
     down = ray([0, 0, 9], [0, 0, -1])
-    assert int(nearest_shape(down, shapes)) == 1
-    assert float(hit_shape(down, shapes, jnp.asarray(1)).distance) == 5
-    assert float(hit_shape(down, shapes, jnp.asarray(0)).distance) == 9
+    first = nearest_shape(down, shapes)
+    assert int(first.shape) == 1
+    assert first.primitive is None
+    assert float(hit_shape(down, shapes, first).distance) == 5
+    assert float(hit_shape(down, shapes, Encounter(jnp.asarray(0))).distance) == 9
     up = ray([0, 0, 9], [0, 0, 1])
-    assert int(nearest_shape(up, shapes)) == -1
-    assert jnp.isinf(hit_shape(up, shapes, jnp.asarray(-1)).distance)
+    nothing = nearest_shape(up, shapes)
+    assert int(nothing.shape) == -1
+    miss = hit_shape(up, shapes, nothing)
+    assert jnp.isinf(miss.distance)
+    np.testing.assert_array_equal(as_array(miss.point), [0, 0, 9])
 
 
 def test_gradient_of_the_distance_to_a_sphere():

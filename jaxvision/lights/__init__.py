@@ -18,6 +18,7 @@ from .._types import Colour, Scalar
 from .._vector import Vector
 from ..geometry import Ray
 from ..scene import Light
+from ._nodes import gauss_legendre, shifted_lattice, square_nodes
 from ._registry import (
     Extended,
     Incident,
@@ -55,6 +56,7 @@ __all__ = [
     "direction_pdf",
     "direction_sample",
     "environment_map",
+    "gauss_legendre",
     "incident",
     "incident_sample",
     "incident_samples",
@@ -66,6 +68,8 @@ __all__ = [
     "register_extended",
     "rule_for",
     "seen",
+    "shifted_lattice",
+    "square_nodes",
 ]
 
 

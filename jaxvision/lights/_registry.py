@@ -18,10 +18,12 @@ from ._nodes import square_nodes
 
 class Incident(eqx.Module):
     """`direction`: (3,) unit, from the point toward the light. `irradiance`: (bands,) W m^-2 on a
-    surface facing it; the receiver applies its own cosine."""
+    surface facing it; the receiver applies its own cosine. `distance`: () m to the light, or None:
+    it is infinitely far."""
 
     direction: Vector
     irradiance: Colour
+    distance: Scalar | None = None
 
 
 class Seen(eqx.Module):

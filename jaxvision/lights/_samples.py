@@ -36,7 +36,7 @@ def incident_sample(
     if isinstance(kind, Discrete):
         return kind.incident(light, point)
     arriving = (kind.sample if isinstance(rule, Random) else kind.node)(light, point, u)
-    return Incident(arriving.direction, arriving.irradiance * weight)
+    return Incident(arriving.direction, arriving.irradiance * weight, arriving.distance)
 
 
 def rule_for(rule: Rule, number: Int[Array, ""]) -> Rule:

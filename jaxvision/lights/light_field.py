@@ -63,10 +63,10 @@ def light_field_sample(
 ) -> Incident:
     """L times solid angle (W m^-2) per unit of the square over the aperture, `u` (2,) in [0, 1],
     `point` (3,) m."""
-    direction, solid_angle, _ = window_sample(light_field.aperture, point, u)
+    direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
-    return Incident(wi, radiance * solid_angle)
+    return Incident(wi, radiance * solid_angle, distance)
 
 
 def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Vector) -> Scalar:

@@ -1,10 +1,11 @@
 """A point: the same intensity in every direction, falling with the square of the distance."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import norm, smallest_divisor
+from .._numerics import dot, smallest_divisor
 from .._types import Colour, as_float, check_shape
 from .._vector import Vector
 from ..scene import Light
@@ -29,13 +30,13 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     """E = I / d^2, `point` (3,) in m.
 
     Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
-    irradiance and gradients are 0.
+    irradiance and gradients are 0. Farther than 1e19 m in float32 there is nothing left of it.
     """
     toward = light.position - point
-    distance = norm(toward)
-    apart = distance > smallest_divisor(distance.dtype)
-    nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
-    return Incident(toward * nearness, light.intensity * (nearness * nearness))
+    square = dot(toward, toward)
+    apart = square > smallest_divisor(square.dtype) ** 2
+    nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
+    return Incident(toward * nearness, light.intensity * (nearness * nearness), square * nearness)
 
 
 register(PointLight, incident=from_point_light)

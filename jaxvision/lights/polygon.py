@@ -8,6 +8,8 @@ theta_i the angle each edge subtends (Lambert, Photometria, 1760; Baum, Rushmeie
 1989). For ONE receiver; the caller vmaps.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -89,7 +91,7 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -
         above[0] & above[1] & above[2] & above[3]
     )
     lit = jnp.where(
-        far, _by_nodes(corners[0], u, v, area, receiver), _by_contour(corners, above, receiver)
+        far, _by_nodes(corners[0], u, v, area, receiver), contour_integral(corners, receiver)
     )
     front = -dot(area, corners[0]) > 0
     return light.radiance * jnp.where(front, jnp.maximum(lit, 0), 0)
@@ -102,9 +104,15 @@ def _largest(corners: list[Vec]) -> Scalar:
     return jnp.where(largest > 0, largest, 1)
 
 
-def _by_contour(corners: list[Vec], above: list[Bool[Array, ""]], normal: Vec) -> Scalar:
-    """The contour sum of the part above the horizon. A cut convex polygon leaves and enters the
-    horizon once each; the edge between both places closes it."""
+def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
+    """The integral of the cosine over what four corners, m, cover above the horizon of a receiver
+    at the origin that faces `normal`, unit: () sr.
+
+    `corners`: of a flat convex polygon, clockwise where the receiver looks at them, else the
+    result is negative; not so large or small that the fourth power of a length overflows. A cut
+    polygon leaves and enters the horizon once each; the edge between both places closes it.
+    """
+    above = [dot(normal, corner) >= 0 for corner in corners]
     zero = jnp.zeros_like(normal.x)
     leaving = entering = Vec(zero, zero, zero)
     total = zero

@@ -49,9 +49,9 @@ def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
     """L times solid angle (W m^-2) per unit of the square, `u` (2,) in [0, 1], `point` (3,) m."""
-    direction, solid_angle, _ = window_sample(window_of(light), point, u)
+    direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
-    return Incident(wi, light.radiance * solid_angle)
+    return Incident(wi, light.radiance * solid_angle, distance)
 
 
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Vector) -> Scalar:

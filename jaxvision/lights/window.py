@@ -132,8 +132,9 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
-) -> tuple[Vec, Scalar, Float[Array, "2"]]:
-    """(direction, solid angle per unit of the square, place) for a point of the unit square.
+) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
+    """(direction, distance in m, solid angle per unit of the square, place) for a point of the
+    unit square.
 
     x = D sinh(p + u q) along each edge, as Johnston and Elliott, "A sinh transformation for
     evaluating nearly singular boundary element integrals", Int. J. Numer. Meth. Engng 62 (2005):
@@ -151,7 +152,7 @@ def window_sample(
     direction = toward * nearness
     projected = -dot(cross(window.edge_u, window.edge_v), direction)
     solid_angle = jnp.maximum(projected, 0) * nearness * nearness * jacobian_u * jacobian_v
-    return direction, solid_angle, jnp.stack([s, t])
+    return direction, distance, solid_angle, jnp.stack([s, t])
 
 
 def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:

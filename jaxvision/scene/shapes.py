@@ -1,13 +1,16 @@
-"""Where surfaces are, in metres."""
+"""Where surfaces are, in metres. Each names the side its normals point to, which is its front."""
+
+from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
-from .._types import Scalar, as_float, check_shape
+from .._types import Scalar, as_float, as_optional_float, check_shape
 
 
 class Sphere(eqx.Module):
-    """`centre`: (3,) m. `radius`: () m, positive."""
+    """`centre`: (3,) m. `radius`: () m, positive. Its front is the outside."""
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
     radius: Scalar = eqx.field(converter=as_float)
@@ -31,4 +34,91 @@ class Plane(eqx.Module):
         check_shape("Plane.normal", self.normal, (3,))
 
 
-Shape = Sphere | Plane
+class Disc(eqx.Module):
+    """A flat disc, seen and lit on the side its normal points to.
+
+    `centre`: (3,) m. `normal`: (3,) unit vector (its length is ignored). `radius`: () m, positive.
+    """
+
+    centre: Float[Array, "3"] = eqx.field(converter=as_float)
+    normal: Float[Array, "3"] = eqx.field(converter=as_float)
+    radius: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("Disc.centre", self.centre, (3,))
+        check_shape("Disc.normal", self.normal, (3,))
+        check_shape("Disc.radius", self.radius, ())
+
+
+class Quad(eqx.Module):
+    """A parallelogram, seen and lit on the side of edge_u x edge_v.
+
+    `corner`: (3,) m. `edge_u`, `edge_v`: (3,) m, from the corner along the sides.
+    """
+
+    corner: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_u: Float[Array, "3"] = eqx.field(converter=as_float)
+    edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("corner", "edge_u", "edge_v"):
+            check_shape(f"Quad.{name}", getattr(self, name), (3,))
+
+
+class Box(eqx.Module):
+    """A box, whose front is the outside.
+
+    `centre`: (3,) m. `half_extents`: (3,) m, positive, half its sides. `rotation`: (3, 3), rows
+    the unit axes of its sides in the world, or None: the world's own.
+    """
+
+    centre: Float[Array, "3"] = eqx.field(converter=as_float)
+    half_extents: Float[Array, "3"] = eqx.field(converter=as_float)
+    rotation: Float[Array, "3 3"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+
+    def __check_init__(self) -> None:
+        check_shape("Box.centre", self.centre, (3,))
+        check_shape("Box.half_extents", self.half_extents, (3,))
+        check_shape("Box.rotation", self.rotation, (3, 3))
+
+
+def _as_indices(x: Any) -> Array:
+    """An int32 array; `ValueError` for what is not whole numbers."""
+    array = jnp.asarray(x)
+    if not jnp.issubdtype(array.dtype, jnp.integer):
+        raise ValueError(f"TriangleMesh.faces must be whole numbers, got {array.dtype}.")
+    return array.astype(jnp.int32)
+
+
+class TriangleMesh(eqx.Module):
+    """Triangles, each seen and lit on the side from which its vertices turn counterclockwise.
+
+    `vertices`: (vertices, 3) m. `faces`: (faces, 3) whole numbers, the vertices of each triangle.
+    `normals`: (vertices, 3), the normals that are interpolated for shading, or None: flat
+    triangles. Their lengths are ignored; where they are zero or cancel the triangle is flat, and
+    where they point to its back it is black. `uv`: (vertices, 2), no unit, or None. A triangle
+    without area is never met, and a vertex number out of range is the nearest in range;
+    `geometry.problems` names all these but a zero normal.
+    """
+
+    vertices: Float[Array, "vertices 3"] = eqx.field(converter=as_float)
+    faces: Int[Array, "faces 3"] = eqx.field(converter=_as_indices)
+    normals: Float[Array, "vertices 3"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    uv: Float[Array, "vertices 2"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+
+    def __check_init__(self) -> None:
+        check_shape("TriangleMesh.vertices", self.vertices, ("vertices", 3))
+        check_shape("TriangleMesh.faces", self.faces, ("faces", 3))
+        if 0 in (len(self.vertices), len(self.faces)):
+            raise ValueError("TriangleMesh must hold at least one triangle, got none.")
+        check_shape("TriangleMesh.normals", self.normals, (len(self.vertices), 3))
+        check_shape("TriangleMesh.uv", self.uv, (len(self.vertices), 2))
+
+
+Shape = Sphere | Plane | Disc | Quad | Box | TriangleMesh

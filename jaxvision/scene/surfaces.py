@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from .._types import Colour, as_optional_float, check_shape
 from .light import AmbientLight, Light
 from .shapes import Shape
 
@@ -12,15 +13,25 @@ class Material(eqx.Module):
 
 
 class Surface(eqx.Module):
-    """A shape and what it is made of."""
+    """A shape, what it is made of, and what it emits.
+
+    `emission`: (bands,) W m^-2 sr^-1 that it shines, equally in all directions from its front, or
+    None. `two_sided`: static; both sides are fronts, the normal turning to who looks. Without it
+    a surface seen from behind is black.
+    """
 
     shape: Shape
     material: Material
+    emission: Colour | None = eqx.field(converter=as_optional_float, default=None)
+    two_sided: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_shape("Surface.emission", self.emission, ("bands",))
 
 
 class Scene(eqx.Module):
     """Surfaces and the lights on them. All spectra share one number of bands, which is checked
-    here for the k_d of materials and for lights."""
+    here for the k_d of materials, for emissions and for lights."""
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=tuple)
     lights: tuple[Light, ...] = eqx.field(converter=tuple)
@@ -33,6 +44,8 @@ class Scene(eqx.Module):
             f"Scene.surfaces[{i}].material.diffuse": getattr(surface.material, "diffuse", None)
             for i, surface in enumerate(self.surfaces)
         }
+        for i, surface in enumerate(self.surfaces):
+            spectra[f"Scene.surfaces[{i}].emission"] = surface.emission
         for i, light in enumerate(self.lights):
             for field in ("intensity", "irradiance", "radiance"):
                 spectra[f"Scene.lights[{i}].{field}: its spectrum"] = getattr(light, field, None)

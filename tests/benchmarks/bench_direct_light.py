@@ -1,15 +1,15 @@
-r"""Direct light as an exact sum, 512 x 512, 8 spheres and a plane, 3 points, Phong, unshadowed,
-beside Mitsuba 3 (llvm_ad_rgb) doing the same: a Python integrator that sums all emitters without
-shadow rays, and a Python BSDF that is our `PhongBRDF`.
+r"""Direct light as an exact sum, 512 x 512, 8 spheres and a plane, 3 points, Phong, shadowed and
+not, beside Mitsuba 3 (llvm_ad_rgb) doing the same: a Python integrator that sums all emitters, by
+one shadow ray each where there are shadows, and a Python BSDF that is our `PhongBRDF`. Then the
+gradient of an image loss in all BRDF parameters, traced anew and from baked geometry.
 
     DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s \
         tests/benchmarks/bench_direct_light.py
-
-Cast shadows are not part of this workload on either side.
 """
 
 import os
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from jaxvision import (
     render,
 )
 from jaxvision.brdf.phong import PhongBRDF
+from jaxvision.rendering import bake, shade_baked
 
 pytestmark = pytest.mark.benchmark
 
@@ -39,6 +40,7 @@ RADII = RNG.uniform(0.35, 0.58, 8)
 CENTRES = np.stack(
     [np.tile([-1.4, 0, 1.4], 3)[:8], 1.1 * RADII, np.repeat([-1.4, 0, 1.4], 3)[:8]], axis=-1
 )
+TARGET_RADIANCE = 0.5
 KD, KS = RNG.uniform(0.03, 0.2, (9, 3)), RNG.uniform(0.05, 0.6, (9, 1)) * np.ones((1, 3))
 EXPONENTS = RNG.uniform(5, 60, 9)
 LAMPS = [([3, 5, 3], [30, 28, 25]), ([-3, 4, 2], [15, 18, 25]), ([0.5, 6, -3], [20, 20, 20])]
@@ -58,8 +60,8 @@ def ours():
     return as_dtype((Scene(surfaces, lights), view), jnp.float32)
 
 
-def mitsuba_rival():
-    """render() -> image, of the same scene."""
+def mitsuba_rival(shadows=True):
+    """(render() -> image, slope() -> gradients) of the same scene."""
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
         pytest.skip("name Mitsuba's LLVM library in DRJIT_LIBLLVM_PATH")
     mi = pytest.importorskip("mitsuba")
@@ -89,11 +91,18 @@ def mitsuba_rival():
         def pdf(self, ctx, si, wo, active=True):
             return mi.Float(0)
 
+        def traverse(self, callback):
+            for name, value in (("kd", self.kd), ("ks", self.ks), ("n", self.exponent)):
+                callback.put(name, value, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys):
+            pass
+
         def eval_pdf(self, ctx, si, wo, active=True):
             return self.eval(ctx, si, wo, active), mi.Float(0)
 
     class SumOfEmitters(mi.SamplingIntegrator):
-        """Every emitter once, no shadow rays."""
+        """Every emitter once, by one shadow ray if there are shadows."""
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
             si = scene.ray_intersect(ray, active)
@@ -102,6 +111,8 @@ def mitsuba_rival():
             for emitter in scene.emitters():
                 ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), lit)
                 use = lit & (ds.pdf > 0)
+                if shadows:
+                    use &= ~scene.ray_test(si.spawn_ray_to(ds.p), use)
                 value = bsdf.eval(context, si, si.to_local(ds.d), use)
                 total += dr.select(use, value * weight, 0)
             return total, lit, []
@@ -161,15 +172,35 @@ def mitsuba_rival():
         dr.sync_thread()
         return image
 
-    return draw
+    fields = mi.traverse(scene)
+    fitted = [key for key, _ in fields if key.split(".")[-1] in ("kd", "ks", "n")]
+
+    def slope():
+        for key in fitted:
+            dr.enable_grad(fields[key])
+        fields.update()
+        image = mi.render(scene, fields, integrator=integrator, spp=1)
+        dr.backward(dr.mean(dr.square(image - TARGET_RADIANCE), axis=None))
+        gradient = {key: dr.grad(fields[key]) for key in fitted}
+        dr.eval(gradient)
+        dr.sync_thread()
+        return gradient
+
+    return draw, slope
 
 
-def test_the_sum_over_three_points_beside_mitsuba():
-    draw = mitsuba_rival()
+def print_beside(seconds):
+    for name, taken in seconds.items():
+        print(f"{name:10s} {1e3 * taken:8.2f} ms, {seconds['Mitsuba'] / taken:5.2f} times as fast")
+
+
+@pytest.mark.parametrize("shadows", [True, False])
+def test_the_sum_over_three_points_beside_mitsuba(shadows):
+    draw, _ = mitsuba_rival(shadows)
     arguments = ours()
     begin = time.perf_counter()
-    compiled = jax.jit(render).lower(*arguments).compile()
-    print(f"\ncompile {time.perf_counter() - begin:.2f} s")
+    compiled = jax.jit(partial(render, shadows=shadows)).lower(*arguments).compile()
+    print(f"\nshadows: {shadows}, compile {time.perf_counter() - begin:.2f} s")
     difference = np.abs(np.asarray(compiled(*arguments)) - np.asarray(draw()))
     off = (difference.max(axis=-1) > 1e-3).mean()
     print(f"pixels that differ by more than 1e-3: {100 * off:.2f} % (silhouettes)")
@@ -179,6 +210,40 @@ def test_the_sum_over_three_points_beside_mitsuba():
         {"jaxvision": lambda: jax.block_until_ready(compiled(*arguments)), "Mitsuba": draw},
         rounds=ROUNDS,
     )
-    for name, taken in seconds.items():
-        print(f"{name:10s} {1e3 * taken:8.2f} ms, {seconds['Mitsuba'] / taken:5.2f} times as fast")
-    assert seconds["jaxvision"] < seconds["Mitsuba"]
+    print_beside(seconds)
+    assert 2 * seconds["jaxvision"] < seconds["Mitsuba"]
+
+
+def test_the_gradient_in_the_reflectance_beside_mitsuba():
+    """Of the mean square difference to a grey picture, in k_d, k_s and the exponent of each
+    surface."""
+    _, slope = mitsuba_rival()
+    scene, view = ours()
+    baked = bake(scene, view)
+    materials = [surface.material for surface in scene.surfaces]
+
+    def loss(picture, materials):
+        coated = [
+            Surface(surface.shape, material)
+            for surface, material in zip(scene.surfaces, materials, strict=True)
+        ]
+        image = picture(Scene(coated, scene.lights))
+        return jnp.mean((image - TARGET_RADIANCE) ** 2)
+
+    pictures = {"traced": lambda s: render(s, view), "baked": lambda s: shade_baked(baked, s)}
+    compiled = {}
+    for name, picture in pictures.items():
+        begin = time.perf_counter()
+        compiled[name] = jax.jit(jax.grad(partial(loss, picture))).lower(materials).compile()
+        print(f"\n{name}: compile {time.perf_counter() - begin:.2f} s")
+    theirs = slope()
+    for gradient in (f(materials) for f in compiled.values()):
+        for i, material in enumerate(gradient):
+            name = "ground" if i == 8 else f"ball{i}"
+            other = theirs[f"{name}.bsdf.kd"].numpy().ravel()
+            np.testing.assert_allclose(material.diffuse, other, rtol=0.02, atol=1e-5)
+    jobs = {name: lambda f=f: jax.block_until_ready(f(materials)) for name, f in compiled.items()}
+    _, seconds = in_turns({**jobs, "Mitsuba": slope}, rounds=ROUNDS)
+    print_beside(seconds)
+    assert seconds["traced"] < seconds["Mitsuba"]
+    assert 10 * seconds["baked"] < seconds["Mitsuba"]

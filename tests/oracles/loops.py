@@ -43,8 +43,8 @@ def lobe(material, mirror, wo):
     return math.exp(-((material["concentration"] * theta) ** 2))
 
 
-def shade(material, lights, ambient, point, normal, wo):
-    """k_a L_a + sum E (k_d [n.l]+ + k_s lobe), black from behind."""
+def shade(material, lights, ambient, point, normal, wo, others=()):
+    """k_a L_a + sum E (k_d [n.l]+ + k_s lobe), black from behind; no light through `others`."""
     colour = np.zeros(len(material["diffuse"]))
     if normal @ wo <= 0:
         return colour
@@ -60,6 +60,10 @@ def shade(material, lights, ambient, point, normal, wo):
         cos_i = normal @ wi
         if cos_i <= 0:
             continue
+        way = np.linalg.norm(toward) if light["kind"] == "point" else math.inf
+        met = [intersect(point, wi) for intersect in others]
+        if any(hit is not None and hit[0] < way for hit in met):
+            continue
         value = np.multiply(material["diffuse"], cos_i)
         if material["kind"] != "lambert":
             mirror = 2 * (normal @ wi) * normal - wi
@@ -69,8 +73,8 @@ def shade(material, lights, ambient, point, normal, wo):
 
 
 def render(surfaces, lights, ambient, rays, bands):
-    """`surfaces`: (intersect(origin, direction) -> (t, normal) | None, material dict) pairs;
-    `rays`: (h, w) nested lists of (origin, direction)."""
+    """`surfaces`: (intersect(origin, direction) -> (t, normal) | None, material dict) pairs, whose
+    fronts lie in no shadow of their own; `rays`: (h, w) nested lists of (origin, direction)."""
     picture = np.zeros((len(rays), len(rays[0]), bands))
     for i, row in enumerate(rays):
         for j, (origin, direction) in enumerate(row):
@@ -78,12 +82,12 @@ def render(surfaces, lights, ambient, rays, bands):
             for intersect, material in surfaces:
                 hit = intersect(origin, direction)
                 if hit is not None and (nearest is None or hit[0] < nearest[0]):
-                    nearest = (*hit, material)
+                    nearest = (*hit, material, intersect)
             if nearest is not None:
-                t, normal, material = nearest
-                picture[i, j] = shade(
-                    material, lights, ambient, origin + t * direction, normal, -direction
-                )
+                t, normal, material, own = nearest
+                point = origin + t * direction
+                others = [intersect for intersect, _ in surfaces if intersect is not own]
+                picture[i, j] = shade(material, lights, ambient, point, normal, -direction, others)
     return picture
 
 

@@ -1,0 +1,39 @@
+"""Rays and the surfaces they meet. For ONE ray; the caller vmaps.
+
+Lengths are metres, directions unit vectors. A ray meets what lies at a distance > 0; a miss has
+distance inf, a zero normal, and gradients of zero. Each shape has a file; `nearest` finds the
+first of many and what lies in between.
+"""
+
+from ._mesh import intersect_mesh
+from ._size import largest_size, offset_length
+from .box import intersect_box
+from .checks import problems
+from .flat import intersect_disc, intersect_plane, intersect_quad
+from .nearest import Shapes, Sorted, hit_shape, intersect, nearest_shape, occluded, sorted_shapes
+from .rays import Encounter, Hit, Ray, mirror_direction, offset_origin
+from .sphere import intersect_sphere
+
+__all__ = [
+    "Encounter",
+    "Hit",
+    "Ray",
+    "Shapes",
+    "Sorted",
+    "hit_shape",
+    "intersect",
+    "intersect_box",
+    "intersect_disc",
+    "intersect_mesh",
+    "intersect_plane",
+    "intersect_quad",
+    "intersect_sphere",
+    "largest_size",
+    "mirror_direction",
+    "nearest_shape",
+    "occluded",
+    "offset_length",
+    "offset_origin",
+    "problems",
+    "sorted_shapes",
+]

@@ -1,0 +1,144 @@
+"""Large meshes by Embree, which says in whole numbers what a ray meets; optional (`embreex`).
+
+Distances and normals are then computed here from the triangle found, so they keep gradients and
+the caller's dtype. Embree itself works in float32: where a float64 ray passes an edge within
+float32 rounding, the neighbouring triangle may be the one found.
+"""
+
+import importlib.util
+from collections import OrderedDict
+from threading import Lock
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from .._types import Scalar
+from .._vector import as_array
+from ..scene import TriangleMesh
+from .rays import Ray
+
+_KEPT = 8  # built scenes: each holds a search tree as large as its mesh
+_built: OrderedDict[int, tuple[np.ndarray, np.ndarray, Any, np.float32]] = OrderedDict()
+_building = Lock()
+
+
+def available() -> bool:
+    """Whether embreex is installed."""
+    return importlib.util.find_spec("embreex") is not None
+
+
+def embree_nearest(ray: Ray, mesh: TriangleMesh) -> Int[Array, ""]:
+    """Index of the triangle met first, -1 for none."""
+    shape = jax.ShapeDtypeStruct(jnp.shape(ray.origin.x), jnp.int32)
+    return jax.pure_callback(
+        _nearest,
+        shape,
+        mesh.vertices,
+        mesh.faces,
+        as_array(ray.origin),
+        as_array(ray.direction),
+        vmap_method="expand_dims",
+    )
+
+
+def embree_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
+    """Whether the ray meets a triangle before `distance`, m."""
+    shape = jax.ShapeDtypeStruct(jnp.shape(ray.origin.x), jnp.bool_)
+    return jax.pure_callback(
+        _blocks,
+        shape,
+        mesh.vertices,
+        mesh.faces,
+        as_array(ray.origin),
+        as_array(ray.direction),
+        distance,
+        vmap_method="expand_dims",
+    )
+
+
+def _nearest(vertices: Any, faces: Any, origin: Any, direction: Any) -> np.ndarray:
+    return _ask(vertices, faces, (origin, direction), _found)
+
+
+def _blocks(vertices: Any, faces: Any, origin: Any, direction: Any, distance: Any) -> np.ndarray:
+    return _ask(vertices, faces, (origin, direction, distance), _found_before)
+
+
+def _found(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    found = scene.run(origin, direction)
+    lost = found < 0
+    found[lost] = scene.run(origin[lost], _beside(direction[lost]))
+    return found
+
+
+def _found_before(
+    scene: Any, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray
+) -> np.ndarray:
+    found = scene.run(origin, direction, dists=distance, query="OCCLUDED") >= 0
+    lost = ~found
+    found[lost] = (
+        scene.run(origin[lost], _beside(direction[lost]), dists=distance[lost], query="OCCLUDED")
+        >= 0
+    )
+    return found
+
+
+def _beside(direction: np.ndarray) -> np.ndarray:
+    """A few roundings off: what met nothing is asked again, since one ray in 100000 that is aimed
+    at a vertex slips through."""
+    return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
+
+
+def _ask(vertices: Any, faces: Any, rays: tuple[Any, ...], query: Any) -> np.ndarray:
+    """`query(scene, *rays)` for rays with any leading axes, against one mesh or, where `vmap` ran
+    over the mesh too, against each of several."""
+    vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
+    meshes = np.broadcast_shapes(vertices.shape[:-2], faces.shape[:-2])
+    ends = (3,), (3,), ()
+    numbers = [np.asarray(ray, np.float32) for ray in rays]
+    leading = [x.shape[: x.ndim - len(end)] for x, end in zip(numbers, ends, strict=False)]
+    batch = np.broadcast_shapes(meshes, *leading)
+    full = [np.broadcast_to(x, batch + end) for x, end in zip(numbers, ends, strict=False)]
+    if all(size == 1 for size in meshes):
+        # copies: Embree refuses what it may not write to
+        flat = [np.array(x.reshape(-1, *end)) for x, end in zip(full, ends, strict=False)]
+        scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
+        origin, direction, *far = flat
+        found = query(scene, scale * origin, direction, *(scale * x for x in far))
+        return found.reshape(batch)
+    vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
+    faces = np.broadcast_to(faces, batch + faces.shape[-2:])
+    one_by_one = [
+        _ask(vertices[at], faces[at], tuple(x[at] for x in full), query) for at in np.ndindex(batch)
+    ]
+    return np.asarray(one_by_one).reshape(batch)
+
+
+def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
+    """The search tree of a mesh, and the power of two that brings it to the size of 1: rays pass
+    through the edges of very small triangles. A tree is built once and found again by the mesh's
+    numbers, since a pure function may be called with any mesh at any time; to compare 80000
+    triangles costs less than to trace a thousand rays.
+    """
+    from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    with _building:
+        for number, (known_vertices, known_faces, scene, scale) in _built.items():
+            if np.array_equal(known_vertices, vertices) and np.array_equal(known_faces, faces):
+                _built.move_to_end(number)
+                return scene, scale
+        clipped = np.clip(faces, 0, len(vertices) - 1)
+        scene = EmbreeScene(robust=True)
+        largest = np.abs(vertices).max()
+        usable = 0 < largest < np.inf
+        scale = np.float32(2.0 ** -np.frexp(largest)[1]) if usable else np.float32(1)
+        EmbreeMesh(scene, scale * vertices, np.ascontiguousarray(clipped))
+        number = max(_built, default=0) + 1
+        _built[number] = vertices.copy(), faces.copy(), scene, scale
+        if len(_built) > _KEPT:
+            _built.popitem(last=False)
+        return scene, scale

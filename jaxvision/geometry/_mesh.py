@@ -1,0 +1,55 @@
+"""A ray and a triangle mesh: every triangle is tried up to a hundred, Embree searches above. For
+ONE ray; lengths in metres."""
+
+import warnings
+from functools import cache
+
+import jax
+from jaxtyping import Array, Bool, Int
+
+from .._types import Scalar
+from ..scene import TriangleMesh
+from . import _embree
+from ._triangle import any_triangle, nearest_triangle, triangle_hit
+from .rays import Hit, Ray
+
+_TRIED = 100  # triangles; of more, Embree's tree finds the first sooner than trying all
+
+
+def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
+    """(distance in m, index) of the triangle met first, (inf, -1) where none is."""
+    if not _searched(mesh):
+        return nearest_triangle(ray, mesh)
+    primitive = _embree.embree_nearest(ray, mesh)
+    return triangle_hit(ray, mesh, primitive).distance, primitive
+
+
+def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
+    """Whether the ray meets the mesh before `distance`, m."""
+    if not _searched(mesh):
+        return any_triangle(ray, mesh, distance)
+    return _embree.embree_blocks(ray, mesh, distance)
+
+
+def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
+    """The nearest point of the mesh in front of the ray's origin, smooth in the ray and the
+    vertices."""
+    _, primitive = mesh_nearest(*jax.lax.stop_gradient((ray, mesh)))
+    return triangle_hit(ray, mesh, primitive)
+
+
+def _searched(mesh: TriangleMesh) -> bool:
+    if len(mesh.faces) <= _TRIED:
+        return False
+    if not _embree.available():
+        _say_once()
+    return _embree.available()
+
+
+@cache
+def _say_once() -> None:
+    warnings.warn(
+        "meshes of more than 100 triangles are searched one triangle at a time, which is slow; "
+        "install embreex (pip install 'jaxvision[mesh]') for speed.",
+        stacklevel=2,
+    )

@@ -1,0 +1,148 @@
+"""A ray and triangles, without gaps along shared edges. For ONE ray; lengths in metres.
+
+After Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) (2013): vertices in
+the ray's own frame, where the ray is the z axis, and the three edge functions there,
+
+    U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
+
+Two triangles see one edge from the same two vertices, so their edge functions are opposite but for
+the rounding of the products, in which compiled code is free; an edge function within that rounding
+of zero counts as inside, for both.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics import dot, normalize, smallest_divisor
+from .._staging import stored
+from .._types import Scalar
+from .._vector import Vec, as_vec, masked, where
+from ..hemisphere import Frame, cross, local_frame
+from ..scene import TriangleMesh
+from ._size import largest_component
+from .rays import Hit, Ray
+
+_CHUNK = 8  # triangles a turn of the loop: one does not fill the vector units
+
+
+def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
+    """The vertices of each triangle, m."""
+    return mesh.vertices.at[mesh.faces].get(mode="clip")
+
+
+def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
+    """(p x q in the plane across the ray, the rounding that it may carry)."""
+    one, other = p.x * q.y, p.y * q.x
+    return one - other, 2 * jnp.finfo(one.dtype).eps * (jnp.abs(one) + jnp.abs(other))
+
+
+def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
+    """Distance to one triangle, m, inf for a miss. `frame`: about the ray's direction. `a`, `b`,
+    `c`: its vertices, m."""
+    a, b, c = (_seen(ray, frame, v) for v in (a, b, c))
+    (u, du), (v, dv), (w, dw) = _edge(c, b), _edge(a, c), _edge(b, a)
+    front = (u >= -du) & (v >= -dv) & (w >= -dw)
+    back = (u <= du) & (v <= dv) & (w <= dw)
+    area = u + v + w
+    # narrower than rounding: seen edge on, or no triangle at all
+    flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
+    inverse = 1 / jnp.where(flat, 1, area)
+    distance = (u * a.z + v * b.z + w * c.z) * inverse
+    return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
+
+
+def _seen(ray: Ray, frame: Frame, v: Vec) -> Vec:
+    toward = v - ray.origin
+    return Vec(dot(toward, frame.tangent), dot(toward, frame.bitangent), dot(toward, frame.normal))
+
+
+def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
+    """(distance in m, index) of the triangle met first, (inf, -1) where none is: every one is
+    tried, a chunk at a time."""
+    frame, triangles = local_frame(ray.direction), corners(mesh)
+    count = len(triangles)
+
+    def try_one(
+        carry: tuple[Scalar, Int[Array, ""]], number: Int[Array, ""], triangle: Array
+    ) -> tuple[Scalar, Int[Array, ""]]:
+        nearest, index = carry
+        distance = triangle_distance(ray, frame, *(as_vec(v) for v in triangle))
+        closer = distance < nearest
+        return jnp.where(closer, distance, nearest), jnp.where(closer, number, index)
+
+    nothing = jnp.full_like(ray.origin.x, jnp.inf), jnp.full((), -1, jnp.int32)
+    return in_chunks(try_one, nothing, triangles, count)
+
+
+def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
+    """Whether the ray meets a triangle before `distance`, m."""
+    frame, triangles = local_frame(ray.direction), corners(mesh)
+
+    def try_one(
+        blocked: Bool[Array, ""], number: Int[Array, ""], triangle: Array
+    ) -> Bool[Array, ""]:
+        del number
+        return blocked | (triangle_distance(ray, frame, *(as_vec(v) for v in triangle)) < distance)
+
+    return in_chunks(try_one, jnp.asarray(False), triangles, len(triangles))
+
+
+def in_chunks(step, carry, items, count: int):
+    """`carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time. `items`: a
+    tree with a leading axis of `count`. Items may be seen twice."""
+    if count <= 2 * _CHUNK:
+        for i in range(count):
+            carry = step(carry, jnp.asarray(i, jnp.int32), jax.tree.map(lambda x, i=i: x[i], items))
+        return carry
+
+    def chunk(turn: Int[Array, ""], carry):
+        for i in range(_CHUNK):
+            number = jnp.minimum(turn * _CHUNK + i, count - 1).astype(jnp.int32)
+            carry = step(carry, number, jax.tree.map(lambda x, at=number: x[at], items))
+        return carry
+
+    return jax.lax.fori_loop(0, -(-count // _CHUNK), chunk, carry)
+
+
+def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:
+    """Where the ray meets the plane of a triangle that it is known to meet; a miss for -1. Smooth
+    in the ray and the vertices."""
+    face = mesh.faces.at[primitive].get(mode="clip")
+    a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
+    distance, v, w = stored(_place, ray, primitive >= 0, a, b, c)
+    hit, u = distance < jnp.inf, 1 - v - w
+    normal = as_vec(masked(hit, normalize(cross(b - a, c - a))))
+    point = where(hit, a + v * (b - a) + w * (c - a), ray.origin)
+    size = jnp.maximum(
+        jnp.maximum(largest_component(a), largest_component(b)), largest_component(c)
+    )
+    shading_normal, uv = None, None
+    if mesh.normals is not None:
+        at_a, at_b, at_c = (as_vec(n) for n in mesh.normals.at[face].get(mode="clip"))
+        smooth = as_vec(normalize(u * at_a + v * at_b + w * at_c))
+        shading_normal = where(hit & (dot(smooth, smooth) > 0.5), smooth, normal)
+    if mesh.uv is not None:
+        at_a, at_b, at_c = mesh.uv.at[face].get(mode="clip")
+        first, second = (u * at_a[i] + v * at_b[i] + w * at_c[i] for i in range(2))
+        uv = jnp.where(hit, first, 0), jnp.where(hit, second, 0)
+    return Hit(distance, normal, point, size, shading_normal, uv)
+
+
+def _place(
+    ray: Ray, known: Bool[Array, ""], a: Vec, b: Vec, c: Vec
+) -> tuple[Scalar, Scalar, Scalar]:
+    """(distance, weight of b, weight of c): the weights by the reciprocal edges, and those that
+    rounding put outside moved back by that much."""
+    edge_b, edge_c = b - a, c - a
+    area = cross(edge_b, edge_c)
+    normal = as_vec(normalize(area))
+    slope, length = dot(normal, ray.direction), dot(area, normal)
+    hit = known & (jnp.abs(slope) > smallest_divisor(slope.dtype)) & (length > 0)
+    distance = dot(normal, a - ray.origin) / jnp.where(hit, slope, 1)
+    place = ray.origin + jnp.where(hit, distance, 0) * ray.direction - a
+    inverse = jnp.where(hit, 1 / jnp.where(hit, length, 1), 0)
+    v = jnp.clip(dot(place, cross(edge_c, normal)) * inverse, 0, 1)
+    w = jnp.clip(dot(place, cross(normal, edge_b)) * inverse, 0, 1)
+    excess = jnp.maximum(v + w - 1, 0) / 2
+    return jnp.where(hit, distance, jnp.inf), v - excess, w - excess

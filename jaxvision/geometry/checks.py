@@ -1,0 +1,99 @@
+"""What is wrong with a shape, in sentences: for files and command lines, before anything is traced.
+NumPy; lengths in metres."""
+
+import numpy as np
+
+from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
+
+_NAMED = 3  # of many bad vertices or faces, so many are named
+
+
+def problems(shape: Shape) -> list[str]:
+    """One sentence for everything about a shape that is no geometry, none if all is well: numbers
+    that are not finite, radii and extents (m) that are not positive, normals and edges without a
+    direction, faces without area, with vertices that do not exist or with normals that all point to
+    their back."""
+    kind = type(shape).__name__
+    found = [
+        f"{kind}.{name} holds a number that is not finite."
+        for name, value in vars(shape).items()
+        if value is not None and not np.isfinite(np.asarray(value)).all()
+    ]
+    if found and not isinstance(shape, TriangleMesh):
+        return found
+    match shape:
+        case Sphere():
+            found += _not_positive(f"{kind}.radius", shape.radius)
+        case Plane():
+            found += _no_direction(f"{kind}.normal", shape.normal)
+        case Disc():
+            found += _not_positive(f"{kind}.radius", shape.radius)
+            found += _no_direction(f"{kind}.normal", shape.normal)
+        case Quad():
+            area = np.cross(np.asarray(shape.edge_u), np.asarray(shape.edge_v))
+            longest = max(np.abs(shape.edge_u).max(), np.abs(shape.edge_v).max())
+            if not np.linalg.norm(area) > np.finfo(area.dtype).eps * longest**2:
+                found.append(f"{kind}.edge_u and edge_v span no area.")
+        case Box():
+            found += _not_positive(f"{kind}.half_extents", shape.half_extents)
+            if shape.rotation is not None:
+                rotation = np.asarray(shape.rotation)
+                if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+                    found.append(f"{kind}.rotation has rows that are not unit and orthogonal.")
+        case TriangleMesh():
+            found = _mesh_problems(shape)
+    return found
+
+
+def _not_positive(name: str, value: object) -> list[str]:
+    smallest = np.asarray(value).min()
+    return [] if smallest > 0 else [f"{name} must be positive, got {smallest:g} m."]
+
+
+def _no_direction(name: str, value: object) -> list[str]:
+    return [] if np.asarray(value).any() else [f"{name} must have a direction, got zero."]
+
+
+def _mesh_problems(mesh: TriangleMesh) -> list[str]:
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    found = _some(
+        "vertices that are not finite", np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    )
+    outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    found += _some(f"faces with vertices outside 0 to {len(vertices) - 1}", np.flatnonzero(outside))
+    flat = faces_without_area(vertices, np.clip(faces, 0, len(vertices) - 1))
+    found += _some("faces without area, which are never met", np.flatnonzero(flat & ~outside))
+    if mesh.normals is not None and not outside.any():
+        found += _some("normals that all point behind their face", _behind(mesh))
+    for name in ("normals", "uv"):
+        value = getattr(mesh, name)
+        if value is not None and not np.isfinite(np.asarray(value)).all():
+            found.append(f"TriangleMesh.{name} holds a number that is not finite.")
+    return found
+
+
+def _behind(mesh: TriangleMesh) -> np.ndarray:
+    """The faces that shade black, for all three of their normals point to the back."""
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)].astype(float)
+    normals = np.asarray(mesh.normals)[np.asarray(mesh.faces)].astype(float)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.flatnonzero((np.einsum("ijk,ik->ij", normals, across) < 0).all(axis=1))
+
+
+def faces_without_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Which triangles of a mesh, (faces,), have no area, m^2, that its numbers could hold: two
+    corners in one place, or three on a line. False where a corner is not finite."""
+    corners = vertices[faces].astype(float)
+    with np.errstate(invalid="ignore"):
+        edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = np.linalg.norm(np.cross(edge_b, edge_c), axis=1)
+        square = np.maximum((edge_b**2).sum(axis=1), (edge_c**2).sum(axis=1))
+        return area <= np.finfo(vertices.dtype).eps * square
+
+
+def _some(what: str, numbers: np.ndarray) -> list[str]:
+    if not len(numbers):
+        return []
+    named = ", ".join(str(n) for n in numbers[:_NAMED])
+    more = ", ..." if len(numbers) > _NAMED else ""
+    return [f"TriangleMesh has {what}: {named}{more} ({len(numbers)} in all)."]

@@ -1,0 +1,285 @@
+"""Which of many surfaces a ray meets first, where, and whether anything lies in between. For ONE
+ray; the caller vmaps.
+
+The search gives whole numbers and has no gradient; the hit is then computed once more, from the
+one shape that was found, and has all of them. A ray meets what lies at a distance > 0; a miss has
+distance inf, a zero normal, and gradients of zero. Lengths are metres.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from .._numerics import dot
+from .._staging import stored, together
+from .._types import Scalar, group_by_structure, take
+from .._vector import Vec, Vector, as_vec, where
+from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
+from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
+from ._size import largest_component, largest_size, offset_length
+from ._triangle import triangle_hit
+from .box import intersect_box
+from .flat import (
+    FlatQuad,
+    flat_quad,
+    intersect_disc,
+    intersect_plane,
+    intersect_quad,
+    quad_blocks,
+    quad_distance,
+    quad_hit,
+)
+from .rays import Encounter, Hit, Ray, offset_origin
+from .sphere import intersect_sphere, sphere_blocks, sphere_distance
+
+Carry = TypeVar("Carry")
+_CHUNK = 8  # shapes that are tried at once: one does not fill the vector units
+
+
+class Sorted(eqx.Module):
+    """Shapes sorted by kind, with all that no ray changes computed once. `groups`: stacked, all
+    but meshes; `members`: static, their numbers, as `mesh_numbers` are those of `meshes`. `size`:
+    () m, the largest coordinate of all, None without any."""
+
+    groups: tuple[Any, ...]
+    meshes: tuple[TriangleMesh, ...]
+    size: Scalar | None
+    members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    mesh_numbers: tuple[int, ...] = eqx.field(static=True)
+
+
+Shapes = Sequence[Shape] | Sorted
+
+
+def sorted_shapes(shapes: Shapes) -> Sorted:
+    """Shapes made ready for many rays: worth doing once, outside of a loop over rays. m."""
+    if isinstance(shapes, Sorted):
+        return shapes
+    simple = [i for i, shape in enumerate(shapes) if not isinstance(shape, TriangleMesh)]
+    meshes = {i: shape for i, shape in enumerate(shapes) if isinstance(shape, TriangleMesh)}
+    groups = group_by_structure([shapes[i] for i in simple])
+    return Sorted(
+        tuple(jax.vmap(flat_quad)(g) if isinstance(g, Quad) else g for _, g in groups),
+        tuple(meshes.values()),
+        largest_size(shapes) if shapes else None,
+        tuple(tuple(simple[place] for place in places) for places, _ in groups),
+        tuple(meshes),
+    )
+
+
+def intersect(ray: Ray, shape: Shape) -> Hit:
+    """The hit of any shape."""
+    match shape:
+        case Sphere():
+            return intersect_sphere(ray, shape)
+        case Plane():
+            return intersect_plane(ray, shape)
+        case Disc():
+            return intersect_disc(ray, shape)
+        case Quad():
+            return intersect_quad(ray, shape)
+        case Box():
+            return intersect_box(ray, shape)
+        case TriangleMesh():
+            return intersect_mesh(ray, shape)
+
+
+def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
+    """What the ray meets first; of equally near shapes of one kind the first. No gradient.
+
+    Distances, m, are told apart but for their last three bits.
+    """
+    ray, ready = jax.lax.stop_gradient((ray, sorted_shapes(shapes)))
+    nothing = jnp.full((), -1, jnp.int32)
+    nearest, found = jnp.full_like(ray.origin.x, jnp.inf), nothing
+    for members, group in zip(ready.members, ready.groups, strict=True):
+
+        def closer(
+            carry: tuple[Scalar, Int[Array, ""]], start: Int[Array, ""], chunk: Any
+        ) -> tuple[Scalar, Int[Array, ""]]:
+            nearest, found = carry
+            distance, place = _unpacked(stored(_first_of, ray, chunk))
+            before = distance < nearest
+            return jnp.where(before, distance, nearest), jnp.where(before, start + place, found)
+
+        before = nearest
+        nearest, place = _over_chunks(closer, (nearest, nothing), group, len(members))
+        number = jnp.asarray(members, jnp.int32).at[place].get(mode="clip")
+        if members == tuple(range(members[0], members[0] + len(members))):
+            number = members[0] + place
+        found = jnp.where(nearest < before, number, found)
+    if not ready.meshes:
+        return Encounter(found)
+    primitive = nothing
+    for index, mesh in zip(ready.mesh_numbers, ready.meshes, strict=True):
+        distance, triangle = mesh_nearest(ray, mesh)
+        before = distance < nearest
+        nearest = jnp.where(before, distance, nearest)
+        found = jnp.where(before, index, found)
+        primitive = jnp.where(before, triangle, primitive)
+    return Encounter(found, primitive)
+
+
+def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
+    """The hit of what `nearest_shape` found, the only shape that gradients reach; a miss for
+    nothing found."""
+    ready, zero = sorted_shapes(shapes), jnp.zeros_like(ray.origin.x)
+    nowhere = Vec(zero, zero, zero)
+    chosen = Hit(
+        zero + jnp.inf,
+        nowhere,
+        ray.origin,
+        zero,
+        nowhere if any(mesh.normals is not None for mesh in ready.meshes) else None,
+        (zero, zero) if any(mesh.uv is not None for mesh in ready.meshes) else None,
+    )
+    for members, group in zip(ready.members, ready.groups, strict=True):
+        if isinstance(group, FlatQuad):
+            shape, among = take(members, group, encounter.shape)
+            hit = quad_hit(ray, shape, among)
+        else:
+            shape, among = take(members, group, encounter.shape)
+            hit = intersect(ray, shape)
+        chosen = _choose(among, hit, chosen)
+    for index, mesh in zip(ready.mesh_numbers, ready.meshes, strict=True):
+        among = encounter.shape == index
+        triangle = -1 if encounter.primitive is None else encounter.primitive
+        hit = triangle_hit(ray, mesh, jnp.where(among, triangle, -1))
+        chosen = _choose(among, hit, chosen)
+    return chosen
+
+
+def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
+    """`hit` where it is `here`, else the other; what `other` has and `hit` lacks is filled in."""
+    shading_normal = None if other.shading_normal is None else hit.shading_normal or hit.normal
+    zero = jnp.zeros_like(hit.distance)
+    uv = None if other.uv is None else hit.uv or (zero, zero)
+    filled = Hit(hit.distance, hit.normal, hit.point, hit.size, shading_normal, uv)
+    return jax.tree.map(lambda new, old: jnp.where(here, new, old), filled, other)
+
+
+def occluded(
+    point: Vector,
+    normal: Vector,
+    direction: Vector,
+    distance: Scalar,
+    shapes: Shapes,
+    *,
+    size: Scalar | None = None,
+) -> Bool[Array, ""]:
+    """Whether any shape lies between a point of a surface and what it looks at. No gradient.
+
+    `point`: m. `normal`: unit, of the surface at the point, or 0 for a point in free space.
+    `direction`: unit. `distance`: () m to what is looked at, inf for what is infinitely far; both
+    ends are open by as much as rounding can shift them, see `offset_origin`. `size`: () m, as
+    `Hit.size`; without it the largest coordinate of all shapes.
+    """
+    point, normal, direction, distance, ready, size = jax.lax.stop_gradient(
+        (as_vec(point), normal, as_vec(direction), distance, sorted_shapes(shapes), size)
+    )
+    size, reach = ready.size if size is None else size, largest_component(point)
+    reach = reach if size is None else jnp.maximum(reach, size)
+    start = offset_origin(point, normal, direction, size=reach)
+    # at the same end from the moved start: what shines there at a slant would else block itself
+    finite = distance < jnp.inf
+    end = point + jnp.where(finite, distance, 0) * direction
+    reach = jnp.maximum(reach, largest_component(end))
+    start, way = together((start, end - start))
+    square = dot(way, way)
+    apart = finite & (square > 0)
+    inverse = jax.lax.rsqrt(jnp.where(apart, square, 1))
+    toward = where(apart, way * inverse, direction)
+    length = jnp.where(finite, square * inverse - offset_length(reach), jnp.inf)
+    toward, length = together((toward, length))
+    ray = Ray(start, toward)
+
+    blocked = jnp.zeros((), bool)
+    for members, group in zip(ready.members, ready.groups, strict=True):
+
+        def blocks(before: Bool[Array, ""], start: Int[Array, ""], chunk: Any) -> Bool[Array, ""]:
+            del start
+            return before | stored(_any_of, ray, chunk, length)
+
+        blocked = _over_chunks(blocks, blocked, group, len(members))
+    return reduce(
+        lambda before, mesh: before | mesh_blocks(ray, mesh, length), ready.meshes, blocked
+    )
+
+
+# ---------------------------------------------------------------- one shape of a kind
+
+
+def _distance(ray: Ray, shape: Shape | FlatQuad) -> Scalar:
+    match shape:
+        case Sphere():
+            return sphere_distance(ray, shape)
+        case FlatQuad():
+            return quad_distance(ray, shape)
+        case _:
+            return intersect(ray, shape).distance
+
+
+def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, ""]:
+    match shape:
+        case Sphere():
+            return sphere_blocks(ray, shape, distance)
+        case FlatQuad():
+            return quad_blocks(ray, shape, distance)
+        case _:
+            return _distance(ray, shape) < distance
+
+
+# ---------------------------------------------------------------- many shapes of a kind
+
+
+def _over_chunks(
+    step: Callable[[Carry, Int[Array, ""], Any], Carry], carry: Carry, group: Any, count: int
+) -> Carry:
+    """`carry = step(carry, start, group[start : start + size])` over a stacked group, of which the
+    last chunk may see some twice."""
+    if count <= 2 * _CHUNK:
+        for start in range(0, count, _CHUNK):
+            chunk = jax.tree.map(lambda x, start=start: x[start : start + _CHUNK], group)
+            carry = step(carry, jnp.asarray(start, jnp.int32), chunk)
+        return carry
+
+    def turn(number: Int[Array, ""], carry: Carry) -> Carry:
+        start = jnp.minimum(number * _CHUNK, count - _CHUNK).astype(jnp.int32)
+        chunk = jax.tree.map(
+            lambda x: jax.lax.dynamic_slice_in_dim(x, start, _CHUNK, axis=0), group
+        )
+        return step(carry, start, chunk)
+
+    return jax.lax.fori_loop(0, -(-count // _CHUNK), turn, carry)
+
+
+def _each(chunk: Any) -> list[Any]:
+    count = len(jax.tree.leaves(chunk)[0])
+    return [jax.tree.map(lambda x, i=i: x[i], chunk) for i in range(count)]
+
+
+def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
+    """The nearest of a chunk as one whole number, which one comparison a shape finds: the bits of
+    its distance, which grow with it, the last three replaced by its place."""
+    keys = []
+    for place, shape in enumerate(_each(chunk)):
+        distance = _distance(ray, shape)
+        bits = jnp.int64 if distance.dtype.itemsize == 8 else jnp.int32
+        keys.append((jax.lax.bitcast_convert_type(distance, bits) & -_CHUNK) | place)
+    return reduce(jnp.minimum, keys)
+
+
+def _unpacked(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
+    """(distance in m, place in its chunk) of `_first_of`."""
+    floats = jnp.float64 if key.dtype.itemsize == 8 else jnp.float32
+    place = (key & (_CHUNK - 1)).astype(jnp.int32)
+    return jax.lax.bitcast_convert_type(key & -_CHUNK, floats), place
+
+
+def _any_of(ray: Ray, chunk: Any, distance: Scalar) -> Bool[Array, ""]:
+    return reduce(jnp.logical_or, (_blocks(ray, shape, distance) for shape in _each(chunk)))

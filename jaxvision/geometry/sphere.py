@@ -1,0 +1,77 @@
+"""A ray and a sphere. For ONE ray; lengths in metres."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from .._numerics import dot, norm, safe_sqrt, smallest_divisor
+from .._types import Scalar
+from .._vector import Vec, as_vec, masked, where
+from ..scene import Sphere
+from ._size import size_of
+from .rays import Hit, Ray
+
+
+def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
+    """The distance alone, m, and plainly, good to a few eps of the way to the centre: enough to
+    tell which of several surfaces comes first."""
+    b, discriminant = _closest(ray, sphere)
+    half_chord = jnp.sqrt(jnp.maximum(discriminant, 0))
+    near, far = b - half_chord, b + half_chord
+    distance = jnp.where(near > 0, near, far)
+    return jnp.where((discriminant > 0) & (distance > 0), distance, jnp.inf)
+
+
+def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
+    """Whether the ray meets the sphere before `distance`, m; no square root is drawn."""
+    b, discriminant = _closest(ray, sphere)
+    rest = distance - b  # from the closest approach to the end
+    less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
+    reaches = discriminant > jnp.maximum(-less * jnp.abs(less), 0)
+    return reaches & (discriminant <= more * more)  # else both ends are inside
+
+
+def _closest(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
+    """(distance along the ray to its closest approach, half the chord squared)."""
+    b, closest = _closest_approach(ray, sphere)
+    return b, sphere.radius * sphere.radius - dot(closest, closest)
+
+
+def _closest_approach(ray: Ray, sphere: Sphere) -> tuple[Scalar, Vec]:
+    """Where the ray is nearest to the centre: (distance along it, place from the centre), m."""
+    f = ray.origin - sphere.centre
+    b = -dot(f, ray.direction)
+    return b, f + b * ray.direction
+
+
+def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
+    """The nearest point of the sphere in front of the ray's origin, which may lie inside. A
+    tangent ray misses."""
+    distance, along = _meet(ray, sphere)
+    hit = distance < jnp.inf
+    closest = _closest_approach(ray, sphere)[1]
+    outward = closest + along * ray.direction
+    square = jnp.where(hit, dot(outward, outward), 1)
+    normal = masked(hit, outward * (1 / jnp.sqrt(square)))
+    on_sphere = as_vec(sphere.centre) + sphere.radius * normal
+    return Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
+
+
+def _meet(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
+    """The distance from the origin, and from the closest approach to the centre, m.
+
+    Source: Haines, Guenther, Akenine-Moeller, "Precision Improvements for Ray/Sphere
+    Intersection", Ray Tracing Gems (2019), ch. 7: the discriminant from the closest approach, and
+    the smaller root from the product of both, so that neither a distant nor a small sphere cancels.
+    """
+    r = sphere.radius
+    b, closest = _closest_approach(ray, sphere)
+    discriminant = r * r - dot(closest, closest)
+    half_chord = safe_sqrt(discriminant)
+    larger = b + jnp.where(b < 0, -half_chord, half_chord)  # in magnitude: nothing cancels
+    meets = (discriminant > 0) & (jnp.abs(larger) > smallest_divisor(larger.dtype))
+    away = norm(ray.origin - sphere.centre)
+    smaller = (away - r) * (away + r) / jnp.where(meets, larger, 1)
+    ahead = b >= 0
+    near, far = jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller)
+    distance = jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
+    return distance, jnp.where(near > 0, -half_chord, half_chord)

@@ -1,0 +1,325 @@
+"""Scene and view -> radiance: what each ray of a camera sees by direct light.
+
+Radiance in W m^-2 sr^-1, lengths in m.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ._numerics import dot
+from ._staging import TILE, in_tiles, stored, together
+from ._types import Colour, Image, Key, Scalar, group_by_structure, take
+from ._vector import Vec, where
+from .geometry import Hit, Ray, hit_shape, nearest_shape
+from .lights import Balanced, LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for
+from .lights.light_field import light_field_ray
+from .optics import pixel_grid, view_ray
+from .scene import Scene, TriangleMesh, View
+from .shading import DEFAULT_RULE, Leaving, outgoing_radiance, visibility
+
+_LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
+_BLOCK = 256  # pixels of one surface that are shaded together: a material is read once for them
+
+
+def radiance_along(
+    scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE, shadows: bool = True
+) -> Colour:
+    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
+
+    The nearest surface or extended light is seen; a ray that meets neither sees the environments,
+    or black. A surface shows what it emits and what it reflects of the lights; what surfaces emit
+    lights no other surface here, see `transport`. `rule`: how finely extended lights are taken
+    apart where they light a surface. `shadows`: static; without them nothing is traced of them,
+    nor is it for one shape that cannot shade itself. Materials of one kind are shaded by one piece
+    of code.
+    """
+    shapes = [surface.shape for surface in scene.surfaces]
+    encounter = stored(nearest_shape, ray, shapes)
+    hit = together(hit_shape(ray, shapes, encounter))
+    normal, leaving = _facing(scene, ray, encounter.shape, hit)
+    radiance = jnp.zeros((), ray.origin.x.dtype)
+    materials = [surface.material for surface in scene.surfaces]
+    for members, group in group_by_structure(materials, largest=_LARGEST):
+        material, among = take(members, group, encounter.shape)
+        shaded = outgoing_radiance(
+            material,
+            scene.lights,
+            hit.point,
+            normal,
+            -ray.direction,
+            ambient=scene.ambient,
+            rule=rule,
+            occluders=shapes if shadows and _can_shade(scene) else None,
+            leaving=leaving,
+        )
+        radiance = jnp.where(among, shaded, radiance)
+    emissions = [surface.emission for surface in scene.surfaces]
+    if any(emission is not None for emission in emissions):
+        emitted = _of_surface(emissions, encounter.shape)
+        radiance = radiance + jnp.where(dot(leaving.normal, ray.direction) < 0, emitted, 0)
+    if not any(can_be_seen(light) for light in scene.lights):
+        return radiance
+    light = nearest_seen(scene.lights, ray)
+    missed = encounter.shape < 0
+    return jnp.where((light.distance < hit.distance) | missed, light.radiance, radiance)
+
+
+def _can_shade(scene: Scene) -> bool:
+    """Whether light can be blocked at all: a shape without dents, alone, shades only its back."""
+    first = scene.surfaces[0]
+    return len(scene.surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
+
+
+def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Vec, Leaving]:
+    """The normal that shades, and how shadow rays leave: turned to the viewer where both sides of
+    the surface are fronts."""
+    smooth, sides = hit.shading_normal or hit.normal, [s.two_sided for s in scene.surfaces]
+    if not any(sides):
+        return smooth, Leaving(hit.normal, hit.size)
+    turned = jnp.asarray(sides)[jnp.maximum(index, 0)] & (dot(hit.normal, ray.direction) > 0)
+    normal = where(turned, -hit.normal, hit.normal)
+    return where(turned, -smooth, smooth), Leaving(normal, hit.size)
+
+
+def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
+    """The emission of the surface of that index, 0 where there is none, W m^-2 sr^-1."""
+    known = next(emission for emission in emissions if emission is not None)
+    table = jnp.stack([jnp.zeros_like(known) if e is None else e for e in emissions])
+    return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)
+
+
+class PixelSamples(eqx.Module):
+    """Rays a pixel, spread at random over its square and over the lens of a thin-lens view.
+
+    `key`: random key. `count`: static, >= 1.
+    """
+
+    key: Key
+    count: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if self.count < 1:
+            raise ValueError(f"PixelSamples.count must be at least 1, got {self.count}.")
+
+
+def sample_ray(
+    samples: PixelSamples,
+    view: View,
+    row: Scalar,
+    column: Scalar,
+    number: Int[Array, ""],
+    sample: Int[Array, ""],
+) -> Ray:
+    """The ray of one of the samples, by its number, of the pixel at `row` and `column`, (), that
+    counts as `number`; lengths in m."""
+    key = jax.random.fold_in(jax.random.fold_in(samples.key, number), sample)
+    u = jax.random.uniform(key, (4,), view.pixel_pitch.dtype)
+    return view_ray(view, row + u[0] - 0.5, column + u[1] - 0.5, u=u[2:])
+
+
+def render(
+    scene: Scene,
+    view: View,
+    *,
+    rule: Rule = DEFAULT_RULE,
+    shadows: bool = True,
+    samples: PixelSamples | None = None,
+) -> Image:
+    """The picture in radiance: (h, w, bands) in W m^-2 sr^-1. `rule`: how finely extended lights
+    are taken apart; `MonteCarlo` draws for each pixel anew. `shadows`: static, as in
+    `radiance_along`. `samples`: the mean over many rays of each pixel, which a thin lens needs to
+    defocus, or None: one ray through each pixel's centre."""
+    rows, columns = pixel_grid(view)
+    height, width = view.resolution
+
+    def centre(row, column, number):
+        ray = view_ray(view, row, column)
+        return radiance_along(scene, ray, rule=rule_for(rule, number), shadows=shadows)
+
+    def mean(samples, row, column, number):
+        def one(sample):
+            ray = sample_ray(samples, view, row, column, number, sample)
+            own = rule_for(rule, number * samples.count + sample)
+            return radiance_along(scene, ray, rule=own, shadows=shadows)
+
+        return jax.lax.map(one, jnp.arange(samples.count)).mean(axis=0)
+
+    pixel = centre if samples is None else partial(mean, samples)
+
+    def line(row, numbers):
+        return jax.vmap(pixel, in_axes=(None, 0, 0))(row, columns, numbers)
+
+    numbers = jnp.arange(height * width).reshape(height, width)
+    return in_tiles(line, rows, numbers, size=max(TILE // width, 1))
+
+
+class Baked(eqx.Module):
+    """What the rays of a view meet, sorted by surface into blocks of pixels of one surface each.
+
+    `pixels`: (blocks, block) their numbers, one past the last where a block is not full.
+    `surface`: (blocks,). `point`: m. `normal`: unit, that shades. `facing`: unit, of the surface
+    itself, to the front. `wo`: unit; (blocks, block) each. `blocked`: which nodes of each light
+    do not come through, see `shading.visibility`, or None: none. `background`: (pixels, bands)
+    W m^-2 sr^-1 of what is seen that is no surface, 0 elsewhere. `rule`: how extended lights were
+    taken apart. `resolution`: static.
+    """
+
+    pixels: Int[Array, "blocks block"]
+    surface: Int[Array, " blocks"]
+    point: Vec
+    normal: Vec
+    facing: Vec
+    wo: Vec
+    blocked: tuple[Bool[Array, "blocks block _"], ...] | None
+    background: Float[Array, "pixels bands"]
+    rule: Rule
+    resolution: tuple[int, int] = eqx.field(static=True)
+
+
+def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool = True) -> Baked:
+    """Traces all rays of a view once, so that `shade_baked` renders other materials and other
+    brightness without tracing any, for fits of reflectance; lengths in m. Eager: the number of
+    pixels of each surface becomes a shape.
+
+    `rule`, `shadows`: as in `render`, but for `Balanced`, whose rays follow the material:
+    `ValueError`.
+    """
+    if isinstance(rule, Balanced):
+        raise ValueError("bake needs rays that follow no material, got the rule Balanced.")
+    height, width = view.resolution
+    numbers = jnp.arange(height * width)
+    shapes = [surface.shape for surface in scene.surfaces]
+
+    def pixel(scene: Scene, view: View, number: Int[Array, ""]) -> tuple:
+        dtype = view.pixel_pitch.dtype
+        ray = view_ray(view, (number // width).astype(dtype), (number % width).astype(dtype))
+        encounter = nearest_shape(ray, shapes)
+        hit = hit_shape(ray, shapes, encounter)
+        normal, leaving = _facing(scene, ray, encounter.shape, hit)
+        light = nearest_seen(scene.lights, ray)
+        light_first = (light.distance < hit.distance) | (encounter.shape < 0)
+        seen = jnp.where(light_first, jnp.atleast_1d(light.radiance), 0)
+        surface = jnp.where(light_first, -1, encounter.shape)
+        blocked = None
+        if shadows and _can_shade(scene):
+            own = rule_for(rule, number)
+            visible = visibility(scene.lights, hit.point, shapes, leaving, rule=own)
+            blocked = jax.tree.map(jnp.logical_not, visible)
+        return surface, seen, (hit.point, normal, leaving.normal, -ray.direction, blocked)
+
+    @jax.jit
+    def trace(scene: Scene, view: View) -> tuple:
+        return in_tiles(partial(pixel, scene, view), numbers, size=TILE)
+
+    surface, background, met = trace(scene, view)
+    pixels, of_block = _blocks_of(np.asarray(surface))
+    inside = np.minimum(pixels, height * width - 1)
+    point, normal, facing, wo, blocked = jax.tree.map(lambda x: x[inside], met)
+    return Baked(
+        jnp.asarray(pixels),
+        jnp.asarray(of_block),
+        point,
+        normal,
+        facing,
+        wo,
+        blocked,
+        background,
+        rule,
+        (height, width),
+    )
+
+
+def _blocks_of(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((blocks, block) numbers of the pixels, (blocks,) their surface): pixels that see a surface,
+    surface by surface, the last block of each filled up with the number of pixels."""
+    pixels, of_block = [np.zeros((0, _BLOCK), int)], []
+    for index in np.unique(surface[surface >= 0]):
+        mine = np.flatnonzero(surface == index)
+        count = -(-len(mine) // _BLOCK)
+        filled = np.full(count * _BLOCK, len(surface))
+        filled[: len(mine)] = mine
+        pixels.append(filled.reshape(count, _BLOCK))
+        of_block += [index] * count
+    return np.concatenate(pixels), np.asarray(of_block, int)
+
+
+def shade_baked(baked: Baked, scene: Scene) -> Image:
+    """What `render` gives, (h, w, bands) in W m^-2 sr^-1, of the scene that was baked with other
+    materials, emissions or brightness of its lights; as many surfaces and lights as then."""
+    materials = [surface.material for surface in scene.surfaces]
+    groups = group_by_structure(materials, largest=_LARGEST)
+    emissions = [surface.emission for surface in scene.surfaces]
+
+    def block(pixels, surface, point, normal, facing, wo, blocked) -> Array:
+        # what a loop over tiles slices is stored, or else sliced again in each loop that reads it
+        point = together(point)
+        visible = stored(partial(jax.tree.map, jnp.logical_not), blocked)
+        radiance = jnp.zeros((), point.x.dtype)
+        for members, group in groups:
+            material, among = stored(partial(take, members), group, surface)
+
+            def pixel(number, point, normal, wo, visible, material=material) -> Colour:
+                return outgoing_radiance(
+                    material,
+                    scene.lights,
+                    point,
+                    normal,
+                    wo,
+                    ambient=scene.ambient,
+                    rule=rule_for(baked.rule, number),
+                    visible=visible,
+                )
+
+            shaded = jax.vmap(pixel)(pixels, point, normal, wo, visible)
+            radiance = jnp.where(among, shaded, radiance)
+        if any(emission is not None for emission in emissions):
+            emitted = _of_surface(emissions, surface)
+            radiance = radiance + jnp.where((dot(facing, wo) > 0)[:, None], emitted[None], 0)
+        return radiance
+
+    sorted_radiance = in_tiles(
+        block,
+        baked.pixels,
+        baked.surface,
+        baked.point,
+        baked.normal,
+        baked.facing,
+        baked.wo,
+        baked.blocked,
+        size=TILE // _BLOCK,
+    )
+    bands = sorted_radiance.shape[-1]
+    image = jnp.broadcast_to(baked.background, (len(baked.background), bands))
+    at, values = baked.pixels.reshape(-1), sorted_radiance.reshape(-1, bands)
+    return image.at[at].set(values, mode="drop").reshape(*baked.resolution, bands)
+
+
+def render_light_field(
+    scene: Scene,
+    aperture: Window,
+    focal: Window,
+    *,
+    resolution: tuple[int, int, int, int],
+    rule: Rule = DEFAULT_RULE,
+    shadows: bool = True,
+) -> LightFieldLight:
+    """What leaves a scene through a window, recorded: radiance in W m^-2 sr^-1 along each line
+    from a place of the aperture to one of the parallel focal window, corners in m.
+
+    The scene is what lies behind the aperture. `resolution`: samples (s, t, u, v), the outermost
+    on the windows' rims; one sample of an axis lies at its start.
+    """
+    axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
+    places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
+
+    def sample(place, number):
+        ray = light_field_ray(aperture, focal, place)
+        return radiance_along(scene, ray, rule=rule_for(rule, number), shadows=shadows)
+
+    radiance = in_tiles(sample, places, jnp.arange(len(places)), size=TILE)
+    return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)

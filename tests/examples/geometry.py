@@ -1,0 +1,80 @@
+"""Rays, the surfaces they meet, and what is shaded of them."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision import Lambert, PointLight, Vec
+from jaxvision import scene as s
+from jaxvision.geometry import Encounter, Ray
+from jaxvision.geometry.flat import flat_quad
+from jaxvision.lights import Quadrature
+from jaxvision.rendering import Baked
+from jaxvision.shading import Leaving
+
+
+def unit(*v):
+    v = np.asarray(v, float)
+    return jnp.asarray(v / np.linalg.norm(v))
+
+
+N, W = unit(0.1, -0.2, 1), unit(0.5, 0.3, 0.9)
+POINT, FAR = jnp.asarray([0.2, 0.1, -0.3]), jnp.asarray(2.3)
+RAY = Ray(jnp.zeros(3), unit(0.05, 0.02, 1))
+SPHERE, PLANE = s.Sphere([0.1, 0.2, 3], 1.0), s.Plane([0, 0, 5], [0.1, 0.1, -1])
+DISC = s.Disc([0.1, 0.2, 4], [0.1, 0.2, -1], 0.7)
+QUAD = s.Quad([-1.0, -1.1, 4], [2.1, 0.2, 0.1], [0.1, 2.2, 0.3])
+BOX = s.Box([0.1, 0.2, 4], [0.6, 0.7, 0.8])
+MESH = s.TriangleMesh(
+    [[-1.0, -1.1, 4], [1.1, -1.2, 4.1], [0.1, 1.3, 4.2]],
+    [[0, 2, 1]],
+    normals=[[0.1, 0.2, -1], [-0.2, 0.1, -1], [0.1, -0.1, -1]],
+    uv=[[0.1, 0.2], [0.9, 0.1], [0.4, 0.8]],
+)
+SHAPES = [PLANE, SPHERE, MESH]
+LAMPS = [PointLight([1, 2, -3], [0.3, 0.2]), PointLight([-1, 2, -2], [0.1, 0.4])]
+
+
+def repeated(v):
+    """A block of two equal pixels."""
+    return Vec(*(jnp.full((1, 2), x) for x in v))
+
+
+SCENE = s.Scene([s.Surface(SPHERE, Lambert([0.2, 0.1]))], LAMPS)
+BAKED = Baked(
+    jnp.asarray([[2, 0]]),
+    jnp.asarray([0]),
+    repeated(POINT),
+    repeated(N),
+    repeated(N),
+    repeated(W),
+    (jnp.asarray([[[[True], [False]], [[True], [True]]]]),),
+    jnp.full((3, 2), 0.7),
+    Quadrature(2),
+    (1, 3),
+)
+
+EXAMPLES = {
+    "geometry.rays.mirror_direction": ((N, W), {}),
+    "geometry.rays.offset_origin": ((POINT, N, W), {}),
+    "geometry.sphere.sphere_distance": ((RAY, SPHERE), {}),
+    "geometry.sphere.sphere_blocks": ((RAY, SPHERE, FAR), {}),
+    "geometry.sphere.intersect_sphere": ((RAY, SPHERE), {}),
+    "geometry.flat.intersect_plane": ((RAY, PLANE), {}),
+    "geometry.flat.intersect_disc": ((RAY, DISC), {}),
+    "geometry.flat.intersect_quad": ((RAY, QUAD), {}),
+    "geometry.flat.flat_quad": ((QUAD,), {}),
+    "geometry.flat.quad_distance": ((RAY, flat_quad(QUAD)), {}),
+    "geometry.flat.quad_blocks": ((RAY, flat_quad(QUAD), FAR), {}),
+    "geometry.flat.quad_hit": ((RAY, flat_quad(QUAD), jnp.asarray(True)), {}),
+    "geometry.nearest.sorted_shapes": ((SHAPES,), {}),
+    "geometry.box.intersect_box": ((RAY, BOX), {}),
+    "geometry.nearest.intersect": ((RAY, MESH), {}),
+    "geometry.nearest.nearest_shape": ((RAY, SHAPES), {}),
+    "geometry.nearest.hit_shape": (
+        (RAY, SHAPES, Encounter(jnp.asarray(1), jnp.asarray(-1))),
+        {},
+    ),
+    "shading.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
+    "rendering.shade_baked": ((BAKED, SCENE), {}),
+    "geometry.nearest.occluded": ((POINT, N, W, FAR, SHAPES), {}),
+}
