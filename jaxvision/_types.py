@@ -6,11 +6,13 @@ vmaps.
 """
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Any, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 Scalar = Float[Array, ""]
@@ -82,6 +84,92 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...]) -> None:
     raise ValueError(f"{name} must have shape {allowed}, got {shape}.")
 
 
+def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
+    """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
+    passes."""
+    known: tuple[Any, ...] = tuple(kind for union in kinds for kind in get_args(union) or (union,))
+    if value is None or isinstance(value, known):
+        return
+    wanted = " or ".join(kind.__name__ for kind in known)
+    is_class = isinstance(value, type)
+    kind = f"the class {value.__name__}" if is_class else f"a {type(value).__name__}"
+    got = repr(value) if np.isscalar(value) else kind
+    raise ValueError(f"{name} must be a record, {wanted}, got {got}.")
+
+
+def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:
+    """Raises `ValueError` unless `value` is a whole number, not an array of one, of at least
+    `least`, and odd where that is asked for."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (odd and value % 2 == 0):
+        kind = "an odd" if odd else "a whole"
+        raise ValueError(f"{name} must be {kind} number of at least {least}, got {value!r}.")
+
+
+def check_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Raises `ValueError` unless `value` is one of those words."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}.")
+
+
+def check_tile(
+    name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
+) -> None:
+    """Raises `ValueError` unless `pattern` is rows of one length (else it does not tile the plane)
+    of the bands 0 to its largest, all of them there; `bands`: how many `holder` has, which must be
+    as many."""
+    if not isinstance(pattern, tuple) or not all(
+        isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
+        for row in pattern
+    ):
+        raise ValueError(
+            f"{name} must be a tuple of rows, each a tuple of whole numbers, as in "
+            f"((0, 1), (1, 2)), got {pattern!r}."
+        )
+    widths = sorted({len(row) for row in pattern})
+    if len(widths) != 1 or widths == [0]:
+        raise ValueError(
+            f"{name} must be rows of one length, at least 1, to tile the picture, got {pattern}."
+        )
+    cells = [cell for row in pattern for cell in row]
+    if sorted(set(cells)) != list(range(len(set(cells)))):
+        raise ValueError(f"{name} must hold the bands 0, 1, ... without a gap, got {pattern}.")
+    if bands is not None and len(set(cells)) != bands:
+        raise ValueError(
+            f"{name} has the {len(set(cells))} bands of {pattern}, {holder} has {bands}."
+        )
+
+
+def is_known(x: Any) -> bool:
+    """Whether the numbers of `x` are there to be looked at: they are not while it is traced."""
+    return not isinstance(x, Tracer)
+
+
+def check_range(
+    name: str,
+    value: Any,
+    low: float | int,
+    high: float | int = np.inf,
+    *,
+    above: bool = False,
+    finite: bool = True,
+) -> None:
+    """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
+    where `above`. None is absent, and what is traced is not known yet: both pass."""
+    if value is None or not is_known(value):
+        return
+    numbers = np.asarray(value)
+    inside = (numbers > low if above else numbers >= low) & (numbers <= high)
+    if finite:
+        inside &= np.isfinite(numbers)
+    if not inside.all():
+        wrong = numbers[~inside].flat[0]
+        least = "above" if above else "at least"
+        most = "" if high == np.inf else f" and at most {high:g}"
+        kind = "finite, " if finite else ""
+        raise ValueError(f"{name} must be {kind}{least} {low:g}{most}, got {wrong}.")
+
+
 def group_by_structure(
     records: Sequence[Record], *, largest: int | None = None
 ) -> list[tuple[tuple[int, ...], Record]]:
@@ -115,7 +203,23 @@ def take(
     record is the group's first). A group of one is not gathered from."""
     if len(members) == 1:
         return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
-    slots = np.full(max(members) + 2, -1)
-    slots[list(members)] = np.arange(len(members))
-    slot = jnp.asarray(slots)[jnp.minimum(index, len(slots) - 1)]
-    return jax.tree.map(lambda leaf: leaf[jnp.maximum(slot, 0)], group), slot >= 0
+    if members == tuple(range(members[0], members[0] + len(members))):
+        slot = index - members[0]
+        found = (slot >= 0) & (slot < len(members))
+        slot = jnp.where(found, slot, 0)
+    else:
+        slots = np.full(max(members) + 2, -1)
+        slots[list(members)] = np.arange(len(members))
+        slot = jnp.asarray(slots)[jnp.minimum(index, len(slots) - 1)]
+        found = slot >= 0
+        slot = jnp.maximum(slot, 0)
+    return jax.tree.map(lambda leaf: row(leaf, slot), group), found
+
+
+def row(leaf: Array, slot: Int[Array, ""]) -> Array:
+    """leaf[slot] for a slot that exists, of a few numbers one by one: each is then a gather of
+    scalars, which vector units have, and only those that are used are read."""
+    if leaf.ndim == 2 and leaf.shape[1] <= 4:
+        columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
+        return jnp.stack(columns)
+    return leaf.at[slot].get(mode="promise_in_bounds")

@@ -64,3 +64,12 @@ def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
     if isinstance(v, Vec):
         return Vec(*(jnp.where(keep, component, 0) for component in (v.x, v.y, v.z)))
     return jnp.where(keep[..., None], v, 0)
+
+
+def where(condition: Bool[Array, "..."], u: Vec, v: Vec) -> Vec:
+    """`u` where the condition holds, else `v`."""
+    return Vec(
+        jnp.where(condition, u.x, v.x),
+        jnp.where(condition, u.y, v.y),
+        jnp.where(condition, u.z, v.z),
+    )

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._numerics import dot, norm, normalize, safe_sqrt
+from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_array, as_vec
 
@@ -87,8 +87,7 @@ def cosine_direction(u: Float[Array, "2"]) -> Vec:
 
     The radius sqrt(u_0) of a point uniform in the disk is the direction's sine (Malley).
     """
-    sine, phi = safe_sqrt(u[0]), 2 * jnp.pi * u[1]
-    return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), safe_sqrt(1 - u[0]))
+    return _at_turns(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
 
 
 def cosine_pdf(w: Vec3) -> Scalars:
@@ -99,13 +98,19 @@ def cosine_pdf(w: Vec3) -> Scalars:
 def uniform_direction(u: Float[Array, "2"]) -> Vec:
     """A direction of the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
     uniform numbers in [0, 1); unit, local."""
-    return direction_at(u[0], 2 * jnp.pi * u[1])
+    return _at_turns(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
 
 
 def uniform_pdf(w: Vec3) -> Scalars:
     """1 / (2 pi) in sr^-1 above the surface, 0 below: the density of `uniform_direction`."""
     z = as_vec(w).z
     return jnp.where(z > 0, jnp.full_like(z, 0.5 / jnp.pi), 0)
+
+
+def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
+    """The unit vector of that polar sine and cosine, its azimuth in turns of 2 pi rad."""
+    across, along = sine_cosine(turns)
+    return Vec(sine * along, sine * across, cosine)
 
 
 def product_nodes(

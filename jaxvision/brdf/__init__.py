@@ -12,7 +12,7 @@ the caller vmaps. A spectrum is (bands,), or (1,) where it is neutral and broadc
     albedo     integral of f_r cos(theta_i) over wi
     shading    what multiplies the irradiance of a surface that FACES the light, f_r cos(theta_i)
 
-A mirror is a delta function, which no density describes: see `brdf.mirror`.
+Mirrors and glass are delta functions, which no density describes: see `brdf.mirror`, `brdf.glass`.
 """
 
 from jaxtyping import Array, Float
@@ -25,6 +25,7 @@ from . import (
     blinn,
     dichromatic,
     gaussian_lobe,
+    glass,
     half_difference,
     lambert,
     measured,
@@ -42,6 +43,7 @@ __all__ = [
     "dichromatic",
     "evaluate",
     "gaussian_lobe",
+    "glass",
     "half_difference",
     "lambert",
     "measured",

@@ -73,8 +73,9 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     g = safe_sqrt(g_squared)
     s_sum = jnp.where(passes, c + g, 1)
     p_sum = jnp.where(passes, eta * eta * c + g, 1)
-    r_s = contrast / jnp.square(s_sum)
-    r_p = contrast * (c * c * (eta * eta + 1) - 1) / jnp.square(p_sum)
+    # divided twice: of equal indices at grazing angles the square's own gradient would overflow
+    r_s = contrast / s_sum / s_sum
+    r_p = contrast * (c * c * (eta * eta + 1) - 1) / p_sum / p_sum
     return jnp.where(passes, (r_s * r_s + r_p * r_p) / 2, 1)
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, log_cos_between, log_of_zero, safe_log
-from .._staging import stored
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
@@ -107,7 +106,7 @@ def _lobe(wi: Vec, wo: Vec, exponent: Scalar) -> Scalar:
 
 def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
     """f_r of the table above, (bands,) in sr^-1."""
-    lobe = stored(_lobe, as_vec(wi), as_vec(wo), material.exponent)
+    lobe = _lobe(as_vec(wi), as_vec(wo), material.exponent)
     match material:
         case Phong():
             lobe = lobe / divisor(as_vec(wi).z)
@@ -119,7 +118,7 @@ def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
 def shading(material: Phong, wi: Vector, wo: Vector) -> Colour:
     """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
     light = as_vec(wi)
-    lobe = stored(_lobe, light, as_vec(wo), material.exponent)
+    lobe = _lobe(light, as_vec(wo), material.exponent)
     shaded = material.diffuse * light.z + material.specular * lobe
     return jnp.where(lit_and_seen(wi, wo), shaded, 0)
 

@@ -54,7 +54,7 @@ def arriving(wi):
 OPTIONS = {"incident_radiance": arriving, "normal": N, "wo": WO}
 
 EXAMPLES = {
-    "capture.render_light_field": (
+    "rendering.render_light_field": (
         (BALL, WINDOW, FOCAL),
         {"resolution": (1, 2, 1, 2), "rule": RULE},
     ),

@@ -1,0 +1,313 @@
+"""What shines, lights and surfaces alike, as a path finds it: on purpose, or by chance.
+
+On purpose (next-event estimation) one of all emitters is drawn, each as likely as the other, and a
+direction toward it. By chance a ray runs into one. The two estimate one integral, in which a light
+has no body: shadow rays and paths pass lights, and only a ray that looks, from the camera or by way
+of mirrors and glass, stops at the nearest. A surface that shines is a surface: it blocks. Radiance
+in W m^-2 sr^-1, lengths in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics import dot, safe_sqrt, smallest_divisor
+from .._types import Colour, Scalar, group_by_structure, row, take
+from .._vector import Vec, as_vec
+from ..geometry import Ray, largest_size, offset_length
+from ..lights import (
+    Incident,
+    Quadrature,
+    can_be_seen,
+    direction_pdf,
+    direction_sample,
+    incident,
+    incident_sample,
+    light_nodes,
+    nearest_seen,
+    seen,
+)
+from ..lights._nodes import square_nodes
+from ..scene import Light, Scene, Shape
+from ._places import area, has_area, place_on
+
+Strategy = Literal["lights", "surfaces", "balance", "power"]
+LARGEST = 256  # numbers in an array of a record that are gathered by each ray
+
+
+class Emissive(eqx.Module):
+    """A surface that shines. `two_sided`: () from its back too. `size`: () m, as `Hit.size`."""
+
+    shape: Shape
+    emission: Colour
+    two_sided: Bool[Array, ""]
+    size: Scalar
+
+
+class Toward(eqx.Module):
+    """A direction toward an emitter. `distance`: () m, inf for one that is infinitely far.
+    `clear`: () m, so much of it must be free: up to where rounding may put a surface that shines.
+    `irradiance`: (bands,) radiance over density, W m^-2, on a surface facing it. `density`: ()
+    sr^-1, inf for a light at one place."""
+
+    direction: Vec
+    distance: Scalar
+    clear: Scalar
+    irradiance: Colour
+    density: Scalar
+
+
+class Emitters(eqx.Module):
+    """All that shines in a scene, sorted once. `groups`: what can be drawn, stacked by structure;
+    `members`: static, their numbers. `lights`: what a ray can meet beside surfaces. `emission`:
+    (surfaces, bands) W m^-2 sr^-1 of each surface, or None where none shines. `area`: (surfaces,)
+    m^2, inf where it has no end. `two_sided`: (surfaces,). `count`: static, how many can be
+    drawn. `endless`: static, whether a surface shines that has no place to draw."""
+
+    groups: tuple[Light | Emissive, ...]
+    lights: tuple[Light, ...]
+    emission: Float[Array, "surfaces bands"] | None
+    area: Float[Array, " surfaces"] | None
+    two_sided: Bool[Array, " surfaces"]
+    members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+    endless: bool = eqx.field(static=True)
+
+
+def emitters_of(scene: Scene) -> Emitters:
+    """The emitters of a scene: lights first, then surfaces that shine and have an end; no unit."""
+    surfaces = scene.surfaces
+    two_sided = jnp.asarray([surface.two_sided for surface in surfaces])
+    shining = {i: s.emission for i, s in enumerate(surfaces) if s.emission is not None}
+    drawn: list[Light | Emissive] = list(scene.lights)
+    drawn += [
+        Emissive(surfaces[i].shape, emission, two_sided[i], largest_size([surfaces[i].shape]))
+        for i, emission in shining.items()
+        if has_area(surfaces[i].shape)
+    ]
+    emission = areas = None
+    if shining:
+        dark = jnp.zeros_like(next(iter(shining.values())))
+        emission = jnp.stack([shining.get(i, dark) for i in range(len(surfaces))])
+        areas = jnp.stack(
+            [
+                area(s.shape) if i in shining else jnp.ones_like(dark[0])
+                for i, s in enumerate(surfaces)
+            ]
+        )
+    seen_lights = tuple(filter(can_be_seen, scene.lights))
+    groups = group_by_structure(drawn, largest=LARGEST)
+    return Emitters(
+        tuple(group for _, group in groups),
+        seen_lights,
+        emission,
+        areas,
+        two_sided,
+        tuple(members for members, _ in groups),
+        len(drawn),
+        not all(has_area(surfaces[i].shape) for i in shining),
+    )
+
+
+def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
+    """One emitter, by u_2, and a direction toward it from `point`, m, by u_0 and u_1, uniform in
+    [0, 1); the irradiance, W m^-2, stands for all emitters."""
+    count = emitters.count
+    index = jnp.minimum((u[2] * count).astype(jnp.int32), count - 1)
+    chosen = None
+    for members, group in zip(emitters.members, emitters.groups, strict=True):
+        emitter, among = take(members, group, index)
+        if isinstance(emitter, Emissive):
+            toward = _toward_surface(emitter, point, u[:2])
+        else:
+            toward = _toward_light(emitter, point, u[:2])
+        chosen = toward if chosen is None else _select(among, toward, chosen)
+    if chosen is None:
+        raise ValueError("toward_emitter needs a scene with something that shines.")
+    return Toward(
+        chosen.direction,
+        chosen.distance,
+        chosen.clear,
+        chosen.irradiance * count,
+        chosen.density / count,
+    )
+
+
+def _toward_light(light: Light, point: Vec, u: Float[Array, "2"]) -> Toward:
+    everywhere = jnp.full_like(point.x, jnp.inf)
+    if not can_be_seen(light):
+        return _toward(incident(light, point), everywhere)
+    arriving = direction_sample(light, point, u)
+    return _toward(arriving, direction_pdf(light, point, arriving.direction))
+
+
+def _toward(arriving: Incident, density: Scalar) -> Toward:
+    far = jnp.full_like(density, jnp.inf)
+    distance = far if arriving.distance is None else arriving.distance
+    return Toward(as_vec(arriving.direction), distance, distance, arriving.irradiance, density)
+
+
+def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
+    """The shape's area, spread over the solid angle d^2 / cos that it covers from the point."""
+    place, whole = place_on(emitter.shape, u), area(emitter.shape)
+    toward = place.point - point
+    distance = safe_sqrt(dot(toward, toward))
+    apart = distance > smallest_divisor(distance.dtype)
+    nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
+    direction = toward * nearness
+    cosine = -dot(place.normal, direction)
+    cosine = jnp.where(emitter.two_sided, jnp.abs(cosine), jnp.maximum(cosine, 0))
+    solid_angle = whole * cosine * nearness * nearness
+    # as far above the emitter as a ray that leaves it starts: at a slant, so much farther
+    own = offset_length(emitter.size + distance) * _inverse(cosine)
+    return Toward(
+        direction,
+        distance,
+        jnp.maximum(distance - own, 0),
+        emitter.emission * solid_angle,
+        _inverse(solid_angle),
+    )
+
+
+def toward_each(
+    emitters: Emitters,
+    point: Vec,
+    *,
+    rule: Quadrature,
+    shine: Callable[[Toward], Colour],
+    bands: int,
+) -> Colour:
+    """The sum of `shine`, (bands,) W m^-2 sr^-1 of a direction toward an emitter, over all
+    emitters from `point`, m, each looked at where the rule says, which is in its irradiances."""
+    dtype = point.x.dtype
+
+    def of_emitter(total: Colour, emitter: Light | Emissive) -> tuple[Colour, None]:
+        if isinstance(emitter, Emissive):
+            nodes, weights = (jnp.asarray(x, dtype) for x in square_nodes(rule.order))
+        else:
+            nodes, weights = light_nodes(emitter, rule, dtype)
+
+        @jax.checkpoint
+        def of_node(total: Colour, node: tuple[Array, Array]) -> tuple[Colour, None]:
+            u, weight = node
+            if isinstance(emitter, Emissive):
+                toward = _toward_surface(emitter, point, u)
+                toward = eqx.tree_at(lambda t: t.irradiance, toward, toward.irradiance * weight)
+            else:
+                everywhere = jnp.full_like(point.x, jnp.inf)
+                toward = _toward(incident_sample(emitter, rule, point, u, weight), everywhere)
+            return total + shine(toward), None
+
+        return jax.lax.scan(of_node, total, (nodes, weights))
+
+    total = jnp.zeros(bands, dtype)
+    for group in emitters.groups:
+        total, _ = jax.lax.scan(of_emitter, total, group)
+    return total
+
+
+def shining_ahead(
+    emitters: Emitters,
+    ray: Ray,
+    surface: Int[Array, ""],
+    distance: Scalar,
+    cosine: Scalar,
+    density: Scalar,
+    absorption: Colour | None,
+    *,
+    strategy: Strategy,
+) -> tuple[Colour, Bool[Array, ""]]:
+    """What a ray finds by chance, W m^-2 sr^-1, and whether a light ends it there.
+
+    `surface`, `distance`, `cosine`: what it meets (-1: none), at how many m, and the cosine
+    between its outward normal and the way back. `density`: sr^-1 of the ray's direction, inf for a
+    ray that looks. `absorption`: (bands,) m^-1 of the body around, or None. What could have been
+    drawn on purpose counts by the `strategy`'s weight.
+    """
+    looks = jnp.isinf(density)
+    found, ends = jnp.zeros_like(distance)[None], jnp.zeros_like(looks)
+    if emitters.emission is not None and emitters.area is not None:
+        met = jnp.maximum(surface, 0)
+        facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
+        shines = (surface >= 0) & (facing > 0)
+        on_purpose = jnp.where(
+            shines, distance * distance / jnp.where(shines, facing * emitters.area[met], 1), 0
+        )
+        weight = chance_weight(strategy, density, on_purpose / emitters.count)
+        emission = row(emitters.emission, met) * transmitted(absorption, distance)
+        found = found + jnp.where(shines, weight, 0) * emission
+    if not emitters.lights:
+        return found, ends
+
+    def visible(away: Scalar) -> Bool[Array, ""]:
+        return jnp.where(jnp.isinf(away), surface < 0, (away < distance) | (surface < 0))
+
+    nearest = nearest_seen(emitters.lights, ray)
+    shown = nearest.radiance * transmitted(absorption, nearest.distance)
+    shown = jnp.where(visible(nearest.distance), shown, 0)
+    ends = looks & visible(nearest.distance) & jnp.isfinite(nearest.distance)
+    passed = jnp.zeros_like(shown)
+    if strategy != "lights":
+        for light in emitters.lights:
+            ahead = seen(light, ray)
+            drawn = direction_pdf(light, ray.origin, ray.direction) / emitters.count
+            weight = chance_weight(strategy, density, drawn)
+            arriving = ahead.radiance * transmitted(absorption, ahead.distance)
+            passed = passed + jnp.where(visible(ahead.distance), weight, 0) * arriving
+    return jnp.where(ends, 0, found) + jnp.where(looks, shown, passed), ends
+
+
+def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
+    """What a body of that absorption, (bands,) m^-1, or none, leaves of light over a distance, m,
+    no unit; nothing is lost on a way without end."""
+    if absorption is None:
+        return jnp.ones_like(distance)[None]
+    return jnp.exp(-absorption * jnp.where(jnp.isinf(distance), 0, distance))
+
+
+def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> Scalar:
+    """How much a direction of two densities, sr^-1, counts that was found by chance; of one drawn
+    on purpose it is `purpose_weight`, and the two sum to 1, no unit."""
+    match strategy:
+        case "lights":  # counts only what cannot be drawn
+            return jnp.where(jnp.isinf(by_chance) | (on_purpose <= 0), 1, 0).astype(by_chance.dtype)
+        case "surfaces":
+            return jnp.ones_like(by_chance)
+    return _heuristic(strategy, by_chance, on_purpose)
+
+
+def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar) -> Scalar:
+    """How much a direction of two densities, sr^-1, counts that was drawn on purpose, no unit; a
+    light at one place, of density inf, is found no other way."""
+    match strategy:
+        case "lights":
+            return jnp.ones_like(on_purpose)
+        case "surfaces":
+            return jnp.where(jnp.isinf(on_purpose), 1, 0).astype(on_purpose.dtype)
+    return _heuristic(strategy, on_purpose, by_chance)
+
+
+def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
+    """p / (p + q), or the same of squares (Veach and Guibas, SIGGRAPH 1995), with neither square
+    nor infinity: 1 / (1 + (q / p)^n). A constant to gradients."""
+    own, other = jax.lax.stop_gradient((own, other))
+    drawn = own > 0
+    ratio = jnp.where(drawn, other / jnp.where(drawn, own, 1), jnp.inf)
+    return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))
+
+
+def _select(keep: Bool[Array, ""], new: Toward, old: Toward) -> Toward:
+    def chosen(a: Array, b: Array) -> Array:
+        return jnp.where(keep, a, b)
+
+    return jax.tree.map(chosen, new, old)
+
+
+def _inverse(x: Scalar) -> Scalar:
+    """1 / x, 0 where nothing can be drawn."""
+    positive = x > 0
+    return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)

@@ -1,0 +1,123 @@
+"""Places spread evenly over a shape: how surfaces that shine are sampled.
+
+Two uniform numbers become a point whose density by area is the same everywhere, 1 / area. Lengths
+in m, areas in m^2, normals unit. For ONE place; the caller vmaps.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import norm, normalize, safe_sqrt
+from .._types import Scalar
+from .._vector import Vec, as_vec, scaled
+from ..hemisphere import cross, direction_at, local_frame, to_world
+from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
+
+
+class Place(eqx.Module):
+    """`point`: (3,) m. `normal`: (3,) unit, outward."""
+
+    point: Vec
+    normal: Vec
+
+
+def has_area(shape: Shape) -> bool:
+    """Whether places of the shape can be drawn: a plane has no end."""
+    return not isinstance(shape, Plane)
+
+
+def area(shape: Shape) -> Scalar:
+    """The whole surface, () in m^2; inf for a plane."""
+    match shape:
+        case Sphere():
+            return 4 * jnp.pi * shape.radius**2
+        case Disc():
+            return jnp.pi * shape.radius**2
+        case Quad():
+            return norm(cross(shape.edge_u, shape.edge_v))
+        case Box():
+            return 2 * _face_areas(shape).sum()
+        case TriangleMesh():
+            return _triangle_areas(shape).sum()
+        case Plane():
+            return jnp.full_like(shape.point[0], jnp.inf)
+
+
+def place_on(shape: Shape, u: Float[Array, "2"]) -> Place:
+    """The place of two numbers, (2,) uniform in [0, 1), no unit. `ValueError` for a plane."""
+    match shape:
+        case Sphere():
+            normal = direction_at(2 * u[0], 2 * jnp.pi * u[1])
+            return Place(shape.centre + shape.radius * normal, normal)
+        case Disc():
+            normal = as_vec(normalize(shape.normal))
+            radius, phi = shape.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
+            aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), jnp.zeros_like(phi))
+            return Place(shape.centre + as_vec(to_world(local_frame(normal), aside)), normal)
+        case Quad():
+            point = as_vec(shape.corner) + u[0] * as_vec(shape.edge_u) + u[1] * as_vec(shape.edge_v)
+            return Place(point, as_vec(normalize(cross(shape.edge_u, shape.edge_v))))
+        case Box():
+            return _place_on_box(shape, u)
+        case TriangleMesh():
+            return _place_on_mesh(shape, u)
+        case Plane():
+            raise ValueError("place_on needs a shape that ends, got Plane.")
+
+
+def _face_areas(box: Box) -> Float[Array, "3"]:
+    """Of the faces across each axis, one of the two."""
+    x, y, z = box.half_extents
+    return 4 * jnp.stack([y * z, z * x, x * y])
+
+
+def _place_on_box(box: Box, u: Float[Array, "2"]) -> Place:
+    """A face by its area, by u_0, whose rest is a number as good."""
+    axis, side, rest = _pick(jnp.repeat(_face_areas(box), 2), u[0])
+    place = jnp.stack([2 * rest - 1, 2 * u[1] - 1])
+    sign = 1 - 2 * side.astype(rest.dtype)
+    across = jnp.arange(3, dtype=axis.dtype) == axis
+    beside = jnp.arange(3, dtype=axis.dtype) == (axis + 1) % 3
+    normal = jnp.where(across, sign, 0)
+    point = box.half_extents * jnp.where(across, sign, jnp.where(beside, place[0], place[1]))
+    if box.rotation is not None:
+        point, normal = point @ box.rotation, normal @ box.rotation
+    return Place(as_vec(box.centre + point), as_vec(normal))
+
+
+def _pick(weights: Float[Array, "6"], u: Scalar) -> tuple[Array, Array, Scalar]:
+    """(axis, side, rest of u in [0, 1)) of six faces, two an axis."""
+    face, rest = _pick_one(weights, u)
+    return face // 2, face % 2, rest
+
+
+def _pick_one(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
+    """An index with probability in proportion to its weight, and what is left of `u`."""
+    ends = jnp.cumsum(weights)
+    at = u * ends[-1]
+    index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), len(weights) - 1)
+    width = weights[index]
+    rest = (at - (ends[index] - width)) / jnp.where(width > 0, width, 1)
+    return index, jnp.clip(rest, 0, 1)
+
+
+def _corners(mesh: TriangleMesh) -> tuple[Vec, Vec, Vec]:
+    """The three vertices of each triangle, components (faces,)."""
+    faces = jnp.clip(mesh.faces, 0, len(mesh.vertices) - 1)
+    a, b, c = (as_vec(mesh.vertices[faces[:, i]]) for i in range(3))
+    return a, b, c
+
+
+def _triangle_areas(mesh: TriangleMesh) -> Float[Array, " faces"]:
+    a, b, c = _corners(mesh)
+    return norm(cross(b - a, c - a)) / 2
+
+
+def _place_on_mesh(mesh: TriangleMesh, u: Float[Array, "2"]) -> Place:
+    """A triangle by its area, by u_0, whose rest is a number as good."""
+    index, rest = _pick_one(_triangle_areas(mesh), u[0])
+    a, b, c = (Vec(corner.x[index], corner.y[index], corner.z[index]) for corner in _corners(mesh))
+    root = safe_sqrt(rest)
+    point = a + scaled(b - a, 1 - root) + scaled(c - a, u[1] * root)
+    return Place(point, as_vec(normalize(cross(b - a, c - a))))

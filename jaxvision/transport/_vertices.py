@@ -1,0 +1,393 @@
+"""Where a ray is reflected: the surface it meets, and the direction in which it goes on.
+
+Directions are unit and point away from the surface: `back` is where the ray came from. Whether a
+path carries radiance from the eye or light from a source, a vertex is the same but for what
+`carries` names: with S the material's shading, f_r cos(theta_i) of a BRDF,
+
+    radiance   S(wi = onward, wo = back)
+    light      S(wi = back, wo = onward) cos(onward) / cos(back)
+
+with the cosines of the surface itself, not of a normal that is interpolated (Veach, "Robust Monte
+Carlo Methods for Light Transport Simulation", 1997, section 5.3). Where the two normals disagree on
+which side of the surface a direction lies, the surface itself decides: nothing is reflected into
+it, and mirrors and glass turn rays about its own normal. Lengths in m, densities in sr^-1. For ONE
+ray; the caller vmaps.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Bool, Float, Int
+
+from .. import brdf
+from .._numerics import dot, smallest_divisor
+from .._staging import stored
+from .._types import Colour, Scalar, group_by_structure, take
+from .._vector import Vec, as_vec
+from ..brdf.glass import Glass, Split, interface
+from ..brdf.mirror import Mirror
+from ..geometry import (
+    Hit,
+    Ray,
+    Sorted,
+    hit_shape,
+    nearest_shape,
+    occluded,
+    offset_origin,
+    sorted_shapes,
+)
+from ..hemisphere import Frame, local_frame, to_local, to_world
+from ..scene import Material, Scene
+from ._emitters import LARGEST
+
+Carries = Literal["radiance", "light"]
+SEARCHED = "searched"  # what a search among all shapes found: a gradient keeps it, see `paths`
+
+
+class Surfaces(eqx.Module):
+    """The surfaces of a scene, sorted once. `materials`: stacked by structure; `members`: static,
+    their numbers. `turns`: (surfaces,) whether the normal turns to who looks. `glass`: (surfaces,)
+    whether it bounds a glass. `absorption`: (surfaces, bands) m^-1 of the glass behind each, or
+    None where all are clear; `bodies`: else, every glass alone, and their numbers."""
+
+    shapes: Sorted
+    materials: tuple[Material, ...]
+    turns: Bool[Array, " surfaces"]
+    glass: Bool[Array, " surfaces"]
+    absorption: Float[Array, "surfaces bands"] | None
+    bodies: tuple[Sorted, ...]
+    body_numbers: tuple[int, ...] = eqx.field(static=True)
+    members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+
+class Met(eqx.Module):
+    """`surface`: () number of what was met, -1 for nothing. `hit`: where, in m."""
+
+    surface: Int[Array, ""]
+    hit: Hit
+
+
+class Onward(eqx.Module):
+    """Where a path goes. `direction`: unit. `weight`: (bands,), what is carried on over its
+    density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
+
+    direction: Vec
+    weight: Colour
+    density: Scalar
+
+
+class Vertex(eqx.Module):
+    """What a surface does. `shaded`: (bands,) sr^-1 toward the asked direction; `density`: ()
+    sr^-1 with which the path would have gone there. `onward`: where it goes instead."""
+
+    shaded: Colour
+    density: Scalar
+    onward: Onward
+
+
+def surfaces_of(scene: Scene) -> Surfaces:
+    """The surfaces of a scene; lengths in m."""
+    materials = [surface.material for surface in scene.surfaces]
+    glass = [isinstance(material, Glass) for material in materials]
+    absorptions = [
+        getattr(m, "absorption", None) if isinstance(m, Glass) else None for m in materials
+    ]
+    absorption = None
+    if given := [x for x in absorptions if x is not None]:
+        clear = jnp.zeros_like(given[0])
+        absorption = jnp.stack([clear if x is None else x for x in absorptions])
+    numbers = tuple(i for i, bounds in enumerate(glass) if bounds and given)
+    groups = group_by_structure(materials, largest=LARGEST)
+    return Surfaces(
+        sorted_shapes([surface.shape for surface in scene.surfaces]),
+        tuple(group for _, group in groups),
+        jnp.asarray([s.two_sided for s in scene.surfaces]) & ~jnp.asarray(glass),
+        jnp.asarray(glass),
+        absorption,
+        tuple(sorted_shapes([scene.surfaces[i].shape]) for i in numbers),
+        numbers,
+        tuple(members for members, _ in groups),
+    )
+
+
+def is_delta(material: Material) -> bool:
+    """Whether the material sends a ray into one direction or two, which no light is met in."""
+    return isinstance(material, Mirror | Glass)
+
+
+def meet(surfaces: Surfaces, ray: Ray) -> Met:
+    """What a ray meets first, in m; gradients reach the shape that is met."""
+    encounter = checkpoint_name(stored(nearest_shape, ray, surfaces.shapes), SEARCHED)
+    return Met(encounter.shape, stored(hit_shape, ray, surfaces.shapes, encounter))
+
+
+def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
+    """Whether a surface blocks the way from a met one along a unit direction, for m."""
+    hit = met.hit
+    blocked = occluded(hit.point, hit.normal, direction, distance, surfaces.shapes, size=hit.size)
+    return checkpoint_name(blocked, SEARCHED)
+
+
+def vertex(
+    surfaces: Surfaces,
+    met: Met,
+    back: Vec,
+    asked: Vec,
+    u: Float[Array, "3"],
+    *,
+    carries: Carries,
+    bands: int,
+) -> Vertex:
+    """What the surface that was met sends toward `asked`, and where the path goes by `u`, uniform
+    in [0, 1); `back`, `asked`: unit, world. All is 0 where the surface is seen from behind.
+
+    The drawn direction is a constant to gradients, in its place and in its density: they are then
+    right for every parameter of a material, though a draw by other parameters would have gone
+    elsewhere.
+    """
+    frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
+    chosen = None
+    for members, group in zip(surfaces.members, surfaces.materials, strict=True):
+        material, among = take(members, group, met.surface)
+        here = _vertex(material, viewer, light, u, flat, carries=carries)
+        here = _with_bands(here, bands)
+        chosen = here if chosen is None else _select(among, here, chosen)
+    assert chosen is not None  # a scene has at least one surface
+    # stored, for else all that is computed of it would draw it again
+    world = stored(_in_world, frame.normal, chosen.onward.direction)
+    return eqx.tree_at(lambda v: v.onward.direction, chosen, world)
+
+
+def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands: int) -> Colour:
+    """S(wi = asked, wo = back) of the surface that was met, (bands,) in sr^-1; `back`, `asked`:
+    unit, world; 0 of a mirror or glass, and of a surface seen from behind."""
+    _, viewer, light, flat = _seen_from(surfaces, met, back, asked)
+    seen = (viewer.z > 0) & (_height(viewer, flat) > 0) & (_height(light, flat) > 0)
+    shaded = jnp.zeros(bands, back.x.dtype)
+    for members, group in zip(surfaces.members, surfaces.materials, strict=True):
+        if not is_delta(group):
+            material, among = take(members, group, met.surface)
+            here = jnp.where(seen, brdf.shading(material, light, viewer), 0)
+            shaded = jnp.where(among, here, shaded)
+    return shaded
+
+
+class Branches(eqx.Module):
+    """The two ways on from a mirror or glass, weights (bands,), no unit: 0 where there is none.
+    `mirrored`, `refracted`: unit, world."""
+
+    mirrored: Vec
+    refracted: Vec
+    mirrored_weight: Colour
+    refracted_weight: Colour
+
+
+def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches:
+    """What a ray that looks along -`back`, unit, world, sees by way of the surface it met."""
+    frame, viewer, _, flat = _seen_from(surfaces, met, back, back)
+    mirrored = refracted = jnp.zeros(bands, back.x.dtype)
+    up = down = viewer
+    for members, group in zip(surfaces.members, surfaces.materials, strict=True):
+        material, among = take(members, group, met.surface)
+        match material:
+            case Mirror():
+                reflected, albedo = _reflected(material, viewer, flat)
+                mirrored = jnp.where(among, albedo, mirrored)
+                up = _choose(among, reflected, up)
+            case Glass():
+                split = _split(material, viewer, flat)
+                passing = (1 - split.reflectance) / (split.eta * split.eta)
+                mirrored = jnp.where(among, split.reflectance, mirrored)
+                refracted = jnp.where(among, passing, refracted)
+                up = _choose(among, split.mirrored, up)
+                down = _choose(among, split.refracted, down)
+    return Branches(as_vec(to_world(frame, up)), as_vec(to_world(frame, down)), mirrored, refracted)
+
+
+def _seen_from(
+    surfaces: Surfaces, met: Met, back: Vec, asked: Vec
+) -> tuple[Frame, Vec, Vec, Vec | None]:
+    """The frame about the normal that shades, turned to who looks where the surface has two sides;
+    and in it two directions and the normal of the surface itself, None where the two are one."""
+    hit = met.hit
+    turned = surfaces.turns[jnp.maximum(met.surface, 0)] & (dot(hit.normal, back) < 0)
+    side = jnp.where(turned, -1, 1).astype(back.x.dtype)
+    shading = hit.normal if hit.shading_normal is None else hit.shading_normal
+    frame = local_frame(shading * side)
+    flat = None if hit.shading_normal is None else as_vec(to_local(frame, hit.normal * side))
+    return frame, as_vec(to_local(frame, back)), as_vec(to_local(frame, asked)), flat
+
+
+def _height(w: Vec, flat: Vec | None) -> Scalar:
+    """The cosine between a direction and the surface's own normal, both local."""
+    return w.z if flat is None else dot(w, flat)
+
+
+def _vertex(
+    material: Material,
+    back: Vec,
+    asked: Vec,
+    u: Float[Array, "3"],
+    flat: Vec | None,
+    *,
+    carries: Carries,
+) -> Vertex:
+    """`vertex` in the local frame, of one material."""
+    zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
+    match material:
+        case Glass():
+            return Vertex(zero[None], zero, _through(material, back, u, flat, carries))
+        case Mirror():
+            onward, weight = _reflected(material, back, flat)
+            return Vertex(zero[None], zero, Onward(onward, weight, everywhere))
+    onward, density = jax.lax.stop_gradient(_drawn(material, back, u))
+    weight = _transfer(material, onward, back, flat, carries) * _inverse(density)
+    shaded = _transfer(material, asked, back, flat, carries)
+    chance = jax.lax.stop_gradient(brdf.pdf(material, asked, back))
+    front = back.z > 0
+    shows, goes = front, front
+    if flat is not None:
+        front &= dot(back, flat) > 0
+        shows, goes = front & (dot(asked, flat) > 0), front & (dot(onward, flat) > 0)
+    return Vertex(
+        jnp.where(shows, shaded, 0),
+        jnp.where(front, chance, 0),
+        Onward(onward, jnp.where(goes, weight, 0), density),
+    )
+
+
+def _in_world(normal: Vec, local: Vec) -> Vec:
+    return as_vec(to_world(local_frame(normal), local))
+
+
+def _drawn(material: Material, back: Vec, u: Float[Array, "3"]) -> tuple[Vec, Scalar]:
+    onward = as_vec(brdf.sample(material, back, u))
+    return onward, brdf.pdf(material, onward, back)
+
+
+def _transfer(
+    material: Material, onward: Vec, back: Vec, flat: Vec | None, carries: Carries
+) -> Colour:
+    if carries == "radiance":
+        return brdf.shading(material, onward, back)
+    into, out = _height(back, flat), _height(onward, flat)
+    above = into > smallest_divisor(into.dtype)
+    slant = jnp.where(above, jnp.maximum(out, 0) / jnp.where(above, into, 1), 0)
+    return brdf.shading(material, back, onward) * slant
+
+
+def _through(
+    material: Glass, back: Vec, u: Float[Array, "3"], flat: Vec | None, carries: Carries
+) -> Onward:
+    """One of the two ways, by u_2, as likely as its part of the flux, which is divided by that
+    probability and so keeps its gradient in the index."""
+    split = _split(material, back, flat)
+    likely = jax.lax.stop_gradient(split.reflectance)
+    mirrored = u[2] < likely
+    squeezed = 1 if carries == "light" else 1 / (split.eta * split.eta)
+    weight = jnp.where(
+        mirrored,
+        split.reflectance * _inverse(likely),
+        (1 - split.reflectance) * squeezed * _inverse(1 - likely),
+    )
+    onward = _choose(mirrored, split.mirrored, split.refracted)
+    return Onward(onward, weight[None], jnp.full_like(weight, jnp.inf))
+
+
+def _split(material: Glass, back: Vec, flat: Vec | None) -> Split:
+    """Both ways on, local; about the surface's own normal where that which shades would put one of
+    them on the wrong side."""
+    split = interface(material, back)
+    if flat is None:
+        return split
+    side = dot(back, flat)
+    refracts = (dot(split.refracted, flat) * side < 0) | (split.reflectance >= 1)
+    right = (back.z * side > 0) & (dot(split.mirrored, flat) * side > 0) & refracts
+    frame = local_frame(flat)
+    plain = interface(material, as_vec(to_local(frame, back)))
+    plain = Split(
+        as_vec(to_world(frame, plain.mirrored)),
+        as_vec(to_world(frame, plain.refracted)),
+        plain.reflectance,
+        plain.eta,
+    )
+    return jax.tree.map(lambda a, b: jnp.where(right, a, b), split, plain)
+
+
+def _reflected(material: Mirror, back: Vec, flat: Vec | None) -> tuple[Vec, Colour]:
+    """The way on from a mirror, local, and what it counts; about a normal as in `_split`."""
+    up, albedo = Vec(-back.x, -back.y, back.z), brdf.albedo(material, back)
+    if flat is None:
+        return up, albedo
+    side = dot(back, flat)
+    right = (back.z > 0) & (dot(up, flat) > 0)
+    plain = brdf.albedo(material, as_vec(to_local(local_frame(flat), back)))
+    mirrored = 2 * side * flat - back
+    return _choose(right, up, mirrored), jnp.where(side > 0, jnp.where(right, albedo, plain), 0)
+
+
+def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
+    """The ray that goes on from a hit along a unit direction; where nothing `goes`, the ray that
+    came: a ray all the same, whose hits are finite."""
+    hit = met.hit
+    origin = offset_origin(hit.point, hit.normal, direction, size=hit.size)
+    return Ray(_choose(goes, origin, ray.origin), _choose(goes, direction, ray.direction))
+
+
+def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
+    """Of the glass that a ray starts in, (bands,) m^-1: the innermost that it comes out of, none
+    in the open; None where all are clear."""
+    if surfaces.absorption is None:
+        return None
+    around, ray = jnp.zeros(bands, ray.origin.x.dtype), jax.lax.stop_gradient(ray)
+    nearest = jnp.full_like(ray.origin.x, jnp.inf)
+    for number, body in zip(surfaces.body_numbers, surfaces.bodies, strict=True):
+        hit = hit_shape(ray, body, nearest_shape(ray, body))
+        inside = (dot(hit.normal, ray.direction) > 0) & (hit.distance < nearest)
+        nearest = jnp.where(inside, hit.distance, nearest)
+        around = jnp.where(inside, surfaces.absorption[number], around)
+    return around
+
+
+def absorption_after(
+    surfaces: Surfaces, met: Met, came: Vec, onward: Ray, before: Colour | None
+) -> Colour | None:
+    """Of the body that a path is in which `came` along a unit direction and goes `onward`, (bands,)
+    m^-1: that of the glass it is in now, that of what lies around where it left one, else as
+    `before`; None where all are clear."""
+    if surfaces.absorption is None or before is None:
+        return None
+    surface = jnp.maximum(met.surface, 0)
+    inside = dot(onward.direction, met.hit.normal) < 0
+    left = ~inside & (dot(came, met.hit.normal) > 0)
+    around = absorption_around(surfaces, onward, bands=len(before))
+    outside = before if around is None else jnp.where(left, around, before)
+    after = jnp.where(inside, surfaces.absorption[surface], outside)
+    return jnp.where(surfaces.glass[surface], after, before)
+
+
+def _choose(first: Bool[Array, ""], a: Vec, b: Vec) -> Vec:
+    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)
+
+
+def _with_bands(here: Vertex, bands: int) -> Vertex:
+    """What is neutral takes the bands of the rest."""
+    onward = here.onward
+    return Vertex(
+        jnp.broadcast_to(here.shaded, (bands,)),
+        here.density,
+        Onward(onward.direction, jnp.broadcast_to(onward.weight, (bands,)), onward.density),
+    )
+
+
+def _select(keep: Bool[Array, ""], new: Vertex, old: Vertex) -> Vertex:
+    return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
+
+
+def _inverse(density: Scalar) -> Scalar:
+    """1 / density, 0 where nothing can be drawn."""
+    drawn = density > 0
+    return jnp.where(drawn, 1 / jnp.where(drawn, density, 1), 0)

@@ -1,0 +1,188 @@
+"""Light tracing: random walks from what shines to the camera.
+
+Flux leaves an emitter, is thrown on by surfaces, and at each of them what goes to the camera's hole
+is added to the pixel that sees it (Arvo, "Backward Ray Tracing", SIGGRAPH 1986 course 12; Veach,
+1997, section 10.3). What a path from the eye finds once in a million, light that mirrors and glass
+gather on another surface, a caustic, it finds at once, and a lamp may be a point. What it cannot
+find are mirrors and glass themselves, which throw nothing into the hole but by one direction: in
+such a picture they are black, and `paths` has them. Radiance in W m^-2 sr^-1, flux in W, lengths
+in m.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._numerics import dot, norm, safe_sqrt, smallest_divisor
+from .._random import Stream, seed_of, uniforms
+from .._staging import TILE, stored
+from .._types import Key, Scalar
+from .._vector import Vec, as_vec
+from ..geometry import Ray, offset_origin
+from ..lights import nearest_seen
+from ..optics import (
+    aperture_point,
+    distort,
+    distortion_area,
+    focus_vergence,
+    sensor_vergence,
+)
+from ..scene import Orthographic, Scene, ThinLens, View
+from ._emission import Ball, ball_around, emitted
+from ._emitters import transmitted
+from ._vertices import absorption_after, absorption_around, hidden, leave, meet, vertex
+from ._world import World, world_of
+from .paths import Paths, Traced, path_traced
+
+
+class _Arrival(eqx.Module):
+    """What of a vertex a camera gets. `toward`: unit, to the camera; `distance`: () m. `row`,
+    `column`: () pixels, fractional. `response`: () m^-2, radiance of the pixel per flux and per
+    sr^-1 of what reflects it; 0 outside the picture."""
+
+    toward: Vec
+    distance: Scalar
+    row: Scalar
+    column: Scalar
+    response: Scalar
+
+
+def light_traced(
+    key: Key, scene: Scene, view: View, *, paths: int, depth: int = 6, samples: int = 16
+) -> Traced:
+    """The picture in radiance: (h, w, bands) in W m^-2 sr^-1, and its standard error, for which the
+    vertices of a path are taken as independent.
+
+    `paths`: static, how many leave the emitters, >= 1; the error falls as 1 / sqrt(paths). `depth`:
+    static, the most straight pieces between emitter and eye, >= 1, as `Paths.depth`. `samples`:
+    static, rays a pixel by which what shines is seen itself, >= 1. The numbers of a path are a
+    function of the key and its own number. `ValueError` for light from infinitely far away in a
+    scene that has no end.
+    """
+    for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
+        if value < 1:
+            raise ValueError(f"{name} must be at least 1, got {value}.")
+    seen = path_traced(key, scene, view, method=Paths(samples, 1))
+    if depth == 1:
+        return seen
+    world = world_of(scene)
+    ball = ball_around([surface.shape for surface in scene.surfaces])
+    seed = seed_of(jax.random.fold_in(key, 1))
+    height, width = view.resolution
+    batch = min(paths, TILE)
+
+    def trace(number: Array) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
+        stream = Stream(number.astype(jnp.uint32), jnp.zeros((), jnp.uint32), seed)
+        return _light_path(world, ball, view, stream, depth)
+
+    @jax.checkpoint
+    def add(state: tuple[Array, Array], first: Array) -> tuple[tuple[Array, Array], None]:
+        total, squares = state
+        numbers = first + jnp.arange(batch)
+        pixels, values = jax.vmap(trace)(numbers)
+        values = jnp.where((numbers < paths)[:, None, None], values, 0)
+        pixels, values = pixels.reshape(-1), values.reshape(-1, world.bands)
+        total = total.at[pixels].add(values, mode="drop")
+        return (total, squares.at[pixels].add(values * values, mode="drop")), None
+
+    black = jnp.zeros((height * width, world.bands), view.pixel_pitch.dtype)
+    (total, squares), _ = jax.lax.scan(add, (black, black), jnp.arange(0, paths, batch))
+    shape = (height, width, world.bands)
+    radiance = (total / paths).reshape(shape)
+    variance = (squares / float(paths) ** 2).reshape(shape)
+    seen_variance = jnp.where(jnp.isfinite(seen.error), seen.error, 0) ** 2
+    return Traced(seen.radiance + radiance, safe_sqrt(variance + seen_variance))
+
+
+def _light_path(
+    world: World, ball: Ball | None, view: View, stream: Stream, depth: int
+) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
+    """(pixel numbers, radiance) of all vertices of one path."""
+    dtype = view.pixel_pitch.dtype
+    start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
+    light = emitted(world.emitters, ball, jnp.append(start, more[0]))
+    origin = offset_origin(as_vec(light.ray.origin), light.normal, light.ray.direction)
+    flux = jnp.broadcast_to(light.flux, (world.bands,))
+    height, width = view.resolution
+
+    def step(state, k):
+        ray, flux, absorption = state
+        met = meet(world.surfaces, ray)
+        flux = flux * transmitted(absorption, met.hit.distance)
+        flux = jnp.where(met.surface >= 0, flux, 0)
+        of_lens, of_surface = uniforms(stream, 2 * k + 2, dtype), uniforms(stream, 2 * k + 3, dtype)
+        arrival = stored(_arrival, view, met.hit.point, of_lens[:2])
+        at = vertex(
+            world.surfaces,
+            met,
+            -ray.direction,
+            arrival.toward,
+            of_surface[:3],
+            carries="light",
+            bands=world.bands,
+        )
+        dark = stored(hidden, world.surfaces, met, arrival.toward, arrival.distance)
+        reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
+        if world.emitters.lights:  # the camera sees the light before what lies behind it
+            camera = Ray(met.hit.point + arrival.distance * arrival.toward, -arrival.toward)
+            reaches &= ~(nearest_seen(world.emitters.lights, camera).distance < arrival.distance)
+        response = arrival.response * transmitted(absorption, arrival.distance)
+        value = jnp.where(reaches, flux * at.shaded * response, 0)
+        row = jnp.floor(arrival.row + 0.5).astype(jnp.int32)
+        column = jnp.floor(arrival.column + 0.5).astype(jnp.int32)
+        within = reaches & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        pixel = jnp.where(within, row * width + column, height * width)
+        onward = at.onward
+        flux = flux * onward.weight
+        goes = flux.max() > 0
+        after = leave(met, ray, onward.direction, goes)
+        absorption = absorption_after(world.surfaces, met, ray.direction, after, absorption)
+        return (after, jnp.where(goes, flux, 0), absorption), (pixel, value)
+
+    ray = Ray(origin, light.ray.direction)
+    begin = ray, flux, absorption_around(world.surfaces, ray, bands=world.bands)
+    _, found = jax.lax.scan(jax.checkpoint(step), begin, jnp.arange(depth - 1, dtype=jnp.uint32))
+    return found
+
+
+def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
+    """Where a camera sees a point, m, through a point of its lens by `u`, uniform in [0, 1).
+
+    With dw = p^2 cos^3(theta) / z^2 the solid angle of a pixel of side p on a plane z behind the
+    hole, flux that a surface throws to the hole by f_r cos(theta_r) / d^2 makes the pixel's
+    radiance, the mean over dw, f_r cos(theta_r) / (d^2 dw). The inverse of `optics.view_ray`, of
+    whose uniform numbers a lens needs the same.
+    """
+    right, down, forward = (as_vec(axis) for axis in view.rotation)
+    rows, columns = view.resolution
+    away = point - view.position
+    if isinstance(view, Orthographic):
+        depth, side = dot(away, forward), view.pixel_pitch
+        row = dot(away, down) / side - (1 - rows) / 2
+        column = dot(away, right) / side - (1 - columns) / 2
+        response = jnp.where(depth > 0, 1 / (side * side), 0)
+        return _Arrival(-forward, depth, row, column, response)
+    a = b = focus = jnp.zeros_like(view.pixel_pitch)
+    if isinstance(view, ThinLens):
+        radius = view.focal_length / view.f_number / 2
+        a, b = (radius * part for part in aperture_point(view.aperture, u))
+        focus = focus_vergence(view)
+        away = away - a * right - b * down
+    depth = dot(away, forward)
+    distance = norm(away)
+    ahead = depth > smallest_divisor(depth.dtype)
+    nearness = jnp.where(ahead, 1 / jnp.where(ahead, depth, 1), 0)
+    x = dot(away, right) * nearness + a * focus
+    y = dot(away, down) * nearness + b * focus
+    area = jnp.ones_like(depth)
+    if view.distortion is not None:
+        area = distortion_area(view.distortion, x, y)
+        x, y = distort(view.distortion, x, y)
+    side = view.pixel_pitch * sensor_vergence(view)
+    # cos^3 = (depth / distance)^3, of which distance^2 goes with 1 / d^2
+    response = area * distance * nearness**3 / (side * side)
+    inverse = jnp.where(ahead, 1 / jnp.where(ahead, distance, 1), 0)
+    return _Arrival(
+        away * -inverse, distance, y / side - (1 - rows) / 2, x / side - (1 - columns) / 2, response
+    )

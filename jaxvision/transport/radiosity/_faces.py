@@ -1,0 +1,137 @@
+"""The unit square laid onto the parts of each shape, and back; lengths in m.
+
+A quad and the sides of a box by their edges, a disc by radius and angle, a sphere by polar angle
+and azimuth, a triangle with one side of the square drawn together at its first vertex.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from ..._numerics import arctan2, dot, normalize, safe_sqrt
+from ..._types import Scalar, Scalars
+from ..._vector import Vec, Vec3, as_array, as_vec
+from ...hemisphere import cross, local_frame
+from ...scene import Box, Disc, Quad, Shape, Sphere, TriangleMesh
+
+# (first, second) axis of each side of a box, so that their cross product points outside: -x, +x,
+# -y, +y, -z, +z
+_AXES = ((2, 1), (1, 2), (0, 2), (2, 0), (1, 0), (0, 1))
+
+
+def lengths(shape: Shape) -> list[tuple[float, float]]:
+    """For each part, how long its rows and columns are together, m."""
+    match shape:
+        case Quad():
+            u, v = (float(np.linalg.norm(edge)) for edge in (shape.edge_u, shape.edge_v))
+            return [(u, v)]
+        case Box():
+            side = 2 * np.asarray(shape.half_extents, float)
+            return [(side[i], side[j]) for i, j in _AXES]
+        case Disc():
+            return [(float(shape.radius), 2 * np.pi * float(shape.radius))]
+        case Sphere():
+            return [(np.pi * float(shape.radius), 2 * np.pi * float(shape.radius))]
+        case TriangleMesh():
+            a, b, c = np.asarray(shape.vertices, float)[np.asarray(shape.faces)].swapaxes(0, 1)
+            away = np.linalg.norm((b + c) / 2 - a, axis=-1)
+            return list(zip(away.tolist(), np.linalg.norm(c - b, axis=-1).tolist(), strict=True))
+    raise TypeError(f"{type(shape).__name__} has no faces.")
+
+
+def face_point(shape: Shape, part: int, u: Scalars, v: Scalars) -> Vec:
+    """The point of a shape's part at a place of the unit square, m; `u`, `v` broadcast."""
+    u, v = jnp.broadcast_arrays(u, v)
+    match shape:
+        case Quad() | Box():
+            corner, edge_u, edge_v = side(shape, part)
+            return corner + u * as_vec(edge_u) + v * as_vec(edge_v)
+        case Disc():
+            frame = local_frame(normalize(shape.normal))
+            r, turn = shape.radius * u, 2 * jnp.pi * v
+            across = (r * jnp.cos(turn)) * frame.tangent + (r * jnp.sin(turn)) * frame.bitangent
+            return shape.centre + across
+        case Sphere():
+            theta, phi = jnp.pi * u, 2 * jnp.pi * v
+            r = shape.radius * jnp.sin(theta)
+            up = shape.radius * jnp.cos(theta)
+            return shape.centre + Vec(r * jnp.cos(phi), r * jnp.sin(phi), up)
+        case TriangleMesh():
+            a, b, c = (as_vec(shape.vertices[shape.faces[part, k]]) for k in range(3))
+            return a + (u * (1 - v)) * (b - a) + (u * v) * (c - a)
+    raise TypeError(f"{type(shape).__name__} has no faces.")
+
+
+def side(shape: Quad | Box, part: int) -> tuple[Array, Array, Array]:
+    """A side of a shape as a parallelogram: its corner and edges, (3,) m."""
+    if isinstance(shape, Quad):
+        return shape.corner, shape.edge_u, shape.edge_v
+    axes = [as_array(axis) for axis in _half_sides(shape)]
+    i, j = _AXES[part]
+    outward = axes[part // 2] if part % 2 else -axes[part // 2]
+    return shape.centre + outward - axes[i] - axes[j], 2 * axes[i], 2 * axes[j]
+
+
+def _half_sides(box: Box) -> list[Vec]:
+    """Half the sides of a box as vectors, m."""
+    axes = jnp.eye(3, dtype=box.centre.dtype) if box.rotation is None else box.rotation
+    return [as_vec(axes[k] * box.half_extents[k]) for k in range(3)]
+
+
+def face_place(
+    shape: Shape, point: Vec, primitive: Int[Array, ""] | None
+) -> tuple[Int[Array, ""], Scalar, Scalar]:
+    """(part, u, v) of a point of a shape, m: the inverse of `face_point`. `primitive`: the
+    triangle of a mesh. What is off the surface by rounding is moved to its nearest place."""
+    none = jnp.zeros((), jnp.int32)
+    match shape:
+        case Quad():
+            return none, *_in_parallelogram(point - shape.corner, shape.edge_u, shape.edge_v)
+        case Box():
+            axes = _half_sides(shape)
+            local = [dot(point - shape.centre, axis) / dot(axis, axis) for axis in axes]
+            reach = [jnp.abs(x) for x in local]
+            axis = jnp.where(reach[0] >= jnp.maximum(reach[1], reach[2]), 0, 1)
+            axis = jnp.where(reach[2] > jnp.maximum(reach[0], reach[1]), 2, axis)
+            part = 2 * axis + (_at(axis, local) > 0)
+            i, j = jnp.asarray(_AXES)[part]
+            u, v = ((_at(k, local) + 1) / 2 for k in (i, j))
+            return part.astype(jnp.int32), jnp.clip(u, 0, 1), jnp.clip(v, 0, 1)
+        case Disc():
+            frame = local_frame(normalize(shape.normal))
+            x, y = (dot(point - shape.centre, axis) for axis in (frame.tangent, frame.bitangent))
+            u = jnp.minimum(safe_sqrt(x * x + y * y) / shape.radius, 1)
+            return none, u, _turn(x, y)
+        case Sphere():
+            d = point - shape.centre
+            theta = arctan2(safe_sqrt(d.x * d.x + d.y * d.y), d.z)
+            return none, theta / jnp.pi, _turn(d.x, d.y)
+        case TriangleMesh():
+            triangle = none if primitive is None else jnp.maximum(primitive, 0)
+            a, b, c = (as_vec(shape.vertices[shape.faces[triangle, k]]) for k in range(3))
+            s, t = _in_parallelogram(point - a, b - a, c - a)
+            u = jnp.minimum(s + t, 1)
+            return triangle, u, jnp.where(u > 0, t / jnp.where(u > 0, s + t, 1), 0)
+    raise TypeError(f"{type(shape).__name__} has no faces.")
+
+
+def _at(index: Int[Array, ""], values: Sequence[Scalar]) -> Scalar:
+    first, second, third = values
+    return jnp.where(index == 0, first, jnp.where(index == 1, second, third))
+
+
+def _turn(x: Scalar, y: Scalar) -> Scalar:
+    """The angle of (x, y) as a fraction of a turn, in [0, 1)."""
+    half = arctan2(jnp.abs(y), x) / (2 * jnp.pi)
+    return jnp.where(y < 0, 1 - half, half)
+
+
+def _in_parallelogram(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
+    """The coordinates, in [0, 1], along two edges."""
+    area = cross(u, v)
+    square = dot(area, area)
+    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0)
+    along, across = dot(cross(inside, v), area), dot(cross(u, inside), area)
+    return jnp.clip(along * inverse, 0, 1), jnp.clip(across * inverse, 0, 1)

@@ -1,0 +1,91 @@
+"""How faces are cut into cells: their numbers, borders and neighbours. Nothing here has a unit."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..._numerics import arctan2, safe_sqrt
+from ..._types import Scalar
+
+
+class Face(NamedTuple):
+    """One side of surface number `surface`: its `part` (a box's side, a mesh's triangle), whether
+    it is the `front`, and the `rows` and `columns` of its grid. `graded`: whether cells narrow
+    toward its edges. `wraps`: whether the last column adjoins the first."""
+
+    surface: int
+    part: int
+    front: bool
+    rows: int
+    columns: int
+    graded: bool
+    wraps: bool
+
+
+class Plan(eqx.Module):
+    """How surfaces are cut. `faces`: static. `split`: static; each patch, which sends light, is
+    split^2 elements, which receive it."""
+
+    faces: tuple[Face, ...] = eqx.field(static=True)
+    split: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if self.split < 1:
+            raise ValueError(f"Plan.split must be at least 1, got {self.split}.")
+
+
+def offsets_of(plan: Plan, *, split: int = 1) -> np.ndarray:
+    """The number of each face's first cell when every patch is split^2 cells, and of all cells at
+    the end: (faces + 1,) whole numbers, no unit."""
+    sizes = [face.rows * face.columns * split**2 for face in plan.faces]
+    return np.cumsum([0, *sizes])
+
+
+def parents_of(plan: Plan) -> np.ndarray:
+    """The patch of each element: (elements,) whole numbers, no unit."""
+    firsts = offsets_of(plan)
+    of_faces = [
+        first + parents_in(face, plan.split)
+        for face, first in zip(plan.faces, firsts, strict=False)
+    ]
+    return np.concatenate(of_faces)
+
+
+def parents_in(face: Face, split: int) -> np.ndarray:
+    """The patch of each cell of one face, counted from its first."""
+    rows, columns = (np.arange(count * split) // split for count in (face.rows, face.columns))
+    return (rows[:, None] * face.columns + columns).reshape(-1)
+
+
+def borders(count: int, graded: bool) -> np.ndarray:
+    """The borders of `count` cells of [0, 1]; graded ones narrow toward both ends."""
+    t = np.linspace(0, 1, count + 1)
+    return (1 - np.cos(np.pi * t)) / 2 if graded else t
+
+
+def around_place(
+    plan: Plan, face: Int[Array, ""], u: Scalar, v: Scalar
+) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
+    """The four elements around a place of a face, and bilinear weights of sum 1, no unit. Beyond
+    the outermost centres the weights extrapolate; around discs and spheres they wrap."""
+    firsts = offsets_of(plan, split=plan.split)[:-1]
+    counts = [(f.rows * plan.split, f.columns * plan.split) for f in plan.faces]
+    rows, columns = jnp.asarray(counts, jnp.int32)[face]
+    graded = jnp.asarray([f.graded for f in plan.faces])[face]
+    wraps = jnp.asarray([f.wraps for f in plan.faces])[face]
+
+    def along(place: Scalar, count: Int[Array, ""], wraps: Array) -> tuple[Array, Scalar]:
+        even = 2 / jnp.pi * arctan2(safe_sqrt(place), safe_sqrt(1 - place))
+        at = jnp.where(graded, even, place) * count.astype(place.dtype) - 0.5
+        low = jnp.floor(at).astype(jnp.int32)
+        low = jnp.where(wraps, low, jnp.clip(low, 0, jnp.maximum(count - 2, 0)))
+        share = jnp.where(count > 1, at - low.astype(at.dtype), 0)
+        return jnp.stack([low, low + 1]) % count, share
+
+    (i, s), (j, t) = along(u, rows, jnp.zeros_like(wraps)), along(v, columns, wraps)
+    cells = jnp.asarray(firsts, jnp.int32)[face] + i[:, None] * columns + j[None, :]
+    weights = jnp.stack([1 - s, s])[:, None] * jnp.stack([1 - t, t])[None, :]
+    return cells.reshape(-1), weights.reshape(-1)

@@ -1,0 +1,74 @@
+"""The form factor from a point to a polygon, near and far. For ONE pair; lengths in m."""
+
+from collections.abc import Iterable
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool
+
+from ..._numerics import dot
+from ..._types import Scalar
+from ..._vector import Vec
+from ...hemisphere import cross
+from ...lights import square_nodes
+from ...lights.polygon import contour_integral
+
+Polygon = tuple[Vec, Vec, Vec, Vec]
+FAR = 5.0
+
+
+def is_far(point: Vec, corners: Polygon) -> Bool[Array, ""]:
+    """Whether the polygon, corners in m, is more than `FAR` times its size away from the point."""
+    a, b, c, d = (corner - point for corner in corners)
+    four, one, other = a + b + c + d, c - a, d - b
+    square = jnp.maximum(dot(one, one), dot(other, other)) / 2
+    return dot(four, four) > (4 * FAR) ** 2 * square
+
+
+def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
+    """`point_to_polygon` by the contour integral alone, m."""
+    around = [corner - point for corner in corners]
+    scale = 1 / _size(around)
+    around = [corner * scale for corner in around]
+    # seen from the front the corners turn counterclockwise: the light's own sense is the other
+    area = cross(around[2] - around[0], around[3] - around[1])
+    front = dot(area, around[0] + around[2]) < 0
+    seen = contour_integral(around, normal) / jnp.pi
+    return jnp.where(front, jnp.clip(seen, 0, 1), 0)
+
+
+def _size(around: list[Vec]) -> Scalar:
+    """The largest component in magnitude, a constant to gradients; 1 if all are 0."""
+    components = [jnp.abs(c) for v in around for c in (v.x, v.y, v.z)]
+    largest = reduce(jnp.maximum, components)
+    return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))
+
+
+def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
+    """`point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear patch of the corners, m:
+    misses about .03 (s / d)^4 of the factor to a polygon of size s at distance d."""
+    total = jnp.zeros_like(point.x)
+    for s, t, weight in square_places(2, total.dtype):
+        place, area = on_polygon(corners, s, t)
+        toward = place - point
+        square = dot(toward, toward)
+        facing = jnp.maximum(dot(normal, toward), 0) * jnp.maximum(-dot(area, toward), 0)
+        total = total + weight * facing / jnp.where(square > 0, square * square, 1)
+    return total / jnp.pi
+
+
+def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
+    """The point of the bilinear patch of the corners, m, at a place of the unit square, and its
+    vector area per unit of the square, m^2."""
+    a, b, c, d = corners
+    twist = (c - d) - (b - a)
+    along, across = (b - a) + t * twist, (d - a) + s * twist
+    return a + s * (b - a) + t * across, cross(along, across)
+
+
+def square_places(order: int, dtype: DTypeLike) -> Iterable[tuple[Scalar, Scalar, Scalar]]:
+    nodes, weights = square_nodes(order)
+    for (s, t), weight in zip(nodes, weights, strict=True):
+        yield jnp.asarray(s, dtype), jnp.asarray(t, dtype), jnp.asarray(weight, dtype)

@@ -1,0 +1,109 @@
+"""What a scene says of its surfaces, as tables, and what comes straight from its lights.
+
+Emission in W m^-2 sr^-1, irradiance in W m^-2, lengths in m.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._numerics import dot, normalize
+from ..._types import Colour, Scalar, group_by_structure
+from ..._vector import Vec, as_array, as_vec
+from ...brdf.lambert import Lambert
+from ...geometry import largest_size, occluded, offset_origin
+from ...hemisphere import cross
+from ...lights import RectangleLight, Rule, incident_sample, light_nodes
+from ...lights.polygon import rectangle_irradiance
+from ...scene import Light, Quad, Scene, Shape
+
+Table = Float[Array, "surfaces bands"]
+
+
+def diffuse_of(scene: Scene, like: Array) -> Table:
+    """`Lambert.diffuse` of all surfaces, sr^-1, in as many bands as `like`."""
+    materials = [surface.material for surface in scene.surfaces]  # `plan_patches` refuses others
+    return _stacked([m.diffuse for m in materials if isinstance(m, Lambert)], like)
+
+
+def emission_of(scene: Scene, like: Array) -> Table:
+    """What all surfaces emit, 0 where that is nothing, in as many bands as `like`."""
+    nothing = jnp.zeros(1, like.dtype)
+    values = [surface.emission for surface in scene.surfaces]
+    return _stacked([nothing if value is None else value for value in values], like)
+
+
+def _stacked(values: Sequence[Array], like: Array) -> Table:
+    bands = np.broadcast_shapes(like.shape[-1:], *(value.shape for value in values))
+    return jnp.stack([jnp.broadcast_to(value, bands) for value in values])
+
+
+def sources_of(scene: Scene) -> list[Light]:
+    """The lights and, as rectangles just above themselves, the quads that emit."""
+    size, lights = (largest_size([surface.shape for surface in scene.surfaces]), list(scene.lights))
+    for surface in scene.surfaces:
+        if surface.emission is None or not isinstance(surface.shape, Quad):
+            continue
+        quad = surface.shape
+        edges = [(quad.edge_u, quad.edge_v), (quad.edge_v, quad.edge_u)]
+        for u, v in edges[: 2 if surface.two_sided else 1]:
+            normal = normalize(cross(u, v))
+            above = offset_origin(quad.corner, normal, normal, size=4 * size)
+            lights.append(RectangleLight(as_array(above), u, v, surface.emission))
+    return lights
+
+
+def irradiance_at(
+    lights: Sequence[Light],
+    shapes: Sequence[Shape],
+    point: Vec,
+    normal: Vec,
+    rule: Rule,
+    size: Scalar,
+) -> Colour:
+    """Irradiance of one point straight from all lights, with shadows: (bands,).
+
+    Of a rectangle it is the exact contour integral times the part that `rule` finds in sight: the
+    rule matters in half shadows alone, and there visibility has no gradient.
+    """
+    total = jnp.zeros(1, point.x.dtype)
+    for _, group in group_by_structure(lights):
+
+        def from_light(_: None, light: Light) -> tuple[None, Colour]:
+            if not isinstance(light, RectangleLight):
+                return None, _by_nodes(light, shapes, point, normal, rule, size)[1]
+            white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))
+            met, passed = jax.lax.stop_gradient(_by_nodes(white, shapes, point, normal, rule, size))
+            share = passed / jnp.where(met > 0, met, 1)
+            return None, rectangle_irradiance(light, point, normal) * share
+
+        total = total + jax.lax.scan(from_light, None, group)[1].sum(axis=0)
+    return total
+
+
+def _by_nodes(
+    light: Light, shapes: Sequence[Shape], point: Vec, normal: Vec, rule: Rule, size: Scalar
+) -> tuple[Colour, Colour]:
+    """The sum over the nodes of a light, (with nothing between, with shadows)."""
+    dtype = point.x.dtype
+
+    def node_sum(node: tuple[Array, Array]) -> tuple[Colour, Colour]:
+        arriving = incident_sample(light, rule, point, *node)
+        wi = as_vec(arriving.direction)
+        far = jnp.full((), jnp.inf, dtype)
+        distance = far if arriving.distance is None else arriving.distance
+        blocked = occluded(point, normal, wi, distance, shapes, size=size)
+        met = arriving.irradiance * jnp.maximum(dot(normal, wi), 0)
+        return met, jnp.where(blocked, 0, met)
+
+    def add(sums: tuple[Colour, Colour], node: tuple[Array, Array]) -> tuple:
+        return jax.tree.map(jnp.add, sums, node_sum(node)), None
+
+    nodes = light_nodes(light, rule, dtype)
+    nothing = jax.eval_shape(node_sum, jax.tree.map(lambda x: x[0], nodes))
+    start = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), nothing)
+    return jax.lax.scan(jax.checkpoint(add), start, nodes)[0]

@@ -1,0 +1,107 @@
+"""From a scene to its radiosity.
+
+Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads that emit, light
+the elements directly, with shadows; what then leaves them, patches exchange.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._numerics import dot
+from ..._staging import TILE, in_tiles, stored
+from ..._types import Colour
+from ..._vector import Vec
+from ...geometry import Ray, hit_shape, largest_size, nearest_shape, offset_origin
+from ...lights import Quadrature, Rule, rule_for
+from ...scene import Quad, Scene
+from ._grid import Plan, parents_of
+from ._sources import diffuse_of, emission_of, irradiance_at, sources_of
+from .exchange import by_patch, form_factor_table
+from .patches import Patches, patches_of
+from .solve import solve_radiosity
+
+DEFAULT_RULE = Quadrature(4)
+
+
+class Solution(eqx.Module):
+    """`radiosity`: (patches, bands) W m^-2. `irradiance`: (elements, bands) W m^-2, from all
+    patches, but not straight from lights. `sent`: (elements, bands) W m^-2, all that leaves but
+    what a quad emits, which counts as a light. `covered`: (elements,), inside another body, where
+    no light is."""
+
+    radiosity: Float[Array, "patches bands"]
+    irradiance: Float[Array, "elements bands"]
+    sent: Float[Array, "elements bands"]
+    covered: Bool[Array, " elements"]
+
+
+def radiosity(
+    scene: Scene,
+    plan: Plan,
+    *,
+    table: Float[Array, "elements patches"] | None = None,
+    rule: Rule = DEFAULT_RULE,
+    method: str = "direct",
+    rays: int = 1,
+) -> Solution:
+    """The light that a scene's patches exchange, W m^-2.
+
+    `plan`: from `plan_patches`. `table`: from `form_factor_table`, where geometry is fixed and only
+    colours change; without it, it is made with `rays` shadow rays a pair. `rule`: how finely
+    extended lights are taken apart, see `direct_irradiance`. `method`: see `solve_radiosity`. A
+    quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
+    term stands for what is computed here, and is left out.
+    """
+    patches = stored(partial(patches_of, plan=plan), scene)
+    elements = stored(partial(patches_of, plan=plan, split=plan.split), scene)
+    if table is None:
+        table = form_factor_table(scene, plan, rays=rays)
+    direct = direct_irradiance(scene, elements, rule=rule)
+    covered = _covered(scene, elements)
+    albedo = jnp.pi * diffuse_of(scene, direct)[patches.surface]
+    emitted = jnp.pi * emission_of(scene, direct)
+    flat = jnp.asarray([isinstance(surface.shape, Quad) for surface in scene.surfaces])
+    by_patches = jnp.where(flat[:, None], 0, emitted)[patches.surface]
+    by_lights = jnp.where(flat[:, None], emitted, 0)[patches.surface]
+    first = by_patches + albedo * by_patch(direct, elements, plan, covered=covered)
+    mean_table = by_patch(table, elements, plan, covered=covered)
+    solved = solve_radiosity(mean_table, albedo, first, method=method)
+    irradiance, own = table @ solved, jnp.asarray(parents_of(plan))
+    sent = by_patches[own] + albedo[own] * (direct + irradiance)
+    return Solution(solved + by_lights, irradiance, sent, covered)
+
+
+def direct_irradiance(
+    scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
+) -> Float[Array, "elements bands"]:
+    """Irradiance of each element straight from lights and quads that emit, with shadows:
+    (elements, bands) in W m^-2. Of rectangles it is exact where nothing stands between; `rule` says
+    by how many rays half shadows are found."""
+    lights, shapes = sources_of(scene), [surface.shape for surface in scene.surfaces]
+    size = largest_size(shapes)
+
+    def at(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
+        return irradiance_at(lights, shapes, point, normal, rule_for(rule, number), size)
+
+    start = elements.centre + elements.bulge * elements.normal
+    return in_tiles(at, start, elements.normal, jnp.arange(len(elements.area)), size=TILE)
+
+
+def _covered(scene: Scene, elements: Patches) -> Bool[Array, " elements"]:
+    """Whether what lies ahead of an element turns its back, as the inside of a body does."""
+    shapes = [surface.shape for surface in scene.surfaces]
+    two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
+    size = largest_size(shapes)
+
+    def at(point: Vec, normal: Vec) -> Bool[Array, ""]:
+        ray = Ray(offset_origin(point, normal, normal, size=size), normal)
+        encounter = nearest_shape(ray, shapes)
+        back = dot(hit_shape(ray, shapes, encounter).normal, normal) > 0
+        return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]
+
+    start = elements.centre + elements.bulge * elements.normal
+    return in_tiles(at, *jax.lax.stop_gradient((start, elements.normal)), size=TILE)

@@ -1,0 +1,131 @@
+"""The radiosity equation, solved: how bright patches are that light each other.
+
+    B_i = M_i + rho_i (E_i + sum_j F_ij B_j)
+
+B radiosity, M emitted, E the irradiance straight from lights, all (patches, bands) in W m^-2; rho
+albedo (patches, bands), F the (patches, patches) form factors, without unit. Goral, Torrance,
+Greenberg and Battaile, "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 1984.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+PatchSpectra = Float[Array, "patches bands"]
+Table = Float[Array, "patches patches"]
+State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""]]  # radiosity, unshot, shots
+
+
+def solve_radiosity(
+    table: Table,
+    albedo: PatchSpectra,
+    sent: PatchSpectra,
+    *,
+    method: str = "direct",
+    tolerance: float = 1e-4,
+    limit: int = 10_000,
+) -> PatchSpectra:
+    """B of B = `sent` + `albedo` F B, in W m^-2, where `sent` = M + rho E: band by band.
+
+    `method`: static. "direct": LU, exact to rounding; its cost grows as patches^3. "iterative":
+    GMRES, to `tolerance` of what is sent. "progressive": shooting, see `shoot`, until what is
+    unshot is `tolerance` of all power sent, or after `limit` shots. Gradients of all three are
+    those of the exact solution, by solving the transposed equation. `ValueError` for an unknown
+    method.
+    """
+    import lineax
+
+    match method:
+        case "direct":
+            solver = lineax.LU()
+        case "iterative":
+            # of the residual's norm, which falls below `tolerance` times that of what is sent
+            solver = lineax.GMRES(rtol=tolerance, atol=0.0, restart=20)
+        case "progressive":
+            return _progressive(table, albedo, sent, tolerance, limit)
+        case _:
+            raise ValueError(
+                f'method must be "direct", "iterative" or "progressive", got {method!r}.'
+            )
+
+    def band(rho: Float[Array, " patches"], b: Float[Array, " patches"]) -> Array:
+        matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
+        return lineax.linear_solve(lineax.MatrixLinearOperator(matrix), b, solver).value
+
+    return jax.vmap(band, in_axes=1, out_axes=1)(albedo, sent)
+
+
+def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
+    """B after `count` reflections, static: the first terms of the Neumann series, W m^-2. What a
+    path tracer of that depth sees."""
+
+    def once(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
+        return sent + albedo * (table @ radiosity)
+
+    return jax.lax.fori_loop(0, count, once, sent)
+
+
+def shoot(
+    table: Table,
+    albedo: PatchSpectra,
+    sent: PatchSpectra,
+    *,
+    tolerance: float = 1e-4,
+    limit: int = 10_000,
+) -> tuple[PatchSpectra, PatchSpectra]:
+    """Progressive refinement: (B, unshot part of B), both in W m^-2.
+
+    The patch with most unshot light sends it to all others, again and again, until the brightest
+    unshot light is `tolerance` of the brightest that was sent, or after `limit` shots: Southwell
+    relaxation (Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast
+    Radiosity Image Generation", SIGGRAPH 1988). Without areas the loudest patch is the brightest,
+    which bounds the error of each patch. `ambient_estimate` adds what the unshot light will do.
+    How often it shoots depends on the values, so it has no gradient in reverse: that of
+    `solve_radiosity` has.
+    """
+    most = jnp.abs(sent).max()
+
+    def unfinished(state: State) -> Array:
+        _, unshot, shots = state
+        return (jnp.abs(unshot).max() > tolerance * most) & (shots < limit)
+
+    def shot(state: State) -> State:
+        radiosity, unshot, shots = state
+        sender = jnp.argmax(jnp.abs(unshot).max(axis=1))
+        arrived = albedo * (table[:, sender, None] * unshot[sender][None, :])
+        return radiosity + arrived, unshot.at[sender].set(0) + arrived, shots + 1
+
+    radiosity, unshot, _ = jax.lax.while_loop(
+        unfinished, shot, (sent, sent, jnp.zeros((), jnp.int32))
+    )
+    return radiosity, unshot
+
+
+def ambient_estimate(
+    albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
+) -> PatchSpectra:
+    """What unshot light, W m^-2, will add to each patch in the mean of a closed scene: rho times
+    the area-weighted mean of what is unshot, and all its reflections. `area`: (patches,) m^2. For
+    display, after a few shots."""
+    share = (area / area.sum())[:, None]
+    mean_albedo = (share * albedo).sum(axis=0)
+    return albedo * ((share * unshot).sum(axis=0) / (1 - mean_albedo))[None, :]
+
+
+def _progressive(
+    table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
+) -> PatchSpectra:
+    """`shoot` with the gradient of the exact solution: the transposed equation is shot as well."""
+
+    def transport(b: PatchSpectra) -> PatchSpectra:
+        return b - albedo * (table @ b)
+
+    def forward(_: object, b: PatchSpectra) -> PatchSpectra:
+        return shoot(table, albedo, b, tolerance=tolerance, limit=limit)[0]
+
+    def backward(_: object, b: PatchSpectra) -> PatchSpectra:
+        # x of x = b + F^T rho x, by way of y = rho x
+        y, _ = shoot(table.T, albedo, albedo * b, tolerance=tolerance, limit=limit)
+        return b + table.T @ y
+
+    return jax.lax.custom_linear_solve(transport, sent, forward, transpose_solve=backward)

@@ -1,0 +1,226 @@
+"""Ray tracing: direct light, and what is seen in mirrors and through glass, without chance.
+
+Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray that meets
+glass goes on in two, a tree of up to 2^n rays after n surfaces, most of which carry nothing. Here
+the rays that are still to be followed wait in a pool, and the one that counts most goes next: the
+best `rays` of the tree, whatever its depth. What is left in the pool is black. Light that mirrors
+and glass throw onto other surfaces (caustics) and light between diffuse surfaces are missing:
+`paths` and `light_paths` have them. Radiance in W m^-2 sr^-1, lengths in m.
+
+A picture costs one hit and one shadow ray to each node of each light (order^2 of a rectangle, twice
+that of an environment) for each ray that is followed: one of most pixels, up to `rays` of those
+that see a mirror or glass, for trees without a ray left are passed over, a block at a time.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import dot
+from .._staging import TILE
+from .._types import Colour, Image
+from .._vector import Vec, as_array
+from ..brdf.glass import Glass
+from ..geometry import Ray
+from ..lights import Quadrature
+from ..optics import pixel_grid, view_ray
+from ..scene import Scene, View
+from ._emitters import Toward, shining_ahead, toward_each, transmitted
+from ._vertices import (
+    Met,
+    absorption_after,
+    absorption_around,
+    branches,
+    hidden,
+    is_delta,
+    leave,
+    meet,
+    shaded_toward,
+)
+from ._world import World, world_of
+
+DEFAULT_RULE = Quadrature(4)
+_BLOCK = 512  # rays that are followed or passed over together
+
+
+class _Tree(eqx.Module):
+    """Rays to be followed: from where, where to, through what, None where nothing absorbs, and what
+    they count; and the radiance that those before them found."""
+
+    origin: Float[Array, "slots 3"]
+    direction: Float[Array, "slots 3"]
+    absorption: Float[Array, "slots bands"] | None
+    weight: Float[Array, "slots bands"]
+    radiance: Colour
+
+
+def ray_tree_radiance(
+    scene: Scene, ray: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
+) -> Colour:
+    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
+
+    `rays`: static, how many rays of the tree are followed, >= 1, else `ValueError`. A scene
+    without glass has no branches: there it is the number of mirrors in a row and one more. `rule`:
+    how finely what shines is taken apart where it lights a surface.
+    """
+    world = world_of(scene)
+    rays = _followed(world, rays)
+
+    @jax.checkpoint
+    def follow(tree: _Tree, k: Array) -> tuple[_Tree, None]:
+        return _follow(world, rule, k, tree), None
+
+    tree, _ = jax.lax.scan(follow, _planted(world, ray, rays), jnp.arange(rays))
+    return tree.radiance
+
+
+def ray_tree_radiances(
+    scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
+) -> Float[Array, "n bands"]:
+    """`ray_tree_radiance` of many rays, of components (n,), in W m^-2 sr^-1: sooner than one by
+    one where few of them meet mirrors or glass."""
+    world = world_of(scene)
+    rays = _followed(world, rays)
+
+    def tile(along: Ray) -> Float[Array, "n bands"]:
+        forest = jax.vmap(lambda ray: _planted(world, ray, rays))(along)
+        count = len(along.origin.x)
+        numbers = jnp.arange(count)
+
+        @jax.checkpoint
+        def follow(state: tuple[_Tree, Array], k: Array) -> tuple[tuple[_Tree, Array], None]:
+            return _follow_living(world, rule, k, *state), None
+
+        (forest, numbers), _ = jax.lax.scan(follow, (forest, numbers), jnp.arange(rays))
+        return jnp.zeros_like(forest.radiance).at[numbers].set(forest.radiance)
+
+    return _in_full_tiles(tile, along)
+
+
+def _in_full_tiles(tile: Callable[[Ray], Array], along: Ray) -> Array:
+    """Rays a tile at a time, filled up to whole blocks with copies of the last."""
+    count = len(along.origin.x)
+    size = min(TILE, -(-count // _BLOCK) * _BLOCK)
+    tiles = -(-count // size)
+
+    def filled(x: Array) -> Array:
+        return jnp.pad(x, (0, tiles * size - count), mode="edge").reshape(tiles, size)
+
+    found = jax.lax.map(tile, jax.tree.map(filled, along))
+    return found.reshape(tiles * size, -1)[:count]
+
+
+def _follow_living(
+    world: World, rule: Quadrature, k: Array, forest: _Tree, numbers: Array
+) -> tuple[_Tree, Array]:
+    """One ray of each tree that has one left: those trees first, so that the blocks behind them
+    are passed over. `numbers`: where each tree stood at first."""
+    alive = (forest.weight > 0).any(axis=(1, 2))
+    order = jnp.argsort(~alive)
+
+    def in_blocks(x: Array) -> Array:
+        return x[order].reshape(-1, _BLOCK, *x.shape[1:])
+
+    def block(entry: tuple[_Tree, Array]) -> _Tree:
+        trees, alive = entry
+        follow = jax.vmap(lambda tree: _follow(world, rule, k, tree))
+        return jax.lax.cond(alive.any(), follow, lambda trees: trees, trees)
+
+    followed = jax.lax.map(block, jax.tree.map(in_blocks, (forest, alive)))
+    forest = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), followed)
+    return forest, numbers[order]
+
+
+def _followed(world: World, rays: int) -> int:
+    """How many rays of a tree are followed: one where nothing goes on."""
+    if rays < 1:
+        raise ValueError(f"rays must be at least 1, got {rays}.")
+    return rays if any(map(is_delta, world.surfaces.materials)) else 1
+
+
+def _planted(world: World, ray: Ray, rays: int) -> _Tree:
+    """A tree of one ray, with slots enough for those to come."""
+    slots = rays + 1 if any(isinstance(m, Glass) for m in world.surfaces.materials) else 1
+    dtype = ray.origin.x.dtype
+    dark = jnp.zeros((slots, world.bands), dtype)
+    around = absorption_around(world.surfaces, ray, bands=world.bands)
+    return _Tree(
+        jnp.zeros((slots, 3), dtype).at[0].set(as_array(ray.origin)),
+        jnp.zeros((slots, 3), dtype).at[0].set(as_array(ray.direction)),
+        None if around is None else dark.at[0].set(around),
+        dark.at[0].set(1),
+        dark[0],
+    )
+
+
+def _follow(world: World, rule: Quadrature, k: Array, tree: _Tree) -> _Tree:
+    """The tree after the ray of it that counts most, its `k`-th, has been followed."""
+    slots, dtype = len(tree.weight), tree.weight.dtype
+    next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
+    ray = Ray(tree.origin[next_one], tree.direction[next_one])
+    absorption = None if tree.absorption is None else tree.absorption[next_one]
+    weight = tree.weight[next_one]
+    met = meet(world.surfaces, ray)
+    back = -ray.direction
+    found, ends = shining_ahead(
+        world.emitters,
+        ray,
+        met.surface,
+        met.hit.distance,
+        dot(met.hit.normal, back),
+        jnp.full((), jnp.inf, dtype),
+        absorption,
+        strategy="lights",
+    )
+    radiance = tree.radiance + weight * found
+    on_surface = (met.surface >= 0) & ~ends
+    weight = jnp.where(on_surface, weight * transmitted(absorption, met.hit.distance), 0)
+    radiance = radiance + weight * _direct(world, met, back, absorption, rule)
+    tree = eqx.tree_at(lambda t: t.radiance, tree, radiance)
+    way = branches(world.surfaces, met, back, bands=world.bands)
+    for slot, direction, part in (
+        (jnp.minimum(k + 1, slots - 1), way.refracted, way.refracted_weight),
+        (next_one, way.mirrored, way.mirrored_weight),
+    ):
+        onward = leave(met, ray, direction, (weight * part).max() > 0)
+        after = absorption_after(world.surfaces, met, ray.direction, onward, absorption)
+        tree = _put(tree, slot, onward, weight * part, after)
+    return tree
+
+
+def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour | None) -> _Tree:
+    return _Tree(
+        tree.origin.at[slot].set(as_array(ray.origin)),
+        tree.direction.at[slot].set(as_array(ray.direction)),
+        None if tree.absorption is None else tree.absorption.at[slot].set(absorption),
+        tree.weight.at[slot].set(weight),
+        tree.radiance,
+    )
+
+
+def _direct(
+    world: World, met: Met, back: Vec, absorption: Colour | None, rule: Quadrature
+) -> Colour:
+    """Light from all emitters, less what is in shadow."""
+
+    def shine(toward: Toward) -> Colour:
+        shaded = shaded_toward(world.surfaces, met, back, toward.direction, bands=world.bands)
+        dark = hidden(world.surfaces, met, toward.direction, toward.clear)
+        arriving = toward.irradiance * transmitted(absorption, toward.distance)
+        return jnp.where(dark, 0, shaded * arriving)
+
+    return toward_each(world.emitters, met.hit.point, rule=rule, shine=shine, bands=world.bands)
+
+
+def ray_traced(
+    scene: Scene, view: View, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
+) -> Image:
+    """The picture in radiance, one ray through each pixel's centre: (h, w, bands) in
+    W m^-2 sr^-1. `rays`, `rule`: as in `ray_tree_radiance`."""
+    rows, columns = jnp.meshgrid(*pixel_grid(view), indexing="ij")
+    along = jax.vmap(lambda row, column: view_ray(view, row, column))(rows.ravel(), columns.ravel())
+    pixels = ray_tree_radiances(scene, along, rays=rays, rule=rule)
+    return pixels.reshape(*view.resolution, -1)

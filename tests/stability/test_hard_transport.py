@@ -1,0 +1,129 @@
+"""Interfaces and paths at the edges: grazing, critical, equal indices, nothing there, any scale."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+
+from jaxvision import Lambert, Mirror, PointLight, as_dtype
+from jaxvision._random import Stream
+from jaxvision.brdf.glass import Glass, interface, refracted_direction
+from jaxvision.geometry import Ray
+from jaxvision.scene import Box, Quad, Scene, Sphere, Surface
+from jaxvision.transport import Paths, path_radiance, path_sample, ray_tree_radiance
+
+both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+mp.mp.dps = 50
+
+
+def direction(theta, dtype):
+    return jnp.asarray([np.sin(theta), 0, np.cos(theta)], dtype)
+
+
+CRITICAL = float(np.arcsin(2 / 3))
+
+
+@both_precisions
+@pytest.mark.parametrize("eta", [1.5, 1 / 1.5, 1 + 1e-6, 1 - 1e-6, 3.0])
+@pytest.mark.parametrize("theta", [0.0, 1e-6, 0.5, CRITICAL - 1e-3, 1.57, np.pi / 2 - 1e-6])
+def test_refracted_direction_in_ulps(dtype, eta, theta):
+    """Against 50 digits of the rounded inputs. z = sqrt(eta^2 - 1 + z^2) / eta loses what eta - 1
+    and z^2 cancel: the bound grows by that condition."""
+    w, n = direction(theta, dtype), jnp.asarray(eta, dtype)
+    got = refracted_direction(w, n)
+    x, z, exact_eta = (mp.mpf(float(v)) for v in (w[0], w[2], n))
+    square = (exact_eta - 1) * (exact_eta + 1) + z * z
+    eps = float(jnp.finfo(dtype).eps)
+    if square <= 0:
+        assert float(got.z) == 0
+        assert float(got.x) == pytest.approx(-np.sign(float(x)), abs=2 * eps)
+        return
+    below = mp.sqrt(square) / exact_eta
+    condition = 1 + float((abs((exact_eta - 1) * (exact_eta + 1)) + z * z) / square)
+    assert abs(float(mp.mpf(float(got.z)) + below)) <= 3 * eps * condition * float(below)
+    assert abs(float(mp.mpf(float(got.x)) + x / exact_eta)) <= 2 * eps * float(abs(x) / exact_eta)
+
+
+@both_precisions
+@pytest.mark.parametrize("index", [1.0, 1.5, 1 / 1.5])
+def test_gradients_of_an_interface_are_finite(dtype, index):
+    """At the normal, along the surface, at the critical angle, for the zero vector."""
+
+    def total(w, index):
+        split = interface(Glass(index), w)
+        return split.reflectance + sum(jax.tree.leaves((split.mirrored, split.refracted)))
+
+    slope = quick_jit(jax.grad(total, argnums=(0, 1)))
+    for theta in (0.0, CRITICAL, np.pi / 2, np.pi - CRITICAL, np.pi):
+        for w in (direction(theta, dtype), 0 * direction(theta, dtype)):
+            for leaf in jax.tree.leaves(slope(w, jnp.asarray(index, dtype))):
+                assert jnp.isfinite(leaf).all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e4])
+def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
+    """Radiance 1 from every wall of a box of albedo .5 and emission .5: a leak, or a wall that
+    shades itself, would darken it."""
+    half = np.array([1.0, 0.7, 0.4]) * scale
+    wall = Surface(Box(half * 3, half), Lambert([0.5 / np.pi]), [0.5], two_sided=True)
+    scene = as_dtype(Scene([wall], []), jnp.float32)
+    method = Paths(1, 20, strategy="surfaces")
+
+    def one(number, target):
+        ray = Ray(jnp.asarray(half * 3, jnp.float32), target)
+        stream = Stream(number, jnp.uint32(0), jnp.asarray([1, 2], jnp.uint32))
+        return path_sample(scene, ray, stream, method=method)[0]
+
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    numbers = jnp.arange(len(directions), dtype=jnp.uint32)
+    seen = quick_jit(jax.vmap(one))(numbers, jnp.asarray(directions, jnp.float32))
+    assert seen.dtype == jnp.float32
+    np.testing.assert_allclose(seen, 1, atol=1e-5)
+
+
+HARD = {
+    "a lamp in the floor, one without area, and a body that is black": Scene(
+        [
+            Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2])),
+            Surface(Quad([0.0, 0, 1], [1.0, 0, 0], [2.0, 0, 0]), Lambert([0.0]), [1.0]),
+            Surface(Sphere([0.0, 0, 0.2], 0.1), Lambert([0.0])),
+        ],
+        [PointLight([0.3, 0.0, 0.0], [1.0])],
+    ),
+    "inside glass, and mirrors that face each other": Scene(
+        [
+            Surface(Sphere([0.0, 0, 1], 2.0), Glass(1.0, absorption=[0.0])),
+            Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Mirror([1.0])),
+            Surface(Quad([-1.0, -1, 2], [0, 2.0, 0], [2.0, 0, 0]), Mirror([1.0])),
+        ],
+        [PointLight([0.0, 0.0, 5.0], [1.0])],
+    ),
+}
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", sorted(HARD))
+@pytest.mark.parametrize("tracer", ["paths", "tree"])
+def test_values_and_gradients_are_finite(dtype, name, tracer):
+    """Rays along an axis, to a corner, along a surface, and away from everything."""
+    scene = as_dtype(HARD[name], dtype)
+
+    def total(scene, direction):
+        ray = Ray(jnp.asarray([0, 0, 1], dtype), direction)
+        if tracer == "tree":
+            return ray_tree_radiance(scene, ray, rays=6).sum()
+        method = Paths(4, 5, strategy="lights")
+        return path_radiance(jax.random.key(0), scene, ray, method=method).radiance.sum()
+
+    slope = quick_jit(jax.value_and_grad(total, argnums=(0, 1), allow_int=True))
+    for d in ([0, 0, -1.0], [0, 0, 1.0], [-0.57735027, -0.57735027, -0.57735027], [1.0, 0, 0]):
+        value, gradient = slope(scene, jnp.asarray(d, dtype))
+        assert value.dtype == dtype
+        for leaf in jax.tree.leaves((value, gradient)):
+            if jnp.issubdtype(leaf.dtype, jnp.floating):
+                assert jnp.isfinite(leaf).all()

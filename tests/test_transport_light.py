@@ -1,0 +1,349 @@
+"""Ray trees against a ray-by-ray NumPy tracer; light from the sources against that from the eye."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import (
+    DirectionalLight,
+    Lambert,
+    Mirror,
+    Orthographic,
+    Pinhole,
+    PointLight,
+    RectangleLight,
+    environment_map,
+)
+from jaxvision._vector import as_array
+from jaxvision.brdf.glass import Glass
+from jaxvision.geometry import Ray
+from jaxvision.lights import LightFieldLight, Window
+from jaxvision.scene import Box, Disc, Plane, Quad, Scene, Sphere, Surface, TriangleMesh
+from jaxvision.transport import (
+    Paths,
+    light_traced,
+    path_traced,
+    ray_traced,
+    ray_tree_radiance,
+    ray_tree_radiances,
+)
+from jaxvision.transport._emission import ball_around, emitted
+from jaxvision.transport._emitters import emitters_of
+
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+KEY = jax.random.key(2)
+BLACK = Lambert([0.0, 0.0])
+
+# ------------------------------------------------ mirror and glass, ray by ray
+
+GLASS, MIRROR = (np.array([0.0, 0, 0]), 0.6, 1.45), (np.array([1.1, 0.4, -0.2]), 0.4)
+REFLECTANCE = np.array([0.9, 0.6])
+WALLS = [  # corner, edges, emission: an open box around both spheres
+    ([-3.0, -3, -3], [6.0, 0, 0], [0, 6.0, 0], [1.0, 0.2]),
+    ([-3.0, -3, -3], [0, 6.0, 0], [0, 0, 6.0], [0.3, 0.8]),
+    ([3.0, -3, -3], [0, 0, 6.0], [0, 6.0, 0], [0.5, 0.1]),
+    ([-3.0, 3, -3], [6.0, 0, 0], [0, 0, 6.0], [0.05, 2.0]),
+]
+
+
+def sphere_by_numpy(o, d, centre, radius):
+    f = o - centre
+    b, c = f @ d, f @ f - radius**2
+    if b * b <= c:
+        return np.inf
+    root = np.sqrt(b * b - c)
+    return next((t for t in (-b - root, -b + root) if t > 1e-9), np.inf)
+
+
+def walls_by_numpy(o, d):
+    best = (np.inf, np.zeros(2))
+    for corner, u, v, emission in WALLS:
+        corner, u, v = (np.array(x) for x in (corner, u, v))
+        n = np.cross(u, v)
+        if n @ d == 0:
+            continue
+        t = n @ (corner - o) / (n @ d)
+        inside = o + t * d - corner
+        a, b = inside @ u / (u @ u), inside @ v / (v @ v)
+        if 1e-9 < t < best[0] and 0 <= a <= 1 and 0 <= b <= 1:
+            best = (t, np.array(emission) if n @ d < 0 else np.zeros(2))
+    return best
+
+
+def traced_by_numpy(o, d, weight=1.0):
+    """Whitted's recursion until a branch counts for less than 1e-9."""
+    if weight < 1e-9:
+        return np.zeros(2)
+    ball, mirror = sphere_by_numpy(o, d, *GLASS[:2]), sphere_by_numpy(o, d, *MIRROR)
+    wall, emission = walls_by_numpy(o, d)
+    nearest = min(ball, mirror, wall)
+    if nearest == np.inf:
+        return np.zeros(2)
+    p = o + nearest * d
+    if nearest == wall:
+        return emission
+    if nearest == mirror:
+        n = (p - MIRROR[0]) / MIRROR[1]
+        return REFLECTANCE * traced_by_numpy(p, d - 2 * (d @ n) * n, weight)
+    n, n_in, n_out = (p - GLASS[0]) / GLASS[1], 1.0, GLASS[2]
+    if d @ n > 0:
+        n, n_in, n_out = -n, GLASS[2], 1.0
+    cos_i = -d @ n
+    mirrored = d + 2 * cos_i * n
+    sine = n_in / n_out * np.sqrt(1 - cos_i**2)
+    if sine >= 1:
+        return traced_by_numpy(p, mirrored, weight)
+    cos_t = np.sqrt(1 - sine**2)
+    s = (n_in * cos_i - n_out * cos_t) / (n_in * cos_i + n_out * cos_t)
+    q = (n_in * cos_t - n_out * cos_i) / (n_in * cos_t + n_out * cos_i)
+    r = (s * s + q * q) / 2
+    refracted = n_in / n_out * d + (n_in / n_out * cos_i - cos_t) * n
+    there = traced_by_numpy(p, mirrored, weight * r)
+    through = traced_by_numpy(p, refracted, weight * (1 - r))
+    return r * there + (n_in / n_out) ** 2 * (1 - r) * through
+
+
+def spheres():
+    surfaces = [Surface(Quad(c, u, v), BLACK, e) for c, u, v, e in WALLS]
+    surfaces.append(Surface(Sphere(GLASS[0], GLASS[1]), Glass(GLASS[2])))
+    surfaces.append(Surface(Sphere(*MIRROR), Mirror(REFLECTANCE)))
+    return Scene(surfaces, [])
+
+
+def test_glass_and_mirror_ray_by_ray():
+    """Forty rays at both spheres: all branches above 1e-9 of an independent recursion, in 40."""
+    rng = np.random.default_rng(1)
+    eye = np.array([0.3, -2.5, 0.4])
+    targets = np.concatenate([np.zeros((20, 3)), np.tile(MIRROR[0], (20, 1))])
+    targets += rng.uniform(-0.25, 0.25, targets.shape)  # not grazing: few branches count
+    directions = targets - eye
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = spheres()
+
+    def one(direction):
+        return ray_tree_radiance(scene, Ray(jnp.asarray(eye), direction), rays=40)
+
+    seen = np.asarray(quick_jit(jax.vmap(one))(jnp.asarray(directions)))
+    expected = np.array([traced_by_numpy(eye, d) for d in directions])
+    assert np.ptp(expected[:, 0]) > 0.2
+    np.testing.assert_allclose(seen, expected, rtol=1e-7, atol=1e-7)
+
+
+def test_trees_that_are_passed_over_change_nothing():
+    """More rays than a block, few of them to glass: the same numbers and slopes as one by one."""
+    floor = Surface(Plane([0, 0, -1.0], [0, 0, 1.0]), Lambert([0.2, 0.1]))
+    ball = Surface(Sphere([0.1, 0, 0], 0.5), Glass(1.5))
+    scene = Scene([floor, ball], [PointLight([1.0, 0.5, 2], [3.0, 4])])
+    rng = np.random.default_rng(5)
+    eyes = np.array([0, 0, 3.0]) + rng.uniform(-1, 1, (700, 3)) * [2, 2, 0.5]
+    down = np.broadcast_to([0, 0, -1.0], eyes.shape)
+    along, weights = jax.vmap(Ray)(jnp.asarray(eyes), down), rng.uniform(size=(700, 1))
+
+    def one_by_one(scene):
+        return jax.vmap(lambda ray: ray_tree_radiance(scene, ray, rays=3))(along)
+
+    def together(scene):
+        return ray_tree_radiances(scene, along, rays=3)
+
+    def value_and_slope(function):
+        pull = jax.grad(lambda s: (function(s) * weights).sum(), allow_int=True)
+        return quick_jit(lambda s: (function(s), pull(s)))(scene)
+
+    (expected, slope), (seen, same_slope) = map(value_and_slope, (one_by_one, together))
+    assert (np.asarray(expected) > 0).mean() > 0.8  # the glass throws a shadow
+    np.testing.assert_allclose(seen, expected, rtol=1e-12, atol=1e-12)
+    for a, b in zip(jax.tree.leaves(same_slope), jax.tree.leaves(slope), strict=True):
+        if jnp.issubdtype(a.dtype, jnp.floating):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+
+
+def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
+    """Diffuse floor, mirror, a lamp with a soft shadow: quadrature against random paths of direct
+    light; the mirror's own paths have one piece more."""
+    floor = Surface(Plane([0, 0, 0], [0, 0, 1.0]), Lambert([0.2, 0.1]))
+    ball = Surface(Sphere([0.3, 0.2, 0.4], 0.3), BLACK)
+    lamp = RectangleLight([-0.3, -0.3, 2.0], [0, 0.6, 0], [0.6, 0, 0], [5.0, 4.0])
+    scene = Scene([floor, ball], [lamp])
+    down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+    view = Orthographic([0.0, 0, 1.5], down, 0.1, resolution=(6, 8))
+    tree = quick_jit(ray_traced)(scene, view)
+    paths = quick_jit(partial(path_traced, method=Paths(400, 2, strategy="lights")))(
+        KEY, scene, view
+    )
+    apart = np.abs(tree - paths.radiance)
+    flat = np.asarray(paths.error) < 0.02 * np.asarray(paths.radiance)
+    assert flat.mean() > 0.4
+    assert np.median(apart[flat] / np.asarray(paths.radiance)[flat]) < 0.02
+
+
+def test_ray_tree_options_are_named():
+    with pytest.raises(ValueError, match=r"rays must be at least 1, got 0\."):
+        ray_tree_radiance(spheres(), Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1])), rays=0)
+
+
+# ------------------------------------------------ what leaves a source
+
+U = np.random.default_rng(3).random((100000, 5))
+SMALL = Surface(Sphere([0.0, 0, 0], 0.5), BLACK)
+
+
+def irradiance_from(light=None, surface=None):
+    """Mean irradiance of a disc of radius .5 at z = 0 that faces +z: by counting emitted rays."""
+    surfaces = [SMALL] if surface is None else [SMALL, surface]
+    scene = Scene(surfaces, [] if light is None else [light])
+    emitters, ball = emitters_of(scene), ball_around([s.shape for s in surfaces])
+    rays = quick_jit(jax.vmap(lambda u: emitted(emitters, ball, u)))(jnp.asarray(U))
+    o, d = np.asarray(as_array(rays.ray.origin)), np.asarray(as_array(rays.ray.direction))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -o[:, 2] / d[:, 2]
+        p = o + t[:, None] * d
+        hits = (t > 0) & (d[:, 2] < 0) & (np.hypot(p[:, 0], p[:, 1]) < 0.5)
+    values = np.where(hits, np.asarray(rays.flux)[:, 0], 0) / (np.pi * 0.25)
+    return values.mean(), values.std() / np.sqrt(len(values))
+
+
+def disc_by_quadrature(radiance_at):
+    """Mean over the receiver of an irradiance at a point, by rings."""
+    x, w = np.polynomial.legendre.leggauss(12)
+    r = 0.25 * (x + 1)
+    phi = 2 * np.pi * (np.arange(16) + 0.5) / 16
+    values = [[radiance_at(np.array([a * np.cos(b), a * np.sin(b), 0])) for b in phi] for a in r]
+    return (np.mean(values, axis=1) * r * w).sum() * 0.25 * 2 / 0.25
+
+
+def from_patch(corner, u, v, radiance=2.0):
+    x, w = np.polynomial.legendre.leggauss(16)
+    corner, u, v = (np.array(a, float) for a in (corner, u, v))
+    n = np.cross(u, v)
+
+    def at(p):
+        total = 0.0
+        for a, wa in zip(x, w, strict=True):
+            d = corner + u * (a + 1) / 2 + v * ((x + 1) / 2)[:, None] - p
+            d2 = (d**2).sum(-1)
+            total += wa / 4 * (w * np.maximum(d[:, 2], 0) * np.maximum(-(d @ n), 0) / d2**2).sum()
+        return radiance * total
+
+    return at
+
+
+PATCH = ([-0.3, -0.2, 1.2], [0.0, 0.4, 0], [0.6, 0.0, 0])
+CORNERS = np.array([PATCH[0], np.add(PATCH[0], PATCH[1]), np.add(PATCH[0], PATCH[2])])
+SOURCES = {
+    "point": (
+        {"light": PointLight([0.2, 0, 1.0], [3.0, 3.0])},
+        lambda p: 3 / ((p - [0.2, 0, 1]) @ (p - [0.2, 0, 1])) ** 1.5,
+    ),
+    "directional": ({"light": DirectionalLight([0.6, 0, 0.8], [3.0, 3.0])}, lambda p: 2.4),
+    "sky": ({"light": environment_map(np.full((4, 8, 2), 0.5))}, lambda p: 0.5 * np.pi),
+    "rectangle": ({"light": RectangleLight(*PATCH, [2.0, 2.0])}, from_patch(*PATCH)),
+    "light field": (
+        {
+            "light": LightFieldLight(
+                np.full((1, 1, 1, 1, 2), 2.0),
+                Window(*PATCH),
+                Window([-1.5, -1.5, 2.2], [0, 3.0, 0], [3.0, 0, 0]),
+            )
+        },
+        from_patch(*PATCH),
+    ),
+    "quad": ({"surface": Surface(Quad(*PATCH), BLACK, [2.0, 2.0])}, from_patch(*PATCH)),
+    "sphere": (
+        {"surface": Surface(Sphere([0.0, 0, 2.0], 0.4), BLACK, [2.0, 2.0])},
+        lambda p: 2 * np.pi * 0.16 * 2 / (p @ p + 4) ** 1.5,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", sorted(SOURCES))
+def test_flux_of_a_source_is_its_irradiance(name):
+    """Rays that leave, counted on a receiver, against the integral of 1 / d^2 by NumPy."""
+    source, at = SOURCES[name]
+    mean, error = irradiance_from(**source)
+    assert error < 0.05 * mean
+    assert abs(mean - disc_by_quadrature(at)) < 4 * error
+
+
+def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
+    """Emitted flux pi A L of each, and of a box; a mesh of two halves is the rectangle."""
+    halves = TriangleMesh(
+        np.vstack([CORNERS, CORNERS[1] + CORNERS[2] - CORNERS[0]]), [[0, 1, 2], [1, 3, 2]]
+    )
+    mesh = irradiance_from(surface=Surface(halves, BLACK, [2.0, 2.0]))
+    quad = disc_by_quadrature(from_patch(*PATCH))
+    assert abs(mesh[0] - quad) < 4 * mesh[1]
+    disc = irradiance_from(
+        surface=Surface(Disc([0.0, 0, 1.0], [0, 0, -1.0], 0.3), BLACK, [2.0, 2.0])
+    )
+    # coaxial discs: F of radius .5 and .3, one apart (Howell, C-41)
+    a, b, h = 0.3, 0.5, 1.0
+    x = 1 + (h**2 + b**2) / a**2
+    factor = (x - np.sqrt(x**2 - 4 * (b / a) ** 2)) / 2
+    expected = 2 * np.pi * factor * (np.pi * a**2) / (np.pi * b**2)
+    assert abs(disc[0] - expected) < 4 * disc[1]
+
+
+def test_infinite_light_needs_a_scene_that_ends():
+    scene = Scene(
+        [Surface(Plane([0, 0, 0], [0, 0, 1.0]), BLACK)], [DirectionalLight([0, 0, 1.0], [1.0, 1])]
+    )
+    view = Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
+    with pytest.raises(ValueError, match="a scene that ends, got a Plane"):
+        light_traced(KEY, scene, view, paths=4)
+
+
+# ------------------------------------------------ two ways, one picture
+
+ROOM = [
+    Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2, 0.1])),
+    Surface(Quad([1.0, -1, 0], [0, 0, 1.5], [0, 2.0, 0]), Lambert([0.1, 0.25])),
+    Surface(Box([-0.2, 0.1, 0.2], [0.2, 0.2, 0.2]), Lambert([0.2, 0.2])),
+]
+CEILING = ([-0.4, -0.4, 1.4], [0, 0.8, 0], [0.8, 0, 0])
+EYE = Pinhole(
+    [-0.6, 0.0, 1.2],
+    np.array([[0, -1.0, 0], [-0.6, 0, -0.8], [0.8, 0, -0.6]]),
+    1.0,
+    0.2,
+    resolution=(6, 6),
+)
+
+
+def chi_square(a, b):
+    """Mean of squared differences in units of their errors, over pixels that both saw."""
+    variance = np.square(a.error) + np.square(b.error)
+    seen = np.asarray(variance) > 0
+    assert seen.mean() > 0.9
+    return (np.square(a.radiance - b.radiance)[seen] / variance[seen]).mean()
+
+
+def test_light_traced_is_path_traced():
+    """A room with a box and shadows, light from a lamp: pixel by pixel within the errors."""
+    scene = Scene(ROOM, [RectangleLight(*CEILING, [3.0, 2.0])])
+    light = quick_jit(partial(light_traced, paths=150000, depth=4))(KEY, scene, EYE)
+    path = quick_jit(partial(path_traced, method=Paths(600, 4, strategy="lights")))(KEY, scene, EYE)
+    assert float(np.mean(light.error) / np.mean(light.radiance)) < 0.05
+    # 36 pixels, of which both bands are lit by the same paths
+    assert abs(chi_square(light, path) - 1) < 4 * np.sqrt(2 / 36)
+    totals = [np.asarray(x.radiance).mean() for x in (light, path)]
+    assert totals[0] == pytest.approx(totals[1], rel=0.01)
+
+
+@pytest.mark.slow
+def test_caustic_of_a_glass_ball():
+    """Light gathered by glass on the floor: from a lamp large enough that paths meet it by chance,
+    both agree; light tracing is the surer by far."""
+    lamp = RectangleLight([-0.4, -0.4, 3.0], [0, 0.8, 0], [0.8, 0, 0], [20.0, 20.0])
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2, 0.1]))
+    scene = Scene([floor, Surface(Sphere([0.0, 0, 0.7], 0.4), Glass(1.5))], [lamp])
+    up = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+    # from between ball and floor, so that the glass itself is not in the picture
+    view = Orthographic([0.0, 0, 0.2], up * np.array([[1], [-1], [-1]]), 0.1, resolution=(8, 8))
+    light = jax.jit(partial(light_traced, paths=400000, depth=6))(KEY, scene, view)
+    path = jax.jit(partial(path_traced, method=Paths(6000, 6)))(KEY, scene, view)
+    bright = np.asarray(light.radiance)[..., 0].max()
+    assert bright > 3 * np.median(np.asarray(light.radiance)[..., 0])
+    assert 0.7 < chi_square(light, path) < 1.4
