@@ -6,13 +6,13 @@ image is read; a mistake is an `InputError` that names the file, the entry and t
 """
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from jaxvision._toml import Entry, checked, read_toml
 from jaxvision.errors import InputError
 
 RIG_FILE = "rig.toml"
@@ -24,11 +24,7 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Camera(_Entry):
+class Camera(Entry):
     """`[camera]`: what is known of the camera; what is not known stays out.
 
     bits: ADC bits of the digital numbers in the files (12-bit data may sit in 16-bit files).
@@ -58,7 +54,7 @@ class Camera(_Entry):
         return float(self.full_scale) if self.saturation is None else self.saturation
 
 
-class Flat(_Entry):
+class Flat(Entry):
     """`[[flat]]`: two or more images of one uniform field. exposure: seconds. photons: mean photons
     per pixel, or irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength);
     neither is needed unless the quantum efficiency is wanted."""
@@ -69,14 +65,14 @@ class Flat(_Entry):
     irradiance: NonNegative | None = None
 
 
-class Dark(_Entry):
+class Dark(Entry):
     """`[[dark]]`: two or more images without light. exposure: seconds."""
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
     exposure: Positive
 
 
-class Exposure(_Entry):
+class Exposure(Entry):
     """`[[exposure]]`: one image of an exposure stack of a still scene. exposure: seconds.
     channels of colour images are taken apart; group separates stacks (an illumination band)."""
 
@@ -85,7 +81,7 @@ class Exposure(_Entry):
     group: str = ""
 
 
-class Light(_Entry):
+class Light(Entry):
     """`[[light]]`: one image of the object under one light. direction: unit vector from the object
     toward a distant light, or position: metres (then `[geometry]` needs a sphere in metres).
     intensity: irradiance per channel on a surface facing the light (W m^-2 or relative), or the
@@ -110,7 +106,7 @@ class Light(_Entry):
         return self
 
 
-class SphereGeometry(_Entry):
+class SphereGeometry(Entry):
     """A sphere seen orthographically along -z (x right, y up, z toward the camera): centre (column,
     row) and radius in pixels, pixel centres at integers; radius_m: metres, for point lights."""
 
@@ -119,7 +115,7 @@ class SphereGeometry(_Entry):
     radius_m: Positive | None = None
 
 
-class Geometry(_Entry):
+class Geometry(Entry):
     """`[geometry]`: a sphere, or a normals file ((h, w, 3) `.npy` or EXR; x right, y up, z toward
     the camera); mask: an image that is non-zero where the object is."""
 
@@ -134,7 +130,7 @@ class Geometry(_Entry):
         return self
 
 
-class Rig(_Entry):
+class Rig(Entry):
     """A whole rig file. `folder` is where its paths start."""
 
     folder: Path
@@ -161,16 +157,10 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
             f"{file}: no such rig file; write one that says what each image is (see the README), "
             "or give the folder that holds it."
         )
-    try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: not a TOML file ({error}); mend that line.") from error
-    try:
-        return Rig(folder=file.parent, **content)
-    except ValidationError as error:
-        raise InputError(f"{file}: {_first_mistake(error)}.") from error
-    except TypeError as error:
-        raise InputError(f"{file}: `folder` is not a key of a rig file; remove it.") from error
+    content = read_toml(file, "rig")
+    if "folder" in content:
+        raise InputError(f"{file}: `folder` is not a key of a rig file; remove it.")
+    return checked(file, {"folder": file.parent, **content}, Rig, "rig")
 
 
 def require(rig: Rig, *sections: str, purpose: str) -> None:
@@ -181,20 +171,3 @@ def require(rig: Rig, *sections: str, purpose: str) -> None:
             raise InputError(
                 f"{rig.folder}: the rig has no {heading} entry, which {purpose} needs; add it."
             )
-
-
-def _first_mistake(error: ValidationError) -> str:
-    mistakes = error.errors()
-    unknown = [mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"]
-    mistake = (unknown or mistakes)[0]  # a misspelt key also leaves another one missing
-    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in mistake["loc"]]
-    where = "".join(parts).lstrip(".") or "the file"
-    reason = mistake["msg"].removeprefix("Value error, ")
-    match mistake["type"]:
-        case "missing":
-            return f"{where} is missing; add it"
-        case "extra_forbidden":
-            return f"{where} is not a key of a rig file; remove it or correct its name"
-        case "value_error":
-            return f"{where}: {reason}"
-    return f"{where} = {mistake['input']!r}: {reason[:1].lower()}{reason[1:]}"

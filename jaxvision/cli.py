@@ -1,13 +1,14 @@
-"""The `jaxvision` command: looking at image files.
+"""The `jaxvision` command: looking at image files, rendering scene files.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 """
 
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -19,17 +20,13 @@ from .errors import InputError
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 
+
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Photometric image formation: look at images as numbers.",
+    help="Photometric image formation: look at images as numbers, render scenes.",
 )
-
-
-@app.callback()
-def commands() -> None:
-    """Keeps `inspect` a sub-command while it is the only one."""
 
 
 @app.command()
@@ -57,13 +54,98 @@ def inspect(
         _inspect(file, out, row, at, white, as_json)
 
 
+@app.command()
+def render(
+    scene: Annotated[
+        str,
+        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="EXR of radiance to write.", metavar="EXR")],
+    integrator: Annotated[
+        str | None,
+        typer.Option(
+            help="direct, path, rays, light or radiosity (default: the scene's); another than the "
+            "scene's begins with its own usual samples and depth.",
+            metavar="WORD",
+        ),
+    ] = None,
+    samples: Annotated[int | None, typer.Option(help="Samples a pixel.")] = None,
+    depth: Annotated[int | None, typer.Option(help="Longest path, in pieces.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of what is random.")] = None,
+    tile: Annotated[int | None, typer.Option(help="Pixels computed at once.")] = None,
+    resolution: Annotated[
+        str, typer.Option(help="Of the same view, instead of the scene's.", metavar="ROWS,COLUMNS")
+    ] = "",
+    preview: Annotated[
+        Path | None,
+        typer.Option(help="PNG or JPEG of it (default: a PNG beside the EXR).", metavar="FILE"),
+    ] = None,
+    no_preview: Annotated[bool, typer.Option("--no-preview", help="Write the EXR only.")] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Begin again, whatever an earlier render left.")
+    ] = False,
+) -> None:
+    """A scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile; the same command
+    goes on where a render was interrupted or killed."""
+    with failures_as_sentences("jaxvision"):
+        given = {
+            "integrator": integrator,
+            "samples": samples,
+            "depth": depth,
+            "seed": seed,
+            "tile": tile,
+        }
+        shown = None if no_preview else preview or out.parent / f"{out.stem}.png"
+        _render(scene, out, given, resolution, shown, fresh)
+
+
+def _render(
+    scene: str,
+    out: Path,
+    given: dict[str, Any],
+    resolution: str,
+    preview: Path | None,
+    fresh: bool,
+) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    from .render_job import render_to_file, with_resolution
+    from .scene_files import read_scene
+    from .scene_files.schema import overridden
+
+    source = read_scene(scene)
+    settings = overridden(source.render, given)
+    if resolution:
+        wanted = _pair("--resolution", resolution)
+        if min(wanted) < 1:
+            raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
+        source = replace(source, view=with_resolution(source.view, wanted))
+    console = Console(stderr=True, highlight=False)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(f"{source.path.stem}, {settings.integrator}", total=None)
+        render_to_file(
+            source,
+            out,
+            settings,
+            preview=preview,
+            fresh=fresh,
+            advance=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    print(f"Radiance: {out}")
+    if preview is not None:
+        print(f"Preview: {preview}")
+
+
 def _inspect(
     file: Path, out: Path | None, row: int | None, at: str, white: float | None, as_json: bool
 ) -> None:
     from . import plots
     from .io import read_image, replaced_on_success
 
-    pixel = _pixel(at)
+    pixel = _pair("--at", at) if at else None
     if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
@@ -90,13 +172,13 @@ def _inspect(
         print(f"Figure: {out}")
 
 
-def _pixel(at: str) -> tuple[int, int] | None:
-    if not at:
-        return None
+def _pair(option: str, text: str) -> tuple[int, int]:
     try:
-        row, column = (int(part) for part in at.split(","))
+        row, column = (int(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"--at {at}: give a row and a column, as in --at 120,80.") from None
+        raise InputError(
+            f"{option} {text}: give a row and a column, as in {option} 120,80."
+        ) from None
     return row, column
 
 
@@ -121,16 +203,21 @@ def _print_table(title: str, bands: Any) -> None:
 
 @contextmanager
 def failures_as_sentences(command: str) -> Iterator[None]:
-    """Turns what a user can put right into one line on standard error and an exit status."""
+    """Turns what a user can put right into one line on standard error and an exit status, and a
+    warning into one line."""
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_: print(
+                f"{command}: {message}", file=sys.stderr
+            )
+            yield
     except InputError as error:
         _leave(command, str(error), 2)
     except OSError as error:
         where = error.filename or "a file"
         _leave(command, f"{where}: {error.strerror or error}; choose another path.", 2)
-    except KeyboardInterrupt:
-        _leave(command, "interrupted.", 130)
+    except KeyboardInterrupt as interrupt:
+        _leave(command, str(interrupt) or "interrupted.", 130)
 
 
 def _leave(command: str, sentence: str, status: int) -> NoReturn:
@@ -143,3 +230,7 @@ def main() -> None:
     switched on here, never on import."""
     jax.config.update("jax_enable_x64", True)
     app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,5 @@
-"""Image files: 8- and 16-bit PNG and TIFF, EXR and Radiance HDR, NumPy arrays. The edge of the
-library: eager, NumPy in and out, through OpenImageIO, which is loaded on first use.
+"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays. The edge of
+the library: eager, NumPy in and out, through OpenImageIO, which is loaded on first use.
 
 Arrays are (h, w) or (h, w, channels). Integer files keep their bit depth (uint8, uint16), floating
 files come as float32. Every failure is an `InputError` of one sentence.
@@ -7,7 +7,7 @@ files come as float32. Every failure is an `InputError` of one sentence.
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from .errors import InputError
 
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
+JPEG_FORMATS = (".jpg", ".jpeg")
 FLOAT_FORMATS = (".exr", ".hdr")
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
 
@@ -24,16 +25,34 @@ _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": 
 def replaced_on_success(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it only when the block ends without error, so
     that nothing half-written is ever left under the final name."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
+    except OSError as error:
+        raise _unwritable(path, error) from error
     os.close(handle)
     partial = Path(name)
     try:
         yield partial
-        partial.chmod(0o644)
-        partial.replace(path)
+        try:
+            partial.chmod(0o644)
+            partial.replace(path)
+        except OSError as error:
+            raise _unwritable(path, error) from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written ({error.strerror}); choose another path.")
+
+
+def check_writable(path: Path, *, kind: type = np.float32) -> None:
+    """`InputError` if the suffix of an image file holds no samples of this kind, or if a folder
+    has its name: before the work that the file is for."""
+    _check_format(path, np.dtype(kind))
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; choose another name for the image.")
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
@@ -105,47 +124,106 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
     return picture
 
 
-def write_image(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
+def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: int = 95) -> None:
     """Writes (h, w) or (h, w, channels) pixels; the suffix chooses the format.
 
-    uint8 and uint16 go to PNG or TIFF at their own depth, floating arrays to EXR or HDR (HDR:
-    three channels, shared exponent, about 1 % steps). The file appears only when complete, and an
-    integer file is read back to prove that its depth survived. `InputError` otherwise.
+    uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three channels to JPEG,
+    floating arrays to EXR or HDR (HDR: three channels, shared exponent, about 1 % steps).
+    `quality`: of a JPEG, 1 to 100, libjpeg's scale; colour is stored at half the resolution below
+    90, at the full one from there on. The file appears only when complete, and an integer file that
+    loses nothing is read back to prove that its depth survived. `InputError` otherwise.
     """
     file, array = Path(path), np.ascontiguousarray(pixels)
     suffix = file.suffix.lower()
-    floating = np.issubdtype(array.dtype, np.floating)
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise InputError(f"{file}: an image is (h, w) or (h, w, channels), got {array.shape}.")
-    if suffix not in INTEGER_FORMATS + FLOAT_FORMATS:
-        known = ", ".join(INTEGER_FORMATS + FLOAT_FORMATS)
-        raise InputError(f"{file}: unknown image suffix {suffix!r}; use one of {known}.")
-    if floating != (suffix in FLOAT_FORMATS) or not (
-        floating or array.dtype in (np.uint8, np.uint16)
-    ):
-        raise InputError(
-            f"{file}: {array.dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or "
-            "TIFF, floating point to EXR or HDR."
-        )
+    _check_format(file, array.dtype)
     if suffix == ".hdr" and (array.ndim != 3 or array.shape[2] != 3):
         raise InputError(f"{file}: Radiance HDR holds three channels, got {array.shape}.")
+    if suffix in JPEG_FORMATS and not (array.ndim == 2 or array.shape[2] in (1, 3)):
+        raise InputError(f"{file}: JPEG holds one or three channels, got {array.shape}.")
+    if not 1 <= quality <= 100:
+        raise InputError(f"{file}: quality is 1 to 100, got {quality}.")
+    attributes: dict[str, str | int] = {"oiio:UnassociatedAlpha": 1}
+    if suffix in JPEG_FORMATS:
+        attributes["compression"] = f"jpeg:{quality}"
+        attributes["jpeg:subsampling"] = "4:2:0" if quality < 90 else "4:4:4"
+    if np.issubdtype(array.dtype, np.floating):
+        array = array.astype(np.float32)
+    shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:
-        _write(partial, array.astype(np.float32) if floating else array)
-        if not floating and not _same_pixels(read_image(partial), array):
+        _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
+        if suffix in INTEGER_FORMATS and not _same_pixels(read_image(partial), array):
             raise InputError(f"{file}: what was written does not read back; is the disk full?")
 
 
-def _write(file: Path, array: np.ndarray) -> None:
+def _check_format(file: Path, dtype: np.dtype) -> None:
+    """`InputError` unless the file's format holds samples of this type."""
+    suffix, kept = file.suffix.lower(), (np.uint8, np.uint16)
+    fits = {
+        **dict.fromkeys(FLOAT_FORMATS, np.issubdtype(dtype, np.floating)),
+        **dict.fromkeys(INTEGER_FORMATS, dtype in kept),
+        **dict.fromkeys(JPEG_FORMATS, dtype == np.uint8),
+    }
+    if suffix not in fits:
+        known = ", ".join(INTEGER_FORMATS + JPEG_FORMATS + FLOAT_FORMATS)
+        raise InputError(f"{file}: unknown image suffix {suffix!r}; use one of {known}.")
+    if not fits[suffix]:
+        raise InputError(
+            f"{file}: {dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or "
+            "TIFF, uint8 to JPEG, floating point to EXR or HDR."
+        )
+
+
+def write_exr(
+    path: str | os.PathLike[str],
+    blocks: Iterable[np.ndarray],
+    *,
+    shape: tuple[int, int, int],
+    channels: Sequence[str] = (),
+    attributes: Mapping[str, str | int] | None = None,
+) -> None:
+    """Writes an EXR of float32 samples from blocks of rows, (rows, w, channels) each, from above:
+    a picture of `shape` (h, w, channels) that never was in memory as a whole.
+
+    `channels`: their names; a reader gives them back in alphabetical order (but R, G, B, A).
+    `attributes`: of the file's head. The file appears only when complete. `InputError` where it
+    cannot be written; `ValueError` unless the blocks make up the shape.
+    """
+    with replaced_on_success(Path(path)) as partial:
+        _write(partial, blocks, shape, np.dtype(np.float32), attributes or {}, channels)
+
+
+def _write(
+    file: Path,
+    blocks: Iterable[np.ndarray],
+    shape: tuple[int, ...],
+    dtype: np.dtype,
+    attributes: Mapping[str, str | int],
+    names: Sequence[str] = (),
+) -> None:
+    """Blocks of rows, (rows, w, channels), one below the other."""
     import OpenImageIO as oiio
 
-    height, width, channels = array.shape if array.ndim == 3 else (*array.shape, 1)
-    sample = "float" if array.dtype == np.float32 else str(array.dtype)
+    height, width, channels = shape
+    sample = "float" if dtype == np.float32 else str(dtype)
     sink = oiio.ImageOutput.create(str(file))
     spec = oiio.ImageSpec(width, height, channels, sample)
-    spec.attribute("oiio:UnassociatedAlpha", 1)
+    if names:
+        spec.channelnames = tuple(names)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
     if sink is None or not sink.open(str(file), spec):
         raise InputError(f"{file}: cannot be written ({_one_line(oiio.geterror())}).")
-    written = sink.write_image(array.reshape(height, width, channels))
+    written, row = True, 0
+    for block in blocks:
+        pixels = np.ascontiguousarray(block, dtype)
+        if pixels.shape[1:] != (width, channels) or row + len(pixels) > height:
+            raise ValueError(f"a block of {pixels.shape} does not fit at row {row} of {shape}.")
+        written = written and sink.write_scanlines(row, row + len(pixels), 0, pixels)
+        row += len(pixels)
+    if row != height:
+        raise ValueError(f"the blocks hold {row} rows where the picture has {height}.")
     message = sink.geterror()
     if not (sink.close() and written):
         raise InputError(f"{file}: cannot be written ({_one_line(message)}).")

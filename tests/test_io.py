@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image, write_image
+from jaxvision.io import read_image, write_exr, write_image
 
 RNG = np.random.default_rng(3)
 
@@ -49,7 +49,10 @@ def test_non_contiguous_pixels(tmp_path):
 @pytest.mark.parametrize(
     ("name", "pixels", "expected"),
     [
-        ("a.jpg", np.zeros((2, 2), np.uint8), "unknown image suffix"),
+        ("a.bmp", np.zeros((2, 2), np.uint8), "unknown image suffix"),
+        ("a.jpg", np.zeros((2, 2), np.uint16), "uint16 pixels do not fit .jpg"),
+        ("a.jpg", np.zeros((2, 2)), "float64 pixels do not fit .jpg"),
+        ("a.jpg", np.zeros((2, 2, 4), np.uint8), "one or three channels"),
         ("a.png", np.zeros((2, 2)), "float64 pixels do not fit .png"),
         ("a.png", np.zeros((2, 2), np.int32), "int32 pixels do not fit"),
         ("a.exr", np.zeros((2, 2), np.uint8), "uint8 pixels do not fit .exr"),
@@ -89,3 +92,81 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
     with pytest.raises(InputError):
         write_image(tmp_path / "a.png", np.zeros((2, 2)))
     assert (read_image(tmp_path / "a.png") == 7).all()
+
+
+# ------------------------------------------------ JPEG
+
+
+def quantisation_tables(data):
+    """The 8-bit tables of a JPEG's DQT segments (ITU-T T.81, B.2.4.1), by their number."""
+    tables, at = {}, 2
+    while data[at + 1] != 0xDA:
+        size = int.from_bytes(data[at + 2 : at + 4], "big")
+        segment = data[at + 4 : at + 2 + size]
+        while data[at + 1] == 0xDB and segment:
+            tables[segment[0] & 15] = np.frombuffer(segment[1:65], np.uint8).astype(int)
+            segment = segment[65:]
+        at += 2 + size
+    return tables
+
+
+# The first row of the luminance table of ITU-T T.81, K.1, in the zigzag order of the file.
+_LUMINANCE = np.array([16, 11, 12, 14, 12, 10, 16, 14])
+
+
+@pytest.mark.parametrize("quality", [1, 30, 50, 75, 89, 90, 100])
+def test_jpeg_quality_is_libjpegs(tmp_path, quality):
+    """libjpeg scales the tables of T.81 by 5000 / q below 50 and 200 - 2 q above, in percent."""
+    pixels = RNG.integers(0, 255, (32, 40, 3), np.uint8)
+    write_image(tmp_path / "a.jpg", pixels, quality=quality)
+    tables = quantisation_tables((tmp_path / "a.jpg").read_bytes())
+    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+    expected = np.clip((_LUMINANCE * scale + 50) // 100, 1, 255)
+    np.testing.assert_array_equal(tables[0][:8], expected)
+
+
+def test_a_smooth_picture_survives_jpeg(tmp_path):
+    """Errors of a ramp in all three colours: about the quantisation at each quality."""
+    ramp = np.stack(np.meshgrid(np.arange(64), np.arange(48)), axis=-1)
+    pixels = np.dstack([ramp * 3, ramp.sum(-1)]).astype(np.uint8)
+    errors = []
+    for quality in (100, 95, 50, 5):
+        write_image(tmp_path / "a.jpeg", pixels, quality=quality)
+        read = read_image(tmp_path / "a.jpeg")
+        assert read.shape == pixels.shape
+        assert read.dtype == np.uint8
+        errors.append(np.abs(read.astype(int) - pixels).mean())
+    assert errors == sorted(errors)
+    assert errors[0] < 0.6
+    assert 2 < errors[3] < 20
+    write_image(tmp_path / "grey.jpg", pixels[..., 0])
+    assert read_image(tmp_path / "grey.jpg").shape == (48, 64)
+
+
+@pytest.mark.parametrize("quality", [0, 101])
+def test_jpeg_quality_has_a_range(tmp_path, quality):
+    with pytest.raises(InputError, match=r"quality is 1 to 100"):
+        write_image(tmp_path / "a.jpg", np.zeros((8, 8), np.uint8), quality=quality)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------ EXR in pieces
+
+
+def test_exr_is_written_row_by_row(tmp_path):
+    picture = RNG.lognormal(0, 2, (45, 6, 4)).astype(np.float32)
+    names = [f"band.{i}" for i in range(4)]
+    blocks = (picture[i : i + 16] for i in range(0, 45, 16))
+    write_exr(
+        tmp_path / "a.exr",
+        blocks,
+        shape=picture.shape,
+        channels=names,
+        attributes={"jaxvision:seed": 3, "jaxvision:unit": "W"},
+    )
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), picture)
+    with pytest.raises(ValueError, match="the blocks hold 16 rows where the picture has 45"):
+        write_exr(tmp_path / "b.exr", [picture[:16]], shape=picture.shape)
+    with pytest.raises(ValueError, match="does not fit at row 0"):
+        write_exr(tmp_path / "b.exr", [picture[:, :3]], shape=picture.shape)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]

@@ -1,0 +1,127 @@
+"""TOML files with a schema: read, checked, and each mistake told in one sentence.
+
+A sentence names the file, the table with its own `name`, and the key; a misspelt key or word is
+answered with the nearest known one. The models of a schema are its documentation.
+"""
+
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from .errors import InputError, nearest
+
+
+class Entry(BaseModel):
+    """A table of a file, in which a key that is not in the schema is a mistake."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
+    """The tables of a file; `kind` says what it should be ("scene")."""
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: not a TOML file ({error}); mend that line.") from error
+
+
+def checked(
+    path: str | os.PathLike[str], content: Mapping[str, Any], schema: type[Model], kind: str
+) -> Model:
+    """The content of a file as its schema has it; `InputError` for its first mistake."""
+    try:
+        return schema.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_mistake(error, content, schema, kind)}.") from error
+
+
+def _first_mistake(
+    error: ValidationError, content: Mapping[str, Any], schema: type[BaseModel], kind: str
+) -> str:
+    mistakes = error.errors()
+    unknown = [mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"]
+    mistake = (unknown or mistakes)[0]  # a misspelt key also leaves another one missing
+    context = mistake.get("ctx", {})
+    missing = mistake["type"] == "missing"
+    where = _place(mistake["loc"], content, missing) or "the file"
+    reason = mistake["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    match mistake["type"]:
+        case "missing":
+            return f"{where} is missing; add it"
+        case "extra_forbidden":
+            key = str(mistake["loc"][-1])
+            hint = nearest(key, _known_keys(schema, mistake["loc"][:-1]))
+            return f"{where} is not a key of a {kind} file; {hint}"
+        case "value_error":
+            return f"{where}: {reason}"
+        case "union_tag_not_found":
+            key = context["discriminator"].strip("'")
+            return f"{where}: {key} is missing; add it"
+        case "union_tag_invalid":
+            known = [word.strip(" '") for word in context["expected_tags"].split(",")]
+            hint = nearest(context["tag"], known)
+            key = context["discriminator"].strip("'")
+            return f"{where}: {key} = {context['tag']!r} is unknown; {hint}"
+        case "literal_error":
+            known = context["expected"].replace(" or ", ", ").split(", ")
+            hint = nearest(str(mistake["input"]), [word.strip("'") for word in known])
+            return f"{where} = {mistake['input']!r} is unknown; {hint}"
+        case "tuple_type" if isinstance(mistake["input"], dict):
+            return f"{where} is one of several tables; head it [[{where}]]"
+        case "model_type" | "model_attributes_type" | "dict_type":
+            return f"{where} must be a table; head it [{where}] or write it in braces"
+    return f"{where} = {_short(mistake['input'])}: {reason[:1].lower()}{reason[1:]}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _place(loc: tuple[int | str, ...], content: Any, missing: bool) -> str:
+    """`surface "left wall".corner`: the way through the content, which shows the parts of a
+    location that only name a member of a union."""
+    place, node = "", content
+    for part in loc:
+        if isinstance(node, list) and isinstance(part, int) and part < len(node):
+            node = node[part]
+            name = node.get("name") if isinstance(node, dict) else None
+            place += f' "{name}"' if isinstance(name, str) else f"[{part + 1}]"
+        elif isinstance(node, dict) and part in node:
+            node = node[part]
+            place += f".{part}"
+    if missing:
+        place += f".{loc[-1]}"
+    return place.lstrip(".")
+
+
+def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
+    """The keys of the table at that location; its parts are keys, numbers of an array, and words
+    that choose one model of a union."""
+    models = [schema]
+    for part in loc:
+        within = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+        chosen = [m for m in models if _is_chosen(m, part)]
+        models = [m for kind in within for m in _models(kind)] if within else chosen or models
+    return {key for model in models for key in model.model_fields}
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models that an annotation, a union or a tuple of them, holds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _is_chosen(model: type[BaseModel], word: int | str) -> bool:
+    return any(word in get_args(field.annotation) for field in model.model_fields.values())

@@ -1,0 +1,94 @@
+"""Triangle meshes from files: OBJ, PLY, GLB, STL and what else trimesh reads. The edge of the
+library: eager; trimesh (`pip install jaxvision[mesh]`) is loaded on first use.
+
+A file of several meshes becomes one, each put where the file's scene has it; polygons are cut into
+triangles. Lengths are taken as metres. Every failure is an `InputError` of one sentence.
+"""
+
+import os
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError
+from .geometry.checks import faces_without_area
+from .scene import TriangleMesh
+
+Vector = Sequence[float | int] | np.ndarray
+Axes = Sequence[Vector] | np.ndarray
+
+
+def read_mesh(
+    path: str | os.PathLike[str],
+    *,
+    scale: float | int = 1.0,
+    rotation: Axes | None = None,
+    position: Vector = (0.0, 0.0, 0.0),
+    smooth: bool = False,
+    flip: bool = False,
+) -> TriangleMesh:
+    """The triangles of a file, in its order. Those without area, which no ray would meet, are left
+    out, and a warning counts them.
+
+    Points are scaled, then rotated by `rotation`, (3, 3), whose rows are the file's axes in the
+    world (None: the world's own), then moved by `position`, (3,) m. `smooth`: with normals at the
+    vertices, the file's or, where it has none, the means of the triangles around by their angles.
+    `flip`: every triangle, and every normal, turned around. Places without a number are left as
+    they are: `geometry.problems` names them. `InputError` for corners that are not there.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"{file}: no such mesh file; check the name and the folder.")
+    loaded = _load(file)
+    axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
+    vertices = scale * np.asarray(loaded.vertices, float) @ axes + np.asarray(position, float)
+    faces = _with_area(file, vertices, np.asarray(loaded.faces, np.int32))
+    normals = np.asarray(loaded.vertex_normals, float) @ axes if smooth else None
+    if flip:
+        faces = faces[:, ::-1]
+        normals = None if normals is None else -normals
+    return TriangleMesh(vertices, faces, normals=normals)
+
+
+def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The triangles that have one; meshes found in the wild often hold some that do not."""
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(
+            f"{file}: a triangle names vertex {max(faces.max(), -faces.min())} where there are "
+            f"{len(vertices)}; export it again."
+        )
+    flat = faces_without_area(vertices, faces)
+    if flat.all():
+        raise InputError(f"{file}: none of its {len(faces)} triangles has area; export it again.")
+    if flat.any():
+        warnings.warn(
+            f"{file}: {flat.sum()} of {len(faces)} triangles have no area and were left out.",
+            stacklevel=3,
+        )
+    return faces[~flat]
+
+
+def _load(file: Path):
+    """One trimesh mesh, its vertices merged only where the file shares them."""
+    try:
+        import trimesh
+        from trimesh.exchange.load import mesh_formats
+    except ImportError as error:
+        raise InputError(
+            f"{file}: reading meshes takes trimesh; install it with `pip install jaxvision[mesh]`."
+        ) from error
+    if file.suffix.lower().lstrip(".") not in mesh_formats():
+        raise InputError(
+            f"{file}: {file.suffix!r} is no mesh format that trimesh reads; convert the file to "
+            "OBJ, PLY or GLB."
+        )
+    try:
+        mesh = trimesh.load_scene(file, process=False).to_mesh()
+    except Exception as error:  # each format's reader fails in its own way
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
+    if len(mesh.faces) == 0:
+        raise InputError(f"{file}: holds no triangles; export it again as a mesh.")
+    return mesh

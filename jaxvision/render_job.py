@@ -1,0 +1,181 @@
+"""A scene file rendered to an image file, tile by tile: in memory that does not grow with the
+picture, and so that a render which was killed goes on where it was and ends bit-identical.
+
+Beside the EXR `out` lies `out.partial` as long as it is not finished. A tile is a run of pixels,
+row by row; every tile is computed by the same compiled code from pixel numbers and the seed alone.
+Light tracing, which throws light all over the picture, is cut into passes instead, and radiosity
+is one: they hold the whole picture.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ._integrators import BY_PIXEL, passes_of, pixels_of
+from ._partial_image import PartialImage, PartialSum
+from .colour_spaces import luminance
+from .errors import InputError
+from .io import check_writable, write_exr, write_image
+from .point_ops import srgb_encode
+from .scene import View
+from .scene_files import SceneFile
+from .scene_files.bands import colours_of
+from .scene_files.schema import RenderEntry
+
+ROWS = 64  # of the picture that are written or shown at once
+_SHOWN = 1_000_000  # pixels that the exposure of a preview is chosen from, at most
+_QUANTILE, _LEVEL = 0.95, 0.8
+
+Advance = Callable[[int, int], None]
+Rows = Callable[[], Iterator[np.ndarray]]
+
+
+def render_to_file(
+    source: SceneFile,
+    out: Path,
+    settings: RenderEntry,
+    *,
+    preview: Path | None = None,
+    fresh: bool = False,
+    advance: Advance = lambda done, total: None,
+) -> None:
+    """Renders to the EXR file `out`, and a picture of it to `preview`.
+
+    What an earlier call with the same scene and settings left unfinished is gone on with, unless
+    `fresh`. `advance` is called with the tiles done and all tiles. An interrupt is raised again as
+    a `KeyboardInterrupt` that says how to go on; every other failure is an `InputError`.
+    """
+    if out.suffix.lower() != ".exr":
+        raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
+    check_writable(out)
+    if preview is not None:
+        check_writable(preview, kind=np.uint8)
+    unfinished = out.with_name(out.name + ".partial")
+    whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
+    try:
+        with whole(source, settings, unfinished, fresh, advance) as rows:
+            write_exr(
+                out,
+                rows(),
+                shape=(*source.view.resolution, source.bands),
+                channels=band_names(source.bands, source.wavelengths),
+                attributes=_attributes(source, settings),
+            )
+            if preview is not None:
+                write_image(preview, _display(rows, source))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"{out}: interrupted; the same command goes on from there."
+        ) from None
+
+
+@contextmanager
+def _in_tiles(
+    source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
+) -> Iterator[Rows]:
+    """The picture tile by tile; what is done is deleted with the block's end."""
+    height, width = source.view.resolution
+    tile = min(settings.tile, height * width)
+    tiles = math.ceil(height * width / tile)
+    key, values = _key(source, settings), tile * source.bands
+    with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
+        compute = pixels_of(source, settings)
+        for index in range(partial.done, tiles):
+            advance(index, tiles)
+            pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
+            partial.append(compute(pixels // width, pixels % width))
+        advance(tiles, tiles)
+        yield lambda: partial.rows(width, source.bands, height, at_once=ROWS)
+        partial.delete()
+
+
+@contextmanager
+def _in_passes(
+    source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
+) -> Iterator[Rows]:
+    """The picture as the mean of its passes; what is done is deleted with the block's end."""
+    height, _ = source.view.resolution
+    shape = (*source.view.resolution, source.bands)
+    partial = PartialSum(unfinished, key=_key(source, settings), shape=shape, fresh=fresh)
+    passes, compute = passes_of(source, settings)
+    for number in range(partial.done, passes):
+        advance(number, passes)
+        partial.add(compute(number))
+    advance(passes, passes)
+    picture = (partial.total / passes).astype(np.float32)
+    yield lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))
+    partial.delete()
+
+
+def with_resolution(view: View, resolution: tuple[int, int]) -> View:
+    """The view with (rows, columns) pixels across the same width."""
+    pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])
+    return dataclasses.replace(view, resolution=resolution, pixel_pitch=pitch)
+
+
+def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
+    """Channels of an EXR. With wavelengths, m, those of Fichet, Pacanowski and Wilkie, "An OpenEXR
+    Layout for Spectral Images", JCGT 10(3) (2021), in digits enough that they sort."""
+    if wavelengths is not None:
+        longest = len(f"{wavelengths[-1] * 1e9:.1f}")
+        names = (f"{w * 1e9:0{longest}.1f}".replace(".", ",") for w in wavelengths)
+        return tuple(f"S0.{name}nm" for name in names)
+    if bands in (1, 3):
+        return ("Y",) if bands == 1 else ("R", "G", "B")
+    return tuple(f"band.{i:0{len(str(bands - 1))}d}" for i in range(bands))
+
+
+def _key(source: SceneFile, settings: RenderEntry) -> str:
+    """What every bit of the picture depends on."""
+    parts = {
+        "scene": source.digest,
+        "resolution": source.view.resolution,
+        "settings": settings.model_dump(),
+        "versions": [version("jaxvision"), jax.__version__],
+        "device": jax.devices()[0].device_kind,
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _attributes(source: SceneFile, settings: RenderEntry) -> dict[str, str | int]:
+    unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
+    return {
+        "Software": f"jaxvision {version('jaxvision')}",
+        "jaxvision:unit": unit,
+        "jaxvision:bands": source.bands,
+        "jaxvision:scene": source.path.name,
+        "jaxvision:sceneSha256": source.digest,
+        **{f"jaxvision:{name}": value for name, value in settings.model_dump().items()},
+    }
+
+
+def _display(rows: Rows, source: SceneFile) -> np.ndarray:
+    """The picture in 8-bit sRGB: 95 % of what is not black lie below 0.8 of white. Bands that are
+    wavelengths are seen by the standard observer, bands without as grey."""
+    height, width = source.view.resolution
+    step = math.ceil(height * width / _SHOWN)
+    to_rgb = _to_rgb(source.bands, source.wavelengths)
+    some = [block.reshape(-1, source.bands)[::step] @ to_rgb for block in rows()]
+    brightness = np.asarray(luminance(jnp.asarray(np.concatenate(some))))
+    seen = brightness[np.isfinite(brightness) & (brightness > 0)]
+    white = np.quantile(seen, _QUANTILE) / _LEVEL if len(seen) else 1.0
+    encode = jax.jit(lambda rgb: jnp.round(255 * srgb_encode(jnp.clip(rgb, 0, 1))))
+    scaled = (np.nan_to_num(block @ (to_rgb / white).astype(np.float32)) for block in rows())
+    return np.concatenate([np.asarray(encode(block)).astype(np.uint8) for block in scaled])
+
+
+def _to_rgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
+    """What each band adds to linear sRGB."""
+    if wavelengths is not None:
+        return colours_of(wavelengths, "light")
+    return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

@@ -1,0 +1,210 @@
+"""What makes no sense in a scene: found before it is rendered, each thing in one sentence.
+
+Eager and NumPy: for scenes at hand, not for traced ones, whose renderings are finite all the same.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .brdf.glass import Glass
+from .geometry import problems
+from .lights import DirectionalLight, PointLight, RectangleLight
+from .scene import (
+    Box,
+    Disc,
+    Light,
+    Plane,
+    Quad,
+    Scene,
+    Shape,
+    Sphere,
+    Surface,
+    TriangleMesh,
+    View,
+)
+
+_FLAT = 1e-9  # area over squared length of what counts as a line
+_ROUNDING = 1e-6  # of a length in float32
+
+
+def scene_problems(
+    scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
+) -> list[str]:
+    """One sentence for each problem, beginning with the object's name of `surfaces` or `lights`.
+
+    What `geometry.problems` finds of each shape; closed meshes turned inside out; surfaces that
+    shine, and lights, without area or direction; nothing that shines; a light, a surface that
+    shines or the camera within an opaque closed surface whose inside is not seen; a point light on
+    a surface, which it shines along and so does not light. Within glass or a two-sided surface all
+    may lie: there the inside is seen, and a ray that starts in glass is taken to be in it.
+    """
+    found = [
+        f"{name}: {problem}"
+        for name, surface in zip(surfaces, scene.surfaces, strict=True)
+        for problem in problems(surface.shape)
+    ]
+    if found:  # what follows takes sound shapes for granted
+        return found
+    hiding = [
+        (name, surface)
+        for name, surface in zip(surfaces, scene.surfaces, strict=True)
+        if not surface.two_sided and not isinstance(surface.material, Glass)
+    ]
+    for name, surface in hiding:
+        if _is_inside_out(surface.shape):
+            found.append(
+                f"{name}: the triangles of this closed mesh face inwards; set flip = true, or "
+                "two_sided = true to see both sides."
+            )
+    shining = [
+        (name, _corners_around(surface.shape))
+        for name, surface in zip(surfaces, scene.surfaces, strict=True)
+        if _shines(surface)
+    ]
+    for name, light in zip(lights, scene.lights, strict=True):
+        found += [f"{name}: {problem}" for problem in _light_problems(light)]
+        shining.append((name, _places(light)))
+        found += [
+            f"{name}: lies on {under}, which it does not light from there; move it off."
+            for under, surface in zip(surfaces, scene.surfaces, strict=True)
+            if isinstance(light, PointLight) and _lies_on(surface.shape, _array(light.position))
+        ]
+    found += [
+        f"{name}: lies inside {around}, which hides it; move it, or set two_sided = true."
+        for name, places in shining
+        for around, surface in hiding
+        if around != name and len(places) and all(is_inside(surface.shape, p) for p in places)
+    ]
+    found += [
+        f"camera: lies inside {around}, whose inside is not seen; move it, or set two_sided = true."
+        for around, surface in hiding
+        if is_inside(surface.shape, np.asarray(view.position, float))
+    ]
+    if not (scene.lights or scene.ambient is not None or any(map(_shines, scene.surfaces))):
+        found.append("the scene has nothing that shines; add a [[light]] or an emission.")
+    return found
+
+
+def is_inside(shape: Shape, point: np.ndarray) -> bool:
+    """Whether a place, (3,) m, lies within a closed shape; a mesh is closed where its triangles
+    together cover most of all directions (van Oosterom and Strackee, "The Solid Angle of a Plane
+    Triangle", IEEE Transactions on Biomedical Engineering 30 (1983))."""
+    match shape:
+        case Sphere():
+            return bool(np.linalg.norm(point - _array(shape.centre)) < float(shape.radius))
+        case Box():
+            axes = np.eye(3) if shape.rotation is None else _array(shape.rotation)
+            within = np.abs(axes @ (point - _array(shape.centre)))
+            return bool((within < _array(shape.half_extents)).all())
+        case TriangleMesh():
+            a, b, c = np.moveaxis(_corners(shape) - point, 1, 0)
+            la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+            volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+            rest = la * lb * lc + sum(
+                np.einsum("ij,ij->i", x, y) * length
+                for x, y, length in ((a, b, lc), (b, c, la), (c, a, lb))
+            )
+            solid_angle = 2 * np.arctan2(volume, rest).sum()
+            return bool(abs(solid_angle) > 2 * np.pi)
+    return False
+
+
+def _is_inside_out(shape: Shape) -> bool:
+    """Whether a mesh whose every edge has two triangles encloses a negative volume."""
+    if not isinstance(shape, TriangleMesh):
+        return False
+    corners = _corners(shape)
+    # by place, for files repeat a vertex where its texture or its normal jumps
+    _, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    if not (counts == 2).all():
+        return False
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return bool(np.einsum("ij,ij->", a, np.cross(b, c)) < 0)
+
+
+def _light_problems(light: Light) -> list[str]:
+    match light:
+        case RectangleLight():
+            u, v = _array(light.edge_u), _array(light.edge_v)
+            longest = max(np.linalg.norm(u), np.linalg.norm(v))
+            if np.linalg.norm(np.cross(u, v)) <= _FLAT * longest**2:
+                return ["its edges span no area; a light of no size is a point light."]
+        case DirectionalLight():
+            if not _array(light.direction).any():
+                return ["its direction is (0, 0, 0); point it from the scene toward the light."]
+    return []
+
+
+def _places(light: Light) -> list[np.ndarray]:
+    """Where a light is: the corners of one that has a size."""
+    match light:
+        case PointLight():
+            return [_array(light.position)]
+        case RectangleLight():
+            corner, u, v = (_array(x) for x in (light.corner, light.edge_u, light.edge_v))
+            return [corner, corner + u, corner + v, corner + u + v]
+    return []
+
+
+def _corners_around(shape: Shape) -> list[np.ndarray]:
+    """Places on a shape, m, as far out as it reaches; none of a plane."""
+    match shape:
+        case Sphere() | Disc():
+            axes = np.eye(3)
+            if isinstance(shape, Disc):
+                axes = np.linalg.svd(_array(shape.normal)[None])[2][1:]  # across the normal
+            sides = np.concatenate([axes, -axes]) * float(shape.radius)
+            return list(_array(shape.centre) + sides)
+        case Quad():
+            corner, u, v = (_array(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
+            return [corner, corner + u, corner + v, corner + u + v]
+        case Box():
+            axes = np.eye(3) if shape.rotation is None else _array(shape.rotation)
+            signs = np.array(np.meshgrid(*3 * [[-1, 1]])).reshape(3, -1).T
+            return list(_array(shape.centre) + (signs * _array(shape.half_extents)) @ axes)
+        case TriangleMesh():
+            return list(_array(shape.vertices))
+    return []
+
+
+def _lies_on(shape: Shape, point: np.ndarray) -> bool:
+    """Whether a place, (3,) m, is on a flat shape, to within what rounds away in float32."""
+    match shape:
+        case Plane():
+            start, normal = _array(shape.point), _array(shape.normal)
+        case Disc():
+            start, normal = _array(shape.centre), _array(shape.normal)
+        case Quad():
+            start = _array(shape.corner)
+            normal = np.cross(_array(shape.edge_u), _array(shape.edge_v))
+        case _:
+            return False
+    away = point - start
+    size = max(np.abs(point).max(), np.abs(start).max(), np.linalg.norm(away))
+    if abs(away @ normal) > _ROUNDING * size * np.linalg.norm(normal):
+        return False
+    match shape:
+        case Disc():
+            return bool(np.linalg.norm(away) <= float(shape.radius))
+        case Quad():
+            edges = np.stack([_array(shape.edge_u), _array(shape.edge_v)], axis=1)
+            u, v = np.linalg.lstsq(edges, away, rcond=None)[0]
+            return bool(min(u, v) >= 0 and max(u, v) <= 1)
+    return True
+
+
+def _shines(surface: Surface) -> bool:
+    return surface.emission is not None
+
+
+def _corners(mesh: TriangleMesh) -> np.ndarray:
+    """(faces, 3, 3)."""
+    return _array(mesh.vertices)[np.asarray(mesh.faces)]
+
+
+def _array(x) -> np.ndarray:
+    return np.asarray(x, float)

@@ -1,0 +1,149 @@
+"""Scene files: a TOML of lights, surfaces, materials and a camera, as the records of a `Scene`.
+
+`schema` documents the format. The edge of the library: eager, and every mistake is an `InputError`
+of one sentence that names the file and the object. A few scenes ship with the library and are read
+by their name.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from .._toml import checked, read_toml
+from .._types import as_dtype
+from ..brdf.lambert import Lambert
+from ..errors import InputError, nearest
+from ..scene import AmbientLight, Material, Scene, Surface, View
+from ..scene_checks import scene_problems
+from .bands import Bands, bands_of, in_bands
+from .folder import Folder
+from .materials import material_of
+from .records import light_of, shape_of, view_of
+from .schema import RenderEntry, SceneEntry
+
+_SHIPPED = Path(str(files("jaxvision"))) / "scenes"
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """What a scene file holds. `render`: how it wants to be rendered. `wavelengths`: (bands,) m,
+    or None: RGB if there are three bands. `surfaces`, `lights`: what messages call them. `digest`:
+    one hash of the file and of all files that it names."""
+
+    path: Path
+    scene: Scene
+    view: View
+    render: RenderEntry
+    bands: int
+    wavelengths: np.ndarray | None
+    surfaces: tuple[str, ...]
+    lights: tuple[str, ...]
+    digest: str
+
+
+def shipped_scenes() -> list[str]:
+    """The names of the scenes that come with the library."""
+    return sorted(file.stem for file in _SHIPPED.glob("*.toml"))
+
+
+def read_scene(path: str | os.PathLike[str]) -> SceneFile:
+    """The checked scene of a file, or of a shipped scene by its name; `InputError` for the first
+    thing in it that cannot be or that `scene_checks` finds to be senseless."""
+    file = _found(path)
+    entry = checked(file, read_toml(file, "scene"), SceneEntry, "scene")
+    folder = Folder(file)
+    with _named(file, ""):
+        bands = bands_of(entry.bands, entry.wavelengths)
+    materials = {}
+    for name, made_of in entry.material.items():
+        with _named(file, f"material {name!r}"):
+            materials[name] = material_of(made_of, bands, folder)
+    names = _names("surface", entry.surface)
+    surfaces = []
+    for name, surface in zip(names, entry.surface, strict=True):
+        with _named(file, name):
+            surfaces.append(_surface(surface, materials, bands, folder))
+    lights, light_names = [], _names("light", entry.light)
+    for name, light in zip(light_names, entry.light, strict=True):
+        with _named(file, name):
+            lights.append(light_of(light, bands, folder))
+    with _named(file, "camera"):
+        view = view_of(entry.camera)
+    ambient = None
+    if entry.ambient is not None:
+        with _named(file, "ambient"):
+            radiance = in_bands(entry.ambient.radiance, bands, folder, quantity="light")
+            ambient = AmbientLight(radiance)
+    with _named(file, ""):
+        scene = Scene(surfaces, lights, ambient)
+    for problem in scene_problems(scene, view, names, light_names):
+        raise InputError(f"{file}: {problem}")
+    scene, view = _in_dtype(file, (scene, view), entry.render.dtype)
+    return SceneFile(
+        file,
+        scene,
+        view,
+        entry.render,
+        bands.count,
+        bands.wavelengths,
+        names,
+        light_names,
+        folder.digest(),
+    )
+
+
+def _found(path: str | os.PathLike[str]) -> Path:
+    file = Path(path)
+    if file.suffix or file.exists() or file.parent != Path("."):
+        return file
+    if file.name in shipped_scenes():
+        return _SHIPPED / f"{file.name}.toml"
+    hint = nearest(file.name, shipped_scenes())
+    raise InputError(f"{path}: neither a file nor a shipped scene; {hint}.")
+
+
+def _surface(entry, materials: dict[str, Material], bands: Bands, folder: Folder) -> Surface:
+    """A shape of its material; without one it is black."""
+    emission = None
+    if entry.emission is not None:
+        emission = in_bands(entry.emission, bands, folder, quantity="light")
+    if entry.material is None:
+        material = Lambert(np.zeros(bands.count))
+    elif entry.material in materials:
+        material = materials[entry.material]
+    else:
+        hint = nearest(entry.material, materials)
+        raise InputError(f"material {entry.material!r} is not in the file; {hint}.")
+    shape = shape_of(entry, folder)
+    return Surface(shape, material, emission, two_sided=entry.two_sided)
+
+
+def _names(kind: str, entries) -> tuple[str, ...]:
+    """What messages call each: its own name, or its place in the file."""
+    return tuple(
+        f"{kind}[{i}]" if entry.name is None else f'{kind} "{entry.name}"'
+        for i, entry in enumerate(entries, 1)
+    )
+
+
+def _in_dtype(file: Path, records: tuple[Scene, View], dtype: str) -> tuple[Scene, View]:
+    if dtype == "float64" and not jax.config.read("jax_enable_x64"):
+        raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
+    return as_dtype(records, dtype)
+
+
+@contextmanager
+def _named(file: Path, name: str) -> Iterator[None]:
+    """Says in which file and object a value was refused."""
+    try:
+        yield
+    except ValueError as error:  # an InputError is one
+        sentence = str(error).removeprefix(f"{file}: ")
+        where = f"{file}: {name}: " if name else f"{file}: "
+        raise InputError(where + sentence) from error

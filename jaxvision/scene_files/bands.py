@@ -1,0 +1,161 @@
+"""Spectra of a scene file, reduced to the bands in which the scene is rendered.
+
+With wavelengths, a band is the value at its wavelength, interpolated linearly; beyond its table a
+reflectance keeps its end value and a light is 0. Without, three bands are linear sRGB: of a
+reflectance its colour under D65, 1 for perfect white; of light its mean over the observer,
+integral of S(lambda) xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1.
+What lies outside the triangle of sRGB is clipped at 0.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from .. import colour_data
+from ..colour_spaces import xyz_to_rgb
+from ..errors import InputError, nearest
+from ..spectra import (
+    LUMINOUS_EFFICACY,
+    blackbody,
+    integrate_spectrum,
+    reflectance_to_xyz,
+    spectrum_to_xyz,
+)
+from .folder import Folder
+from .spectrum_schema import Grid, Spectrum, Tabulated, Wavelengths
+
+Quantity = Literal["reflectance", "light"]
+
+
+@dataclass(frozen=True)
+class Bands:
+    """How many bands the scene has, and their wavelengths, (bands,) in m, or None: RGB if there
+    are three of them."""
+
+    count: int
+    wavelengths: np.ndarray | None = None
+
+
+def bands_of(count: int | None, wavelengths: Wavelengths | None) -> Bands:
+    """The bands that a scene file asks for; wavelengths in nm."""
+    if wavelengths is None:
+        return Bands(3 if count is None else count)
+    if isinstance(wavelengths, Grid):
+        steps = round((wavelengths.last - wavelengths.first) / wavelengths.step)
+        values = np.linspace(wavelengths.first, wavelengths.last, steps + 1)
+    else:
+        values = np.asarray(wavelengths)
+        if (np.diff(values) <= 0).any():
+            raise InputError("wavelengths must ascend; sort them.")
+    return Bands(len(values), values * 1e-9)
+
+
+def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
+    """The spectrum of a scene file as (bands,)."""
+    if isinstance(spectrum, Tabulated):
+        return _tabulated(spectrum, bands, folder, quantity)
+    values = np.atleast_1d(np.asarray(spectrum, float))
+    if len(values) not in (1, bands.count):
+        raise InputError(
+            f"a spectrum has {len(values)} numbers where the scene has {bands.count} bands; give "
+            f"one number for all or {bands.count}."
+        )
+    return np.broadcast_to(values, bands.count).copy()
+
+
+def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
+    """(known, bands): what each sample of a spectrum at the wavelengths `known`, m, adds to each
+    band of the scene, before clipping."""
+    ends = None if quantity == "reflectance" else 0.0  # None: the value at the end
+    wanted = _samples(bands)
+    each = np.eye(len(known))
+    sampled = np.stack([np.interp(wanted, known, one, left=ends, right=ends) for one in each])
+    return sampled if bands.wavelengths is not None else sampled @ colours_of(wanted, quantity)
+
+
+def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
+    if spectrum.file is not None:
+        known, values = _column(spectrum.file, spectrum.column, folder)
+        reduced = values @ reduction(known, bands, quantity=quantity)
+    else:
+        wanted = _samples(bands)
+        values = _from_library(spectrum, wanted)
+        reduced = values if bands.wavelengths is not None else values @ colours_of(wanted, quantity)
+    return spectrum.scale * np.maximum(reduced, 0)
+
+
+def _samples(bands: Bands) -> np.ndarray:
+    """The wavelengths, m, where spectra are looked up: the bands' own, or all that the eye sees."""
+    if bands.wavelengths is not None:
+        return bands.wavelengths
+    if bands.count != 3:
+        raise InputError(
+            f"a tabulated spectrum cannot become {bands.count} bands that have no wavelengths; "
+            "give the scene its wavelengths."
+        )
+    return np.arange(360, 831) * 1e-9
+
+
+def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
+    """(wavelengths, 3): linear sRGB, as said above, of a spectrum that is 1 at one of the
+    wavelengths, m, and 0 at the others."""
+    grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
+    observer = colour_data.observer(grid)
+    if quantity == "reflectance":
+        xyz = reflectance_to_xyz(each, grid, observer, colour_data.illuminant("D65", grid))
+    else:
+        flat = LUMINOUS_EFFICACY * integrate_spectrum(observer[:, 1], grid)
+        xyz = spectrum_to_xyz(each, grid, observer) / flat
+    return np.asarray(xyz_to_rgb(xyz))
+
+
+def _from_library(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
+    """What a name or a temperature stands for, at these wavelengths, m."""
+    grid = jnp.asarray(wavelengths)
+    if spectrum.illuminant is not None:
+        return np.asarray(colour_data.illuminant(spectrum.illuminant, grid))
+    if spectrum.blackbody is not None:
+        return np.asarray(blackbody(grid, jnp.asarray(spectrum.blackbody, grid.dtype)))
+    import colour
+
+    charts = colour.SDS_COLOURCHECKERS
+    if spectrum.chart not in charts:
+        raise InputError(f"no chart {spectrum.chart!r}; {nearest(spectrum.chart, charts)}.")
+    patches, patch = list(charts[spectrum.chart]), str(spectrum.patch)
+    if patch not in patches:
+        raise InputError(f"no patch {patch!r} on {spectrum.chart}; {nearest(patch, patches)}.")
+    every = colour_data.chart_reflectances(grid, name=spectrum.chart)
+    return np.asarray(every[patches.index(patch)])
+
+
+def _column(name: str, column: str | None, folder: Folder) -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths, m, and values of one column of a CSV."""
+    file, lines = folder.file(name), folder.text(name).splitlines()
+    heads = [head.strip() for head in lines[0].split(",")] if lines else []
+    if len(heads) < 2:
+        raise InputError(f"{file}: no columns; begin with a line of heads, as in wavelength,value.")
+    wanted = heads[1] if column is None else column
+    if wanted not in heads[1:]:
+        raise InputError(f"{file}: no column {wanted!r}; {nearest(wanted, heads[1:])}.")
+    rows = []
+    for number, line in enumerate(lines[1:], 2):
+        if line.strip():
+            cells = line.split(",")
+            try:
+                rows.append((float(cells[0]), float(cells[heads.index(wanted)])))
+            except (ValueError, IndexError):
+                raise InputError(
+                    f"{file}, line {number}: {line.strip()[:40]!r} has no number for {wanted!r}; "
+                    "correct it."
+                ) from None
+    table = np.asarray(rows).reshape(-1, 2)
+    if len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputError(
+            f"{file}: a spectrum takes at least two rows of finite numbers whose wavelengths "
+            "ascend; mend it."
+        )
+    if (table[:, 1] < 0).any():
+        raise InputError(f"{file}: {wanted!r} has negative values; a spectrum has none.")
+    return table[:, 0] * 1e-9, table[:, 1]

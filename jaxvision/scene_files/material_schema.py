@@ -1,0 +1,114 @@
+"""The tables `[material.NAME]` of a scene file, by their `family`."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from .._toml import Entry
+from .spectrum_schema import NonNegative, Positive, Spectrum
+
+
+class Diffuse(Entry):
+    """`diffuse`: k_d in sr^-1, or `albedo`, pi times it, at most 1. `ambient`: k_a."""
+
+    diffuse: Spectrum | None = None
+    albedo: Spectrum | None = None
+    ambient: Spectrum | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> "Diffuse":
+        if (self.diffuse is None) == (self.albedo is None):
+            raise ValueError("give either diffuse (sr^-1) or albedo (pi times it)")
+        given = self.albedo if isinstance(self.albedo, tuple) else (self.albedo,)
+        if any(isinstance(value, float) and value > 1 for value in given):
+            raise ValueError("an albedo is at most 1, for no surface reflects more than it gets")
+        return self
+
+
+class LambertEntry(Diffuse):
+    """A diffuse surface."""
+
+    family: Literal["lambert"]
+
+
+class OrenNayarEntry(Diffuse):
+    """`sigma`: degrees here."""
+
+    family: Literal["oren_nayar"]
+    sigma: NonNegative
+    form: Literal["qualitative", "full"] = "qualitative"
+
+
+class PowerLobeEntry(Diffuse):
+    """`phong` and `blinn` are textbook shading; the others are BRDFs."""
+
+    family: Literal[
+        "phong", "phong_brdf", "normalised_phong", "blinn", "blinn_brdf", "normalised_blinn"
+    ]
+    specular: Spectrum
+    exponent: NonNegative
+
+
+class GaussianLobeEntry(Diffuse):
+    """`gaussian_lobe` is textbook shading, the other a BRDF."""
+
+    family: Literal["gaussian_lobe", "gaussian_lobe_brdf"]
+    specular: Spectrum
+    concentration: NonNegative
+
+
+class TorranceSparrowEntry(Diffuse):
+    """The facets are a dielectric of index `eta`, a metal of `eta` and `k`, or have the reflectance
+    `f0` along the normal (Schlick); without any of these they reflect all."""
+
+    family: Literal["torrance_sparrow"]
+    specular: Spectrum = 1.0
+    roughness: Positive | tuple[Positive, Positive]
+    eta: Spectrum | None = None
+    k: Spectrum | None = None
+    f0: Spectrum | None = None
+    distribution: Literal["ggx", "beckmann"] = "ggx"
+    shadowing: Literal["smith", "v-cavity"] = "smith"
+
+    @model_validator(mode="after")
+    def _one_interface(self) -> "TorranceSparrowEntry":
+        if self.f0 is not None and self.eta is not None:
+            raise ValueError("give either eta (with k for a metal) or f0")
+        if self.k is not None and self.eta is None:
+            raise ValueError("k is that of a metal; give its eta as well")
+        return self
+
+
+class MirrorEntry(Entry):
+    """A smooth mirror."""
+
+    family: Literal["mirror"]
+    reflectance: Spectrum = 1.0
+
+
+class GlassEntry(Entry):
+    """`absorption`: m^-1; absent is perfectly clear."""
+
+    family: Literal["glass"]
+    index: Positive = 1.5
+    absorption: Spectrum | None = None
+
+
+class MeasuredEntry(Entry):
+    """`file`: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL)."""
+
+    family: Literal["measured"]
+    file: str
+
+
+Material = Annotated[
+    LambertEntry
+    | OrenNayarEntry
+    | PowerLobeEntry
+    | GaussianLobeEntry
+    | TorranceSparrowEntry
+    | MirrorEntry
+    | GlassEntry
+    | MeasuredEntry,
+    Field(discriminator="family"),
+]

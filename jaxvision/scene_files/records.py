@@ -1,0 +1,151 @@
+"""The surfaces, lights and camera of a scene file as records."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError
+from ..io import read_environment
+from ..lights import (
+    DirectionalLight,
+    PointLight,
+    RectangleLight,
+    environment_map,
+)
+from ..mesh_files import read_mesh
+from ..optics import look_at
+from ..scene import (
+    Box,
+    CircularAperture,
+    Disc,
+    Light,
+    Orthographic,
+    Pinhole,
+    Plane,
+    PolygonalAperture,
+    Quad,
+    Shape,
+    Sphere,
+    ThinLens,
+    View,
+)
+from . import schema
+from .bands import Bands, in_bands
+from .folder import Folder
+from .spectrum_schema import Axes, Spectrum
+
+
+def shape_of(entry: schema.Surface, folder: Folder) -> Shape:
+    """The record of a `[[surface]]`'s shape."""
+    match entry:
+        case schema.SphereEntry():
+            return Sphere(entry.centre, entry.radius)
+        case schema.PlaneEntry():
+            return Plane(entry.point, entry.normal)
+        case schema.DiscEntry():
+            return Disc(entry.centre, entry.normal, entry.radius)
+        case schema.QuadEntry():
+            return Quad(entry.corner, entry.edge_u, entry.edge_v)
+        case schema.BoxEntry():
+            rotation = _checked_axes(entry.rotation)
+            return Box(entry.centre, entry.half_extents, rotation=rotation)
+        case schema.MeshEntry():
+            return read_mesh(
+                folder.file(entry.file),
+                scale=entry.scale,
+                rotation=_checked_axes(entry.rotation),
+                position=entry.position,
+                smooth=entry.smooth,
+                flip=entry.flip,
+            )
+
+
+def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
+    """The record of a `[[light]]`."""
+
+    def spectrum(value: Spectrum) -> np.ndarray:
+        return in_bands(value, bands, folder, quantity="light")
+
+    match entry:
+        case schema.PointEntry():
+            return PointLight(entry.position, spectrum(entry.intensity))
+        case schema.DirectionalEntry():
+            return DirectionalLight(entry.direction, spectrum(entry.irradiance))
+        case schema.RectangleEntry():
+            radiance = spectrum(entry.radiance)
+            return RectangleLight(entry.corner, entry.edge_u, entry.edge_v, radiance)
+        case schema.EnvironmentEntry():
+            return environment_map(
+                entry.scale * _sky(entry, bands, folder), rotation=_map_axes(entry)
+            )
+
+
+def view_of(entry: schema.Camera) -> View:
+    """The record of the `[camera]`."""
+    position, rotation = np.asarray(entry.position), _camera_axes(entry)
+    rows, columns = entry.resolution
+    match entry:
+        case schema.OrthographicEntry():
+            pitch = entry.width / columns
+            return Orthographic(position, rotation, pitch, resolution=(rows, columns))
+        case schema.PinholeEntry():
+            focal_length, pitch = entry.focal_length, entry.pixel_pitch
+            if entry.field_of_view is not None:  # the same picture at any focal length
+                focal_length = 1.0
+                pitch = 2 * np.tan(np.radians(entry.field_of_view) / 2) / columns
+            return Pinhole(position, rotation, focal_length, pitch, resolution=(rows, columns))
+        case schema.ThinLensEntry():
+            blades = entry.blades
+            return ThinLens(
+                position,
+                rotation,
+                entry.focal_length,
+                entry.pixel_pitch,
+                resolution=(rows, columns),
+                f_number=entry.f_number,
+                focus_distance=entry.focus_distance,
+                aperture=CircularAperture() if blades is None else PolygonalAperture(blades),
+            )
+
+
+def _camera_axes(entry: schema.Camera) -> np.ndarray:
+    forward = np.subtract(entry.target, entry.position)
+    if not forward.any():
+        raise InputError("position and target are one point; move one of them.")
+    if np.linalg.norm(np.cross(forward, entry.up)) <= 1e-9 * np.linalg.norm(forward):
+        raise InputError("up lies along the line of sight; give another direction.")
+    return np.asarray(look_at(*map(jnp.asarray, (entry.position, entry.target, entry.up))))
+
+
+def _sky(entry: schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.ndarray:
+    """(h, w, bands) W m^-2 sr^-1."""
+    if entry.file is None:
+        assert entry.radiance is not None  # the schema takes one of both
+        radiance = in_bands(entry.radiance, bands, folder, quantity="light")
+        return np.broadcast_to(radiance, (4, 8, bands.count))
+    picture = read_environment(folder.file(entry.file))
+    if picture.shape[2] != bands.count:
+        raise InputError(
+            f"{folder.file(entry.file)}: has {picture.shape[2]} bands where the scene has "
+            f"{bands.count}; convert one to the other."
+        )
+    return picture
+
+
+def _map_axes(entry: schema.EnvironmentEntry) -> np.ndarray:
+    """Rows: where the picture's middle column, its quarter to the left and its top lie."""
+    up, toward = np.asarray(entry.up), np.asarray(entry.toward)
+    left = np.cross(up, toward)
+    if np.linalg.norm(left) <= 1e-9:
+        raise InputError("up and toward lie on one line; give another toward.")
+    axes = np.stack([np.cross(left, up), left, up])
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def _checked_axes(rotation: Axes | None) -> np.ndarray | None:
+    if rotation is None:
+        return None
+    axes = np.asarray(rotation)
+    if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0:
+        raise InputError("rotation must hold three right-handed unit axes as rows; mend it.")
+    exact, _, back = np.linalg.svd(axes)  # the nearest rotation: digits were rounded in the file
+    return exact @ back

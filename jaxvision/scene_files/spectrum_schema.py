@@ -1,0 +1,83 @@
+"""Numbers and spectra as they may stand in a scene file."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from .._toml import Entry
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Axes = tuple[Vector, Vector, Vector]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Tabulated(Entry):
+    """A spectrum that is not written out, reduced to the bands of the scene and times `scale`.
+
+    One of: `file`, a CSV of a head line, wavelengths in nm in the first column and values in the
+    one named `column` (default: the second); `illuminant`, relative power by colour-science's name
+    ("D65", "A", "FL2"); `patch`, the reflectance of a patch of `chart`; `blackbody`, a temperature
+    in K, in W m^-2 sr^-1 per m.
+    """
+
+    file: str | None = None
+    column: str | None = None
+    illuminant: str | None = None
+    patch: str | None = None
+    chart: str = "ColorChecker N Ohta"
+    blackbody: Positive | None = None
+    scale: NonNegative = 1.0
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "Tabulated":
+        sources = (self.file, self.illuminant, self.patch, self.blackbody)
+        if sum(source is not None for source in sources) != 1:
+            raise ValueError("give one of file, illuminant, patch and blackbody")
+        if self.column is not None and self.file is None:
+            raise ValueError("column is that of a file; give the file")
+        return self
+
+
+def _spectrum_kind(value: Any) -> str:
+    if isinstance(value, Mapping | Tabulated):
+        return "table"
+    return "list" if isinstance(value, list | tuple) else "number"
+
+
+# A number for all bands alike, a list of one per band, or a table.
+Spectrum = Annotated[
+    Annotated[NonNegative, Tag("number")]
+    | Annotated[tuple[NonNegative, ...], Tag("list"), Field(min_length=1)]
+    | Annotated[Tabulated, Tag("table")],
+    Discriminator(_spectrum_kind),
+]
+
+
+class Grid(Entry):
+    """Wavelengths from `first` to `last`, nm, `step` apart, both included."""
+
+    first: Positive
+    last: Positive
+    step: Positive
+
+    @model_validator(mode="after")
+    def _divides(self) -> "Grid":
+        steps = (self.last - self.first) / self.step
+        if steps < 1 or abs(steps - round(steps)) > 1e-6:
+            raise ValueError("last must lie a whole number of steps above first")
+        return self
+
+
+def _wavelengths_kind(value: Any) -> str:
+    return "grid" if isinstance(value, Mapping | Grid) else "list"
+
+
+Wavelengths = Annotated[
+    Annotated[tuple[Positive, ...], Tag("list"), Field(min_length=2)]
+    | Annotated[Grid, Tag("grid")],
+    Discriminator(_wavelengths_kind),
+]

@@ -1,0 +1,408 @@
+"""`jaxvision render`: what is written, how it goes on after a kill, and that tiles do not show."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import jax
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from typer.testing import CliRunner
+
+from jaxvision import render_job
+from jaxvision._partial_image import PartialImage, PartialSum
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+from jaxvision.rendering import PixelSamples, render
+from jaxvision.scene_files import read_scene
+from jaxvision.scene_files.schema import overridden
+
+RUNNER = CliRunner()
+SCENE = """
+[camera]
+kind = "pinhole"
+position = [0, -4, 0.5]
+target = [0, 0, 0]
+resolution = [18, 26]
+field_of_view = 50
+
+[render]
+tile = 100
+
+[material.grey]
+family = "lambert"
+albedo = [0.2, 0.5, 0.7]
+
+[[surface]]
+name = "ball"
+shape = "sphere"
+centre = [0, 0, 0]
+radius = 1
+material = "grey"
+
+[[light]]
+kind = "point"
+position = [1, -2, 3]
+intensity = [10, 20, 30]
+"""
+
+
+def run(*arguments):
+    """Exit status, standard output and standard error."""
+    result = RUNNER.invoke(app, ["render", *(str(argument) for argument in arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def head(path):
+    source = oiio.ImageInput.open(str(path))
+    spec = source.spec()
+    source.close()
+    return spec.channelnames, {a.name: a.value for a in spec.extra_attribs}
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """The folder of a scene, of its EXR and of its preview."""
+    folder = tmp_path_factory.mktemp("render")
+    (folder / "ball.toml").write_text(SCENE)
+    status, out, _ = run(folder / "ball.toml", "--out", folder / "ball.exr")
+    assert status == 0
+    assert "ball.exr" in out
+    assert "ball.png" in out
+    return folder
+
+
+def test_the_picture_is_that_of_render(rendered):
+    """Tile by tile and through the file, as all at once."""
+    source = read_scene(rendered / "ball.toml")
+    expected = jax.jit(render)(source.scene, source.view)
+    np.testing.assert_allclose(read_image(rendered / "ball.exr"), expected, rtol=2e-6, atol=1e-7)
+    assert sorted(file.name for file in rendered.iterdir()) == ["ball.exr", "ball.png", "ball.toml"]
+
+
+def test_the_head_says_what_it_is(rendered):
+    channels, attributes = head(rendered / "ball.exr")
+    assert channels == ("R", "G", "B")
+    assert attributes["jaxvision:unit"] == "W m^-2 sr^-1"
+    assert attributes["jaxvision:seed"] == 0
+    assert attributes["jaxvision:integrator"] == "direct"
+    assert attributes["jaxvision:sceneSha256"] == read_scene(rendered / "ball.toml").digest
+    assert attributes["Software"].startswith("jaxvision ")
+
+
+def test_the_preview_follows_its_rule(rendered):
+    """95 % of what is not black lie below .8 of white, in 8-bit sRGB (IEC 61966-2-1)."""
+    radiance = read_image(rendered / "ball.exr").astype(float)
+    luminance = radiance @ [0.212639, 0.715169, 0.072192]
+    linear = np.clip(radiance / (np.quantile(luminance[luminance > 0], 0.95) / 0.8), 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    shown = read_image(rendered / "ball.png")
+    assert shown.dtype == np.uint8
+    assert np.abs(shown - 255 * encoded).max() <= 0.51
+
+
+@pytest.mark.parametrize("tile", [7, 26, 468, 5000])
+def test_the_picture_does_not_depend_on_its_tiles(rendered, tmp_path, tile):
+    status, *_ = run(
+        rendered / "ball.toml", "--out", tmp_path / "a.exr", "--tile", tile, "--no-preview"
+    )
+    assert status == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), read_image(rendered / "ball.exr"))
+    assert not (tmp_path / "a.png").exists()
+
+
+def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
+    """Lets a render append so many tiles and then fails."""
+    whole = PartialImage.append
+    count = iter(range(1000))
+
+    def append(self, values):
+        if next(count) == tiles:
+            raise error
+        whole(self, values)
+
+    monkeypatch.setattr(PartialImage, "append", append)
+
+
+def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypatch):
+    command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 2)
+        status, _, error = run(*command)
+    assert status == 130
+    assert "a.exr: interrupted; the same command goes on from there" in error
+    assert [file.name for file in tmp_path.iterdir()] == ["a.exr.partial"]
+
+    computed = []
+    original = render_job.pixels_of
+
+    def counting(*arguments):
+        compute = original(*arguments)
+        return lambda rows, columns: computed.append(1) or compute(rows, columns)
+
+    monkeypatch.setattr(render_job, "pixels_of", counting)
+    assert run(*command)[0] == 0
+    assert len(computed) == 3
+    assert (read_image(tmp_path / "a.exr") == read_image(rendered / "ball.exr")).all()
+    assert not (tmp_path / "a.exr.partial").exists()
+
+
+def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch):
+    command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 1)
+        run(*command)
+    for change in (["--seed", 3], ["--tile", 50], ["--resolution", "9,13"]):
+        status, _, error = run(*command, *change)
+        assert status == 2
+        assert "a.exr.partial: holds part of a render of another scene" in error
+    status, *_ = run(*command, "--resolution", "9,13", "--fresh")
+    assert status == 0
+    assert read_image(tmp_path / "a.exr").shape == (9, 13, 3)
+
+
+def test_a_killed_render_ends_bit_identical(tmp_path):
+    """SIGKILL, which no program can answer, between or within tiles."""
+    (tmp_path / "ball.toml").write_text(SCENE.replace("[18, 26]", "[150, 200]"))
+    options = [str(tmp_path / "ball.toml"), "--tile", "30", "--no-preview"]
+
+    def command(out):
+        return [sys.executable, "-m", "jaxvision.cli", "render", *options, "--out", str(out)]
+
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
+    part = tmp_path / "a.exr.partial"
+    process = subprocess.Popen(command(tmp_path / "a.exr"), env=environment)
+    deadline = time.monotonic() + 120
+    while not (part.exists() and part.stat().st_size > 5000) and time.monotonic() < deadline:
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert not (tmp_path / "a.exr").exists()
+    tiles = part.stat().st_size // (4 * 90 + 4)
+    assert 10 < tiles < 1000
+    subprocess.run(command(tmp_path / "a.exr"), env=environment, check=True, capture_output=True)
+    status, *_ = run(*options, "--out", tmp_path / "b.exr")
+    assert status == 0
+    assert (read_image(tmp_path / "a.exr") == read_image(tmp_path / "b.exr")).all()
+
+
+QUAD = """
+[[surface]]
+name = "floor"
+shape = "quad"
+corner = [-3, -3, -1]
+edge_u = [6, 0, 0]
+edge_v = [0, 6, 0]
+material = "grey"
+"""
+
+
+@pytest.mark.slow
+def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
+    """Light tracing is a mean of passes: interrupted after one of three, it ends bit-identical."""
+    (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[6, 8]") + QUAD)
+    options = tmp_path / "a.toml", "--integrator", "light", "--samples", 3, "--depth", 2
+    assert run(*options, "--out", tmp_path / "whole.exr")[0] == 0
+    add, count = PartialSum.add, iter(range(9))
+
+    def failing(self, picture):
+        if next(count) == 1:
+            raise KeyboardInterrupt
+        add(self, picture)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PartialSum, "add", failing)
+        assert run(*options, "--out", tmp_path / "a.exr")[0] == 130
+    status, _, error = run(*options, "--out", tmp_path / "a.exr", "--seed", 1)
+    assert (status, "holds part of a render of another scene" in error) == (2, True)
+    assert run(*options, "--out", tmp_path / "a.exr")[0] == 0
+    assert (read_image(tmp_path / "a.exr") == read_image(tmp_path / "whole.exr")).all()
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_a_lens_defocuses(tmp_path):
+    """The rays a pixel of `render`, over the pixel and the lens; and blurred: its ball, one metre
+    behind where the lens is focused, has no edge."""
+    lens = (
+        'kind = "thin_lens"\nfocal_length = 0.05\npixel_pitch = 1.4e-3\nf_number = 0.1\n'
+        "focus_distance = 2.0\n"
+    )
+    text = SCENE.replace('kind = "pinhole"\n', lens).replace("field_of_view = 50\n", "")
+    (tmp_path / "a.toml").write_text(text + QUAD)
+    assert run(tmp_path / "a.toml", "--out", tmp_path / "a.exr", "--samples", 24)[0] == 0
+    source = read_scene(tmp_path / "a.toml")
+    samples = PixelSamples(jax.random.fold_in(jax.random.key(0), 1), 24)
+    expected = np.asarray(jax.jit(render)(source.scene, source.view, samples=samples))
+    seen = read_image(tmp_path / "a.exr")
+    np.testing.assert_allclose(seen, expected, rtol=2e-5, atol=1e-6)
+    sharp = np.asarray(jax.jit(render)(source.scene, source.view))
+    steepest = [np.abs(np.diff(picture, axis=0)).max() for picture in (seen, sharp)]
+    assert steepest[0] < 0.7 * steepest[1]
+
+
+@pytest.mark.slow
+def test_every_integrator_sees_the_same_direct_light(tmp_path):
+    """A convex ball under a point light has nothing but direct light: all five agree, three of
+    them exactly, light tracing and radiosity in the mean over the picture (its patches are not a
+    smooth ball, its paths are few)."""
+    (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[12, 16]"))
+    pictures = {}
+    for name in ("direct", "rays", "path", "light", "radiosity"):
+        out = tmp_path / f"{name}.exr"
+        samples = {"path": 64, "light": 64}.get(name, 1)
+        status, _, error = run(
+            tmp_path / "a.toml", "--integrator", name, "--samples", samples, "--out", out
+        )
+        assert status == 0, error
+        pictures[name] = read_image(out)
+    np.testing.assert_allclose(pictures["rays"], pictures["direct"], rtol=1e-5, atol=1e-6)
+    inside = np.s_[5:7, 7:9]
+    np.testing.assert_allclose(pictures["path"][inside], pictures["direct"][inside], rtol=0.05)
+    for name in ("path", "light", "radiosity"):
+        means = [pictures[key].mean(axis=(0, 1)) for key in (name, "direct")]
+        np.testing.assert_allclose(*means, rtol=0.1)
+
+
+def test_a_folder_is_no_image(rendered, tmp_path):
+    """Said before anything is rendered."""
+    (tmp_path / "a.exr").mkdir()
+    (tmp_path / "a.png").mkdir()
+    for out, name in (("a.exr", "a.exr"), ("b.exr", "a.png")):
+        options = "--out", tmp_path / out, "--preview", tmp_path / "a.png"
+        status, _, error = run(rendered / "ball.toml", *options)
+        assert (status, error.count("\n")) == (2, 1)
+        assert f"{name}: is a folder; choose another name" in error
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.exr", "a.png"]
+
+
+def test_another_integrator_has_its_own_samples_and_depth():
+    """Those of a scene are meant for its own; what the command gives counts in any case."""
+    own = read_scene("glass_and_mirror").render
+    assert (own.integrator, own.samples, own.depth) == ("path", 128, 10)
+    same = overridden(own, {"integrator": "path", "samples": None})
+    assert (same.samples, same.depth) == (128, 10)
+    rays = overridden(own, {"integrator": "rays", "depth": None})
+    assert (rays.samples, rays.depth) == (1, 16)
+    assert overridden(own, {"integrator": "rays", "samples": 4, "seed": 3}).samples == 4
+
+
+def test_what_an_integrator_refuses_is_named_as_in_the_file(rendered, tmp_path):
+    text = SCENE.replace('"lambert"\nalbedo', '"mirror"\nreflectance')
+    (tmp_path / "a.toml").write_text(text)
+    status, _, error = run(
+        tmp_path / "a.toml", "--out", tmp_path / "a.exr", "--integrator", "radiosity"
+    )
+    assert status == 2
+    assert 'a.toml: surface "ball".material must be Lambert' in error
+    (tmp_path / "b.toml").write_text(SCENE.replace("[render]", '[render]\nrule = "balanced"'))
+    status, _, error = run(tmp_path / "b.toml", "--out", tmp_path / "a.exr", "--integrator", "rays")
+    assert status == 2
+    assert "rule = 'balanced'; set rule = 'quadrature'" in error
+
+
+def test_bands_that_are_wavelengths_have_names(tmp_path):
+    text = "wavelengths = {first = 400, last = 1000, step = 300}\n" + SCENE
+    text = text.replace("[0.2, 0.5, 0.7]", "0.5").replace("[10, 20, 30]", "[1, 2, 4]")
+    (tmp_path / "a.toml").write_text(text)
+    assert run(tmp_path / "a.toml", "--out", tmp_path / "a.exr")[0] == 0
+    channels, attributes = head(tmp_path / "a.exr")
+    assert channels == ("S0.0400,0nm", "S0.0700,0nm", "S0.1000,0nm")
+    assert attributes["jaxvision:unit"] == "W m^-2 sr^-1 per m"
+    pixels = read_image(tmp_path / "a.exr")
+    lit = pixels[..., 0] > 0
+    np.testing.assert_allclose(pixels[lit] / pixels[lit][:, :1], [[1, 2, 4]] * lit.sum(), rtol=1e-5)
+    assert read_image(tmp_path / "a.png").shape == (18, 26, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["cornel_box", "--out", "a.exr"], "nearest is 'cornell_box'"),
+        (["cornell_box", "--out", "a.png"], "a render holds radiance and is written as EXR"),
+        (["cornell_box", "--out", "a.exr", "--resolution", "9"], "--resolution 9: give a row"),
+        (["cornell_box", "--out", "a.exr", "--resolution", "0,9"], "at least one pixel"),
+        (["none.toml", "--out", "a.exr"], "none.toml: no such scene file"),
+        (["cornell_box", "--out", "."], "a render holds radiance and is written as EXR"),
+        (["cornell_box", "--out", "a.exr", "--preview", "a.xyz"], "unknown image suffix '.xyz'"),
+        (["cornell_box", "--out", "a.exr", "--preview", "b.exr"], "uint8 pixels do not fit .exr"),
+        (["cornell_box", "--out", "a.exr", "--samples", "0"], "samples = 0: must be greater than"),
+        (["cornell_box", "--out", "a.exr", "--integrator", "pth"], "the nearest is 'path'"),
+    ],
+)
+def test_mistakes_are_one_sentence(tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    status, out, error = run(*arguments)
+    assert status == 2
+    assert out == ""
+    assert sentence in error
+    assert error.startswith("jaxvision: ")
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------ the file of what is done
+
+
+def test_a_part_counts_whole_tiles_only(tmp_path):
+    """Cut anywhere, or with a byte turned, it goes on from the last tile that is whole."""
+    tiles = np.random.default_rng(1).normal(size=(4, 6)).astype(np.float32)
+    path = tmp_path / "a.partial"
+    with PartialImage(path, key="k", values=6, fresh=False) as part:
+        for values in tiles:
+            part.append(values)
+    data = path.read_bytes()
+    first = data.index(b"\n") + 1
+    assert json.loads(data[:first]) == {"render": "k", "values": 6}
+    for cut in range(len(data)):
+        path.write_bytes(data[:cut])
+        with PartialImage(path, key="k", values=6, fresh=False) as part:
+            assert part.done == max(cut - first, 0) // 28
+            for index in range(part.done):
+                assert (part.tile(index) == tiles[index]).all()
+    damaged = bytearray(data)
+    damaged[first + 30] ^= 1
+    path.write_bytes(damaged)
+    with PartialImage(path, key="k", values=6, fresh=False) as part:
+        assert part.done == 1
+    with pytest.raises(InputError, match=r"a\.partial: holds part of a render of another"):
+        PartialImage(path, key="other", values=6, fresh=False)
+    with PartialImage(path, key="other", values=6, fresh=True) as part:
+        assert part.done == 0
+    with PartialImage(path, key="third", values=6, fresh=False) as part:
+        assert part.done == 0  # nothing is lost of a file without a tile
+
+
+def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
+    """In float64, and to the last bit."""
+    pictures = np.random.default_rng(3).normal(size=(3, 2, 4, 3)).astype(np.float32)
+    path = tmp_path / "a.partial"
+    for done, picture in enumerate(pictures):
+        part = PartialSum(path, key="k", shape=(2, 4, 3), fresh=False)
+        assert part.done == done
+        part.add(picture)
+    part = PartialSum(path, key="k", shape=(2, 4, 3), fresh=False)
+    expected = (pictures[0].astype(float) + pictures[1]) + pictures[2]
+    np.testing.assert_array_equal(part.total, expected)
+    with pytest.raises(InputError, match=r"a\.partial: holds part of a render of another"):
+        PartialSum(path, key="other", shape=(2, 4, 3), fresh=False)
+    assert PartialSum(path, key="other", shape=(2, 4, 3), fresh=True).done == 0
+    part.delete()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 64])
+@pytest.mark.parametrize("tile", [4, 7, 35, 40])
+def test_rows_come_out_as_tiles_went_in(tmp_path, tile, at_once):
+    picture = np.arange(5 * 7 * 2, dtype=np.float32).reshape(35, 2)
+    with PartialImage(tmp_path / "p", key="k", values=tile * 2, fresh=False) as part:
+        for start in range(0, 35, tile):
+            part.append(picture[np.minimum(start + np.arange(tile), 34)])
+        blocks = list(part.rows(7, 2, 5, at_once=at_once))
+    np.testing.assert_array_equal(np.concatenate(blocks), picture.reshape(5, 7, 2))
