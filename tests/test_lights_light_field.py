@@ -25,9 +25,9 @@ from jaxvision import (
     radiance_along,
     render,
 )
-from jaxvision.capture import render_light_field
 from jaxvision.lights import incident_samples, seen
 from jaxvision.lights.light_field import light_field_radiance, light_field_ray, refocus
+from jaxvision.rendering import render_light_field
 
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 # A window of 0.4 x 0.4 m in z = 0 that shines toward -z, where the viewer is; the scene is behind,

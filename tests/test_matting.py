@@ -280,9 +280,10 @@ def test_gradient_is_that_of_the_solution(columns, bands):
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), rtol=1e-6)
 
 
+@pytest.mark.slow  # the peer compiles for a minute
 def test_closed_form_against_pymatting():
     """The same picture, trimap, epsilon and confidence; both solvers far beyond their defaults."""
-    import pymatting
+    pymatting = pytest.importorskip("pymatting")
 
     theirs = pymatting.estimate_alpha_cf(SEEN, TRIMAP, cg_kwargs={"rtol": 1e-11})
     ours = SOLVE(*arrays(SEEN, TRIMAP)).alpha[..., 0]

@@ -47,6 +47,26 @@ def test_angles(dtype, angle):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
+def test_sine_and_cosine_of_turns(dtype):
+    """Many turns, next to every eighth, tiny and negative; quarters exactly; the slope in radians
+    a turn."""
+    eighths = np.arange(17) / 8
+    turns = [RNG.random(200), eighths * (1 + 1e-6), [1e-6, 1e-20, -0.3, 7.3, 1000.1]]
+    turns = np.concatenate(turns).astype(dtype)
+    for x, *got in zip(turns, *num.sine_cosine(jnp.asarray(turns)), strict=True):
+        for value, truth in zip(got, (mp.sinpi, mp.cospi), strict=True):
+            assert value.dtype == dtype
+            assert exact.ulps(value, truth(2 * exact.number(x))) <= 2
+    quarters = jnp.arange(-4, 9, dtype=dtype) / 4
+    sine, cosine = num.sine_cosine(quarters)
+    np.testing.assert_array_equal(sine, np.tile([0, 1, 0, -1], 4)[:13])
+    np.testing.assert_array_equal(cosine, np.tile([1, 0, -1, 0], 4)[:13])
+    _, slopes = jax.jvp(num.sine_cosine, (quarters,), (jnp.ones_like(quarters),))
+    np.testing.assert_allclose(slopes[0], 2 * np.pi * cosine, rtol=1e-6)
+    np.testing.assert_allclose(slopes[1], -2 * np.pi * sine, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.1, 1.5])
 def test_log_cos(dtype, angle):
     """The unit vectors themselves are off by eps / 2, which moves log cos by as much; below 60

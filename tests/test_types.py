@@ -9,6 +9,9 @@ from jaxvision._types import (
     as_dtype,
     as_float,
     as_optional_float,
+    check_choice,
+    check_count,
+    check_kind,
     check_shape,
     group_by_structure,
     take,
@@ -52,6 +55,22 @@ def test_shape_checks_name_got_and_expected():
     check_shape("x", None, (3,))
     with pytest.raises(ValueError, match=r"x must have shape \(\) or \(bands\), got \(2, 3\)"):
         check_shape("x", jnp.zeros((2, 3)), (), ("bands",))
+
+
+def test_kinds_counts_and_choices_are_named():
+    check_kind("x", None, Lambert)
+    check_kind("x", Lambert([0.3]), Lambert | Phong, Sphere)
+    for value, got in ((2.0, "got 2.0"), ("a", "got 'a'"), (Lambert, "got the class Lambert")):
+        with pytest.raises(ValueError, match=f"x must be a record, Phong or Sphere, {got}"):
+            check_kind("x", value, Phong | Sphere)
+    check_count("n", np.int32(3), 3, odd=True)
+    for value in (3.0, True, "3", None, 2, jnp.asarray(3)):
+        with pytest.raises(ValueError, match="n must be a whole number of at least 3, got"):
+            check_count("n", value, 3)
+    with pytest.raises(ValueError, match="n must be an odd number of at least 1, got 4"):
+        check_count("n", 4, 1, odd=True)
+    with pytest.raises(ValueError, match="word must be one of a, b, got 'c'"):
+        check_choice("word", "c", ("a", "b"))
 
 
 def test_groups_keep_order_and_take_finds_each_member():
