@@ -50,11 +50,24 @@ def together(values: Any) -> Any:
 
 
 def _in_one_loop(*values: Array) -> Sequence[Array]:
-    if len(values) < 2:
-        return values
-    twice = [jax.lax.broadcast(value, (2,)) for value in values]
-    starts = [np.zeros((), value.dtype) for value in values]
-    return jax.lax.reduce(twice, starts, lambda _, last: last, (0,))
+    """One loop for each floating precision among the values, which a reduction may not mix."""
+    is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
+    precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
+    first = next(iter(precisions), None)
+    results = list(values)
+    for precision in precisions or [None]:
+        members = [
+            i
+            for i, value in enumerate(values)
+            if value.dtype == precision or (not is_float[i] and precision == first)
+        ]
+        if len(members) > 1:
+            twice = [jax.lax.broadcast(values[i], (2,)) for i in members]
+            starts = [np.zeros((), values[i].dtype) for i in members]
+            joined = jax.lax.reduce(twice, starts, lambda _, last: last, (0,))
+            for i, result in zip(members, joined, strict=True):
+                results[i] = result
+    return results
 
 
 def _batched(values: Sequence[Array], axes: Sequence[int | None]) -> tuple[list[Array], list[int]]:

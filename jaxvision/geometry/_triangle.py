@@ -138,8 +138,9 @@ def _place(
     area = cross(edge_b, edge_c)
     normal = as_vec(normalize(area))
     slope, length = dot(normal, ray.direction), dot(area, normal)
-    hit = known & (jnp.abs(slope) > smallest_divisor(slope.dtype)) & (length > 0)
-    distance = dot(normal, a - ray.origin) / jnp.where(hit, slope, 1)
+    crosses = known & (jnp.abs(slope) > smallest_divisor(slope.dtype)) & (length > 0)
+    distance = dot(normal, a - ray.origin) / jnp.where(crosses, slope, 1)
+    hit = crosses & (distance > 0)
     place = ray.origin + jnp.where(hit, distance, 0) * ray.direction - a
     inverse = jnp.where(hit, 1 / jnp.where(hit, length, 1), 0)
     v = jnp.clip(dot(place, cross(edge_c, normal)) * inverse, 0, 1)

@@ -1,0 +1,96 @@
+"""What is only stored or ordered for speed: no value and no derivative may depend on it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision._staging import together
+
+X, Y = jnp.linspace(0.1, 1.3, 6), jnp.linspace(2.0, -1.0, 6)
+
+
+def plain(x, y):
+    """Four values of both numbers, whole ones and flags among them."""
+    return {
+        "product": x * y,
+        "above": x > y,
+        "count": jnp.floor(8 * x).astype(jnp.int32),
+        "alone": jnp.cos(y),
+    }
+
+
+def staged(x, y):
+    return together(plain(x, y))
+
+
+def total(function):
+    """One number that uses three of the four, so that one cotangent is zero by structure."""
+
+    def sums(x, y):
+        values = function(x, y)
+        return jnp.sum(values["product"] ** 2 + values["alone"] * values["count"].astype(float))
+
+    return sums
+
+
+def assert_same(got, expected):
+    assert jax.tree.structure(got) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
+        assert one.dtype == other.dtype
+        assert one.shape == other.shape
+        if one.dtype == jax.dtypes.float0:
+            continue
+        # compiled code may round a product and a sum at once, and nothing else
+        rounding = 4 * float(jnp.finfo(one.dtype).eps) if one.dtype.kind == "f" else 0
+        np.testing.assert_allclose(one, other, rtol=rounding, atol=rounding)
+
+
+TRANSFORMED = {
+    "called": lambda f: f(X, Y),
+    "vmap": lambda f: jax.vmap(f)(X, Y),
+    "vmap of one operand": lambda f: jax.vmap(f, (0, None))(X, Y[1]),
+    "vmap over the last axis": lambda f: jax.vmap(f, (1, None), 1)(jnp.stack([X, 2 * X]), Y[:2]),
+    "vmap twice": lambda f: jax.vmap(jax.vmap(f, (None, 0)), (0, None))(X, Y),
+    "jvp": lambda f: jax.jvp(f, (X, Y), (Y, X)),
+    "jvp along one": lambda f: jax.jvp(lambda x: f(x, Y), (X,), (Y,)),
+    "grad": lambda f: jax.grad(total(f), (0, 1))(X, Y),
+    "grad of each": lambda f: jax.vmap(jax.grad(total(f), (0, 1)))(X, Y),
+    "grad with one known": lambda f: jax.vmap(jax.grad(total(f)), (None, 0))(X[2], Y),
+    "second derivative": lambda f: jax.jvp(jax.grad(total(f)), (X, Y), (Y, X)),
+    "grad of a grad": lambda f: jax.grad(
+        lambda x: jnp.sum(jax.grad(total(f))(x, Y) ** 2),
+    )(X),
+    "recomputed": lambda f: jax.grad(jax.checkpoint(total(f)))(X, Y),
+}
+
+
+@pytest.mark.parametrize("name", TRANSFORMED)
+def test_together_is_the_plain_evaluation(name):
+    transformed = TRANSFORMED[name]
+    expected = transformed(plain)
+    assert_same(transformed(staged), expected)
+    assert_same(jax.jit(lambda: transformed(staged))(), expected)
+
+
+def test_together_keeps_two_precisions_apart():
+    values = X, Y.astype(jnp.float32)
+    assert_same(jax.jit(together)(values), values)
+
+
+def an_operand_alone(join):
+    """The second value has no batch axis where only the first has."""
+    return lambda x: join((x * x, jnp.full((), 3.0)))
+
+
+def test_an_operand_without_a_batch_axis():
+    expected = jax.vmap(an_operand_alone(lambda values: values))(X)
+    for run in (lambda f: f, jax.jit):
+        assert_same(run(jax.vmap(an_operand_alone(together)))(X), expected)
+        slope = run(jax.vmap(jax.grad(lambda x: sum(an_operand_alone(together)(x)))))(X)
+        np.testing.assert_allclose(slope, 2 * X, rtol=1e-15)
+
+
+@pytest.mark.parametrize("tree", [(), (jnp.ones(3),), {"a": {"b": jnp.zeros((2, 0))}}])
+def test_together_keeps_trees_of_none_and_of_one(tree):
+    assert_same(jax.jit(together)(tree), tree)
