@@ -15,7 +15,7 @@ from jaxvision.colour_filters import bayer
 from jaxvision.sensor import raw_image
 
 KEY, DIE = jax.random.split(jax.random.key(8))
-LIGHT = jnp.full((6, 8, 3), 1e-3)
+LIGHT = jnp.full((6, 8, 3), 1e-3, float)
 SENSOR = s.Sensor(
     photon_conversion=s.PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),
     infrared_cut=[0.9, 1.0, 1.0],

@@ -68,7 +68,7 @@ def test_records_of_equal_structure_batch():
         (lambda: GaussianLobe(RED, RED, RED), r"GaussianLobe.concentration"),
         (lambda: s.Orthographic([0, 0, 0], EYE[:2], 1, resolution=(1, 1)), r"\(3, 3\), got \(2, 3"),
         (lambda: s.Pinhole([0, 0, 0], EYE, [1], 1, resolution=(1, 1)), r"Pinhole.focal_length"),
-        (lambda: s.Pinhole([0, 0, 0], EYE, 1, 1, resolution=(0, 4)), r"\(0, 4\)"),
+        (lambda: s.Pinhole([0, 0, 0], EYE, 1, 1, resolution=(0, 4)), r"resolution .* got 0"),
         (lambda: s.Sensor(gain=RED), r"Sensor.gain must have shape \(\), got \(3,\)"),
         (lambda: s.Sensor(quantum_efficiency=EYE), r"\(\) or \(bands\), got \(3, 3\)"),
         (lambda: s.PhotonConversion(5e-7, RED), r"PhotonConversion.pixel_area"),

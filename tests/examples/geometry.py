@@ -47,7 +47,7 @@ BAKED = Baked(
     repeated(N),
     repeated(N),
     repeated(W),
-    (jnp.asarray([[[[True], [False]], [[True], [True]]]]),),
+    (jnp.asarray([[[True], [False]]]), jnp.asarray([[[True], [True]]])),
     jnp.full((3, 2), 0.7),
     Quadrature(2),
     (1, 3),
