@@ -53,7 +53,7 @@ EXAMPLES = {
     f"{ROOM}.exchange.form_factor_table": ((SCENE,), {"plan": PLAN}),
     f"{ROOM}.exchange.by_patch": ((SENT, ELEMENTS), {"plan": PLAN}),
     f"{ROOM}.exchange.closure_error": ((TABLE,), {}),
-    f"{ROOM}.exchange.reciprocity_error": ((TABLE, ELEMENTS.area), {}),
+    f"{ROOM}.exchange.reciprocity_error": ((TABLE / 100, ELEMENTS.area), {}),
     f"{ROOM}.solve.solve_radiosity": ((TABLE, ALBEDO, SENT), {}),
     f"{ROOM}.solve.bounce": ((TABLE, ALBEDO, SENT), {"count": 2}),
     f"{ROOM}.solve.ambient_estimate": ((ALBEDO, SENT, ELEMENTS.area), {}),
