@@ -224,7 +224,6 @@ LONG = {
     "transport.paths.path_traced",
     "transport.paths.path_traced_pixels",
     "transport.ray_tree.ray_traced",
-    "transport.ray_tree.ray_tree_radiance",
     "transport.ray_tree.ray_tree_radiances",
     "transport.radiosity.exchange.form_factor_table",
     "transport.radiosity.gather.radiosity_along",
