@@ -1,7 +1,7 @@
 """The words of `[render] integrator` as functions from pixels, or from passes, to radiance.
 
-Three of them know each pixel alone and can be cut into tiles. Light tracing and radiosity make
-whole pictures: the first as the mean of independent passes, the second at once.
+Four of them know each pixel alone and can be cut into tiles; radiosity is solved before the first
+of them. Light tracing makes whole pictures, as the mean of independent passes.
 """
 
 import re
@@ -25,9 +25,9 @@ from .scene import Scene, View
 from .scene_files import SceneFile
 from .scene_files.schema import RenderEntry
 from .transport import Paths, light_traced, path_traced_pixels, ray_tree_radiances
-from .transport.radiosity import patches_of, plan_patches, radiosity, radiosity_image
+from .transport.radiosity import patches_of, plan_patches, radiosity, radiosity_along
 
-BY_PIXEL = ("direct", "rays", "path")
+BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
 Numbers = Int[Array, " pixels"]
 Pixels = Float[Array, "pixels bands"]
@@ -41,6 +41,7 @@ def pixels_of(
     once for each n. What a pixel gets does not depend on the others."""
     _check_light(source, settings)
     key = jax.random.key(settings.seed)
+    along = None if settings.integrator == "path" else _along(source, settings)
 
     @jax.jit
     def tile(scene: Scene, view: View, key: Key, rows: Numbers, columns: Numbers) -> Pixels:
@@ -49,11 +50,10 @@ def pixels_of(
         return radiance(scene, view, key, rows, columns)[:count]
 
     def radiance(scene: Scene, view: View, key: Key, rows: Numbers, columns: Numbers) -> Pixels:
-        if settings.integrator == "path":
-            method = Paths(settings.samples, settings.depth)
-            return path_traced_pixels(key, scene, view, rows, columns, method=method).radiance
-        along = _direct(settings) if settings.integrator == "direct" else _rays(settings)
-        return _means(along, key, scene, view, rows, columns, settings)
+        if along is not None:
+            return _means(along, key, scene, view, rows, columns, settings)
+        method = Paths(settings.samples, settings.depth)
+        return path_traced_pixels(key, scene, view, rows, columns, method=method).radiance
 
     def compute(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         places = rows.astype(np.int32), columns.astype(np.int32)
@@ -68,8 +68,6 @@ def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[
     """How many passes there are, and from the number of one to its picture, (h, w, bands) in
     W m^-2 sr^-1. The mean of all is the picture."""
     _check_light(source, settings)
-    if settings.integrator == "radiosity":
-        return 1, lambda number: _by_radiosity(source, settings)
     key = jax.random.key(settings.seed)
     height, width = source.view.resolution
 
@@ -98,6 +96,16 @@ def _check_light(source: SceneFile, settings: RenderEntry) -> None:
         )
 
 
+def _along(source: SceneFile, settings: RenderEntry) -> Along:
+    match settings.integrator:
+        case "direct":
+            return _direct(settings)
+        case "rays":
+            return _rays(settings)
+        case _:
+            return _solved(source, settings)
+
+
 def _direct(settings: RenderEntry) -> Along:
     def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
         def one(ray: Ray, number: Array) -> Colour:
@@ -117,6 +125,24 @@ def _rays(settings: RenderEntry) -> Along:
                 f"{settings.rule!r}; set rule = 'quadrature'."
             )
         return ray_tree_radiances(scene, rays, rays=settings.depth, rule=rule)
+
+    return along
+
+
+def _solved(source: SceneFile, settings: RenderEntry) -> Along:
+    """The scene cut into patches, and what is seen of the light that they exchange."""
+    with _in_words_of(source):
+        scene, rule = source.scene, _rule(settings, jax.random.key(settings.seed))
+        whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
+        plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
+        solution = jax.jit(lambda scene, rule: radiosity(scene, plan, rule=rule))(scene, rule)
+
+    def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
+        def one(ray: Ray, number: Array) -> Colour:
+            own = rule_for(rule, number)
+            return radiosity_along(scene, plan, solution, ray, rule=own)
+
+        return in_tiles(one, rays, numbers, size=TILE)
 
     return along
 
@@ -156,21 +182,6 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
             return MonteCarlo(key, settings.order)
         case "balanced":
             return Balanced(key, settings.order)
-
-
-def _by_radiosity(source: SceneFile, settings: RenderEntry) -> np.ndarray:
-    with _in_words_of(source):
-        scene, rule = source.scene, _rule(settings, jax.random.key(settings.seed))
-        whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
-        plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
-
-        @jax.jit
-        def picture(scene: Scene, view: View, rule: Rule) -> Image:
-            solution = radiosity(scene, plan, rule=rule)
-            samples = settings.samples
-            return radiosity_image(scene, plan, solution, view, rule=rule, samples=samples)
-
-        return np.asarray(picture(scene, source.view, rule))
 
 
 @contextmanager

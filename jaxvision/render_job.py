@@ -3,8 +3,8 @@ picture, and so that a render which was killed goes on where it was and ends bit
 
 Beside the EXR `out` lies `out.partial` as long as it is not finished. A tile is a run of pixels,
 row by row; every tile is computed by the same compiled code from pixel numbers and the seed alone.
-Light tracing, which throws light all over the picture, is cut into passes instead, and radiosity
-is one: they hold the whole picture.
+Light tracing, which throws light all over the picture, is cut into passes instead: it holds the
+whole picture.
 """
 
 import dataclasses

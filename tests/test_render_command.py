@@ -205,6 +205,20 @@ material = "grey"
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("integrator", ["rays", "path", "radiosity"])
+def test_the_picture_does_not_depend_on_its_tiles_by_any_integrator(tmp_path, integrator):
+    (tmp_path / "a.toml").write_text(SCENE + QUAD)
+    pictures = []
+    for tile in (7, 300):
+        out = tmp_path / f"{tile}.exr"
+        command = tmp_path / "a.toml", "--out", out, "--tile", tile, "--no-preview"
+        assert run(*command, "--integrator", integrator, "--samples", 2)[0] == 0
+        pictures.append(read_image(out))
+    assert pictures[0].max() > 0
+    np.testing.assert_array_equal(*pictures)
+
+
+@pytest.mark.slow
 def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
     """Light tracing is a mean of passes: interrupted after one of three, it ends bit-identical."""
     (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[6, 8]") + QUAD)

@@ -438,15 +438,31 @@ def test_inside_glass_and_two_sided_surfaces_are_allowed(tmp_path):
     read(tmp_path, SCENE.replace("[1, -2, 3]", "[0.5, 0, 0]") + "two_sided = true\n")
 
 
-def test_the_digest_follows_every_file(tmp_path):
+def test_the_digest_follows_numbers_and_choices_and_no_words(tmp_path):
     spectral_file(tmp_path)
     text = SCENE.replace("0.5", '{file = "paint.csv", column = "wanted"}')
     first = read(tmp_path, text).digest
-    assert read(tmp_path, text).digest == first
     paint = (tmp_path / "paint.csv").read_text()
-    (tmp_path / "paint.csv").write_text(paint.replace(",1,", ",0.9,"))
+    (tmp_path / "paint.csv").write_text(paint.replace(",1,", ",0.9,"))  # a column not asked for
+    assert read(tmp_path, text + "# more\n").digest == first
+    (tmp_path / "paint.csv").write_text(paint.replace("380.0,1,0.", "380.0,1,0.9"))
     second = read(tmp_path, text).digest
-    assert len({first, second, read(tmp_path, text + "# more\n").digest}) == 3
+    assert len({first, second, read(tmp_path, text + "two_sided = true\n").digest}) == 3
+
+
+def test_the_digest_follows_what_a_named_file_names(tmp_path):
+    """A glTF keeps its vertices in another file: the one that a scene names stays as it is."""
+    trimesh = pytest.importorskip("trimesh")
+    text = CAMERA + LIGHT + GREY
+    text += '[[surface]]\nshape = "mesh"\nfile = "model.gltf"\nmaterial = "grey"\n'
+    files = trimesh.exchange.gltf.export_gltf(trimesh.creation.box([1, 1, 1]).scene())
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    first = read(tmp_path, text).digest
+    (vertices,) = (tmp_path / name for name, data in files.items() if len(data) == 4 * 3 * 8)
+    points = np.frombuffer(vertices.read_bytes(), "<f4").reshape(8, 3)
+    vertices.write_bytes((points * np.float32(0.99)).tobytes())
+    assert read(tmp_path, text).digest != first
 
 
 # ------------------------------------------------ checks of a scene

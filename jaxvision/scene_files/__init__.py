@@ -5,6 +5,7 @@ of one sentence that names the file and the object. A few scenes ship with the l
 by their name.
 """
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,7 +35,7 @@ _SHIPPED = Path(str(files("jaxvision"))) / "scenes"
 class SceneFile:
     """What a scene file holds. `render`: how it wants to be rendered. `wavelengths`: (bands,) m,
     or None: RGB if there are three bands. `surfaces`, `lights`: what messages call them. `digest`:
-    one hash of the file and of all files that it names."""
+    one hash of all numbers of the scene and its view, whatever files they came from."""
 
     path: Path
     scene: Scene
@@ -94,8 +95,16 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         bands.wavelengths,
         names,
         light_names,
-        folder.digest(),
+        _digest(scene, view),
     )
+
+
+def _digest(*records: object) -> str:
+    leaves, structure = jax.tree.flatten(records)
+    whole = hashlib.sha256(str(structure).encode())
+    for leaf in map(np.asarray, leaves):
+        whole.update(f"{leaf.dtype}{leaf.shape}".encode() + leaf.tobytes())
+    return whole.hexdigest()
 
 
 def _found(path: str | os.PathLike[str]) -> Path:

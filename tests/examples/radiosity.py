@@ -17,7 +17,7 @@ LAMP = RectangleLight([0.2, 0.3, 0.9], [0.0, 0.3, 0.0], [0.4, 0.0, 0.0], [2.0, 3
 GLOW = jnp.asarray([0.2, 0.3])
 SCENE = Scene([Surface(FLOOR, RHO), Surface(LID, RHO, GLOW), Surface(SIDE, RHO)], [LAMP])
 PLAN = plan_patches(SCENE, size=0.6, split=1)
-VIEW = Pinhole([0.6, 0.4, 0.5], AXES, 1.0, 0.3, resolution=(2, 3))
+VIEW = Pinhole([0.55, 0.42, 0.5], AXES, 1.0, 0.3, resolution=(2, 3))
 ELEMENTS = patches_of(SCENE, PLAN)
 N = len(ELEMENTS.area)
 RNG = np.random.default_rng(1)
