@@ -344,7 +344,8 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
     with _failures_as_sentences(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
-        sections, images = calibrate(reporter)
+        with _folder(options.out):
+            sections, images = calibrate(reporter)
         settings = {"input": path.name, **asdict(options)}
         if options.out is not None:
             with reporter.step("writing the report"):
@@ -362,6 +363,21 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
         print_section(console, section)
     if options.out is not None:
         console.print(f"\nReport: {options.out / 'report.html'}")
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[None]:
+    """Made before the work, so that a place where nothing can be written is known before it and
+    not after; gone again if that fails and has left nothing."""
+    made = out is not None and not out.exists()
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if out is not None and made and not any(out.iterdir()):
+            out.rmdir()
+        raise
 
 
 @contextmanager

@@ -207,10 +207,10 @@ def _pictures(calibration: BRDFCalibration) -> tuple[Picture, ...]:
         Picture(
             "slices",
             "Measured and fitted in the plane of incidence",
-            "f_r cos θi, mean of the bands, against the viewer's elevation, positive on the far "
-            "side from the light; dotted: the mirror direction. Dots: measured. Lines: the best "
-            "lobe of each kind and Lambert, each fitted WITHOUT the incidence it is drawn at. The "
-            "scale is linear below the tick nearest to zero.",
+            "f_r cos θi, mean of the bands, by the viewer's angle from the normal, positive on "
+            "the far side from the light; dotted: the mirror direction. Dots: measured. Lines: the "
+            "best lobe of each kind and Lambert, each fitted WITHOUT the incidence it is drawn at. "
+            "The scale is linear below the tick nearest to zero.",
             drawn_by("slices_figure"),
         ),
         Picture(

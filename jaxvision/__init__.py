@@ -146,6 +146,7 @@ from .lights import (
     incident_samples,
     irradiance,
 )
+from .lights.adaptive import adaptive_irradiance
 from .lights.light_field import (
     refocus,
 )
@@ -256,13 +257,12 @@ from .sensor import (
 )
 from .shading import (
     Estimate,
-    Leaving,
     hemisphere_radiance,
     lit_radiance,
     outgoing_radiance,
     sampled_radiance,
-    visibility,
 )
+from .shadows import Leaving, visibility
 from .transport import (
     Paths,
     Traced,
@@ -375,6 +375,7 @@ __all__ = [
     "Vec",
     "WhiteBalance",
     "Window",
+    "adaptive_irradiance",
     "as_array",
     "as_dtype",
     "as_vec",

@@ -6,14 +6,18 @@ Works elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` 
 floating dtype is kept.
 """
 
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_vec, scaled
+
+Tree = TypeVar("Tree")
 
 
 def smallest_divisor(dtype: DTypeLike) -> float:
@@ -47,6 +51,17 @@ def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
     return jnp.log(jnp.where(above, x, smallest))
 
 
+def reciprocal(x: Scalars) -> Scalars:
+    """1 / x, in the inverse of its unit; value and gradient are 0 at and below x = 0."""
+    positive = x > 0
+    return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)
+
+
+def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
+    """The arrays of one tree where the condition holds, else those of another of its structure."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
     """(v / s, s) with s the largest component in magnitude: their squares neither over- nor
     underflow. s is a constant to gradients, and 1 for vectors that are zero or not finite."""
@@ -54,7 +69,7 @@ def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
     scale = jax.lax.stop_gradient(jnp.where(usable, largest, 1))
-    return scaled(v, 1 / scale), scale
+    return scaled(v, jnp.where(usable, 1 / scale, 1)), scale
 
 
 def norm(v: Vec3) -> Scalars:
@@ -214,10 +229,10 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
     """log(1 + less) where `rounded` is that sum as it was rounded, log(rounded) where `less` is 0:
     one logarithm, corrected for what the sum lost (Kahan; log1p costs twice as much)."""
-    logarithm, kept = jnp.log(rounded), rounded - 1
+    kept = rounded - 1
     lost = kept == 0
-    corrected = logarithm * (less / jnp.where(lost, 1, kept))
-    return jnp.where(less == 0, logarithm, jnp.where(lost, less, corrected))
+    corrected = jnp.where(less == 0, 1, less / jnp.where(lost, 1, kept))
+    return jnp.where(lost & (less != 0), less, jnp.log(rounded) * corrected)
 
 
 @_log_of_sum.defjvp

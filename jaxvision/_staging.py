@@ -70,20 +70,23 @@ def _in_one_loop(*values: Array) -> Sequence[Array]:
     return results
 
 
-def _batched(values: Sequence[Array], axes: Sequence[int | None]) -> tuple[list[Array], list[int]]:
+def _batched(
+    primitive: Primitive, values: Sequence[Array], axes: Sequence[int | None]
+) -> tuple[list[Array], list[int]]:
     (size,) = {v.shape[axis] for v, axis in zip(values, axes, strict=True) if axis is not None}
     moved = [
         jnp.broadcast_to(v, (size, *v.shape)) if axis is None else jnp.moveaxis(v, axis, 0)
         for v, axis in zip(values, axes, strict=True)
     ]
-    return _together.bind(*moved), [0] * len(moved)
+    return primitive.bind(*moved), [0] * len(moved)
 
 
-def _known_together(values: Sequence[Any]) -> list[Any]:
-    """Tangents or cotangents together, those that are zero by their structure left alone."""
+def _of_known(primitive: Primitive, values: Sequence[Any]) -> list[Any]:
+    """The primitive of tangents or cotangents, those that are zero by their structure left
+    alone."""
     known = [value for value in values if type(value) is not ad.Zero]
-    joined = iter(_together.bind(*known))
-    return [value if type(value) is ad.Zero else next(joined) for value in values]
+    results = iter(primitive.bind(*known) if known else ())
+    return [value if type(value) is ad.Zero else next(results) for value in values]
 
 
 _together = Primitive("together")
@@ -91,20 +94,86 @@ _together.multiple_results = True
 _together.def_impl(lambda *values: list(values))  # eager values are stored already
 _together.def_abstract_eval(lambda *values: values)
 mlir.register_lowering(_together, mlir.lower_fun(_in_one_loop, multiple_results=True))
-batching.primitive_batchers[_together] = _batched
+batching.primitive_batchers[_together] = partial(_batched, _together)
 ad.primitive_jvps[_together] = lambda values, tangents: (
     _together.bind(*values),
-    _known_together(tangents),
+    _of_known(_together, tangents),
 )
-ad.primitive_transposes[_together] = lambda cotangents, *_: _known_together(cotangents)
+ad.primitive_transposes[_together] = lambda cotangents, *_: _of_known(_together, cotangents)
 
 
-def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
+def derived_together(values: Any) -> Any:
+    """The same tree of numbers, as it is; only their cotangents are computed in one loop and
+    stored. For parameters that many rays share: the sums over the rays that follow would else
+    each repeat what the cotangents share."""
+    leaves, tree = jax.tree.flatten(values)
+    return jax.tree.unflatten(tree, _derived.bind(*leaves))
+
+
+_derived = Primitive("derived_together")
+_derived.multiple_results = True
+_derived.def_impl(lambda *values: list(values))
+_derived.def_abstract_eval(lambda *values: values)
+mlir.register_lowering(_derived, lambda context, *values: list(values))
+batching.primitive_batchers[_derived] = partial(_batched, _derived)
+ad.primitive_jvps[_derived] = lambda values, tangents: (
+    list(values),
+    _of_known(_derived, tangents),
+)
+ad.primitive_transposes[_derived] = lambda cotangents, *_: _of_known(_together, cotangents)
+
+
+def reordered(values: Array, order: Array, back: Array) -> Array:
+    """values[order] along the first axis, 0 where `order` points past the end; `back` undoes it:
+    order[back[i]] = i, or past the end for what `order` leaves out.
+
+    Its cotangents are read by `back` as the values are by `order`; those of a plain index are added
+    up one by one, which takes the CPU seven times as long.
+    """
+    return _reordered.bind(values, order, back)
+
+
+def _read(values: Array, order: Array, back: Array) -> Array:
+    del back
+    return values.at[order].get(mode="fill", fill_value=0)
+
+
+def _batched_order(arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[Array, int]:
+    values, order, back = arguments
+    axis, *of_orders = axes
+    if axis is None or of_orders != [None, None]:
+        raise NotImplementedError("reordered maps over values alone, which share one order.")
+    last = values.ndim - 1
+    return _reordered.bind(jnp.moveaxis(values, axis, last), order, back), last
+
+
+_reordered = Primitive("reordered")
+_reordered.def_impl(_read)
+_reordered.def_abstract_eval(
+    lambda values, order, back: values.update(shape=(*order.shape, *values.shape[1:]))
+)
+mlir.register_lowering(_reordered, mlir.lower_fun(_read, multiple_results=False))
+batching.primitive_batchers[_reordered] = _batched_order
+ad.primitive_jvps[_reordered] = lambda arguments, tangents: (
+    _reordered.bind(*arguments),
+    tangents[0] if type(tangents[0]) is ad.Zero else _reordered.bind(tangents[0], *arguments[1:]),
+)
+ad.primitive_transposes[_reordered] = lambda cotangent, values, order, back: [
+    cotangent if type(cotangent) is ad.Zero else _reordered.bind(cotangent, back, order),
+    None,
+    None,
+]
+
+
+def in_tiles(function: Callable[..., Any], *trees: Any, size: int, keep: Sequence[str] = ()) -> Any:
     """`vmap(function)(*trees)` over the leading axes of all arrays, `size` entries at a time.
 
     What lies between the stages of one tile stays in the cache, and a gradient computes a tile
-    again rather than keep it: both take half the time and a tenth of the memory.
+    again rather than keep it, all but what `checkpoint_name` gave the names `keep`: both take half
+    the time and a tenth of the memory.
     """
     if len(jax.tree.leaves(trees)[0]) <= size:
         return jax.vmap(function)(*trees)
-    return jax.lax.map(jax.checkpoint(lambda entry: function(*entry)), trees, batch_size=size)
+    policy = jax.checkpoint_policies.save_only_these_names(*keep) if keep else None
+    tile = jax.checkpoint(lambda entry: function(*entry), policy=policy)
+    return jax.lax.map(tile, trees, batch_size=size)

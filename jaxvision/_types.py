@@ -37,6 +37,12 @@ def as_float(x: Any) -> Array:
     return array.astype(jnp.result_type(float))
 
 
+def common_dtype(*records: object) -> jnp.dtype:
+    """The floating dtype that all numbers of the records share."""
+    leaves = jax.tree.leaves(records)
+    return jnp.result_type(*(x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)))
+
+
 def as_optional_float(x: Any) -> Array | None:
     """`as_float`, with None (an absent effect) staying None."""
     return None if x is None else as_float(x)

@@ -40,7 +40,7 @@ def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
     """
     n = as_vec(normal)
     sign = jnp.where(n.z < 0, -jnp.ones_like(n.z), 1)
-    a = -1 / (sign + n.z)
+    a = -sign * (1 / (1 + jnp.abs(n.z)))
     b = n.x * n.y * a
     t = Vec(1 + sign * n.x * n.x * a, sign * b, -sign * n.x)
     if tangent is None:

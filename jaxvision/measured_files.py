@@ -40,6 +40,8 @@ NANOMETRE = 1e-9
 
 def _contents(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
     file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder; name the file in it.")
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the name and the folder.")
     return file, file.read_bytes()

@@ -9,20 +9,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
+from ._bands import apart
 from ._numerics import dot
-from ._staging import TILE, in_tiles, stored, together
+from ._staging import in_tiles, reordered, stored, together
 from ._types import Colour, Image, Key, Scalar, group_by_structure, take
 from ._vector import Vec, where
-from .geometry import Hit, Ray, hit_shape, nearest_shape
+from .geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from .lights import Balanced, LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for
 from .lights.light_field import light_field_ray
 from .optics import pixel_grid, view_ray
 from .scene import Scene, TriangleMesh, View
-from .shading import DEFAULT_RULE, Leaving, outgoing_radiance, visibility
+from .shading import outgoing_radiance
+from .shadows import DEFAULT_RULE, TRACED, Leaving, visibility
 
+# Rays at once: cores share each loop over a tile, which must be long beside the start of a task.
+_TILE = 65536
 _LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
+_FEW = 8  # numbers in an array of a material that are spread one by one
 _BLOCK = 256  # pixels of one surface that are shaded together: a material is read once for them
 
 
@@ -38,8 +44,16 @@ def radiance_along(
     nor is it for one shape that cannot shade itself. Materials of one kind are shaded by one piece
     of code.
     """
-    shapes = [surface.shape for surface in scene.surfaces]
-    encounter = stored(nearest_shape, ray, shapes)
+    return _along(scene, _shapes_of(scene), ray, rule, shadows)
+
+
+def _shapes_of(scene: Scene) -> Sorted:
+    return sorted_shapes([surface.shape for surface in scene.surfaces])
+
+
+def _along(scene: Scene, shapes: Sorted, ray: Ray, rule: Rule, shadows: bool) -> Colour:
+    """`radiance_along` one of many rays, for which the shapes have been sorted."""
+    encounter = checkpoint_name(nearest_shape(ray, shapes), TRACED)
     hit = together(hit_shape(ray, shapes, encounter))
     normal, leaving = _facing(scene, ray, encounter.shape, hit)
     radiance = jnp.zeros((), ray.origin.x.dtype)
@@ -130,22 +144,28 @@ def render(
     shadows: bool = True,
     samples: PixelSamples | None = None,
 ) -> Image:
-    """The picture in radiance: (h, w, bands) in W m^-2 sr^-1. `rule`: how finely extended lights
-    are taken apart; `MonteCarlo` draws for each pixel anew. `shadows`: static, as in
-    `radiance_along`. `samples`: the mean over many rays of each pixel, which a thin lens needs to
-    defocus, or None: one ray through each pixel's centre."""
+    """The picture in radiance by direct light, (h, w, bands) in W m^-2 sr^-1: what surfaces emit
+    is seen, and lights nothing here; in `transport` it does.
+
+    `rule`: how finely extended lights are taken apart; `MonteCarlo` draws for each pixel anew.
+    `shadows`: static, as in `radiance_along`. `samples`: the mean over many rays of each pixel,
+    which a thin lens needs to defocus, or None: one ray through each pixel's centre.
+
+    On CPUs of 512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width":
+    "512"})` takes about three quarters of the time.
+    """
     rows, columns = pixel_grid(view)
     height, width = view.resolution
+    shapes = _shapes_of(scene)
 
     def centre(row, column, number):
-        ray = view_ray(view, row, column)
-        return radiance_along(scene, ray, rule=rule_for(rule, number), shadows=shadows)
+        return _along(scene, shapes, view_ray(view, row, column), rule_for(rule, number), shadows)
 
     def mean(samples, row, column, number):
         def one(sample):
             ray = sample_ray(samples, view, row, column, number, sample)
             own = rule_for(rule, number * samples.count + sample)
-            return radiance_along(scene, ray, rule=own, shadows=shadows)
+            return _along(scene, shapes, ray, own, shadows)
 
         return jax.lax.map(one, jnp.arange(samples.count)).mean(axis=0)
 
@@ -155,21 +175,24 @@ def render(
         return jax.vmap(pixel, in_axes=(None, 0, 0))(row, columns, numbers)
 
     numbers = jnp.arange(height * width).reshape(height, width)
-    return in_tiles(line, rows, numbers, size=max(TILE // width, 1))
+    keep = (TRACED,) if samples is None else ()  # of one ray a pixel: of many it would be much
+    return in_tiles(line, rows, numbers, size=max(_TILE // width, 1), keep=keep)
 
 
 class Baked(eqx.Module):
     """What the rays of a view meet, sorted by surface into blocks of pixels of one surface each.
 
     `pixels`: (blocks, block) their numbers, one past the last where a block is not full.
+    `places`: where in them a pixel is, one past the last for one that sees no surface.
     `surface`: (blocks,). `point`: m. `normal`: unit, that shades. `facing`: unit, of the surface
     itself, to the front. `wo`: unit; (blocks, block) each. `blocked`: which nodes of each light
-    do not come through, see `shading.visibility`, or None: none. `background`: (pixels, bands)
+    do not come through, see `shadows.visibility`, or None: none. `background`: (pixels, bands)
     W m^-2 sr^-1 of what is seen that is no surface, 0 elsewhere. `rule`: how extended lights were
     taken apart. `resolution`: static.
     """
 
     pixels: Int[Array, "blocks block"]
+    places: Int[Array, " pixels"]
     surface: Int[Array, " blocks"]
     point: Vec
     normal: Vec
@@ -193,9 +216,8 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
         raise ValueError("bake needs rays that follow no material, got the rule Balanced.")
     height, width = view.resolution
     numbers = jnp.arange(height * width)
-    shapes = [surface.shape for surface in scene.surfaces]
 
-    def pixel(scene: Scene, view: View, number: Int[Array, ""]) -> tuple:
+    def pixel(scene: Scene, view: View, shapes: Sorted, number: Int[Array, ""]) -> tuple:
         dtype = view.pixel_pitch.dtype
         ray = view_ray(view, (number // width).astype(dtype), (number % width).astype(dtype))
         encounter = nearest_shape(ray, shapes)
@@ -214,14 +236,17 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
 
     @jax.jit
     def trace(scene: Scene, view: View) -> tuple:
-        return in_tiles(partial(pixel, scene, view), numbers, size=TILE)
+        return in_tiles(partial(pixel, scene, view, _shapes_of(scene)), numbers, size=_TILE)
 
     surface, background, met = trace(scene, view)
     pixels, of_block = _blocks_of(np.asarray(surface))
     inside = np.minimum(pixels, height * width - 1)
+    places = np.full(height * width + 1, pixels.size)
+    places[pixels.reshape(-1)] = np.arange(pixels.size)
     point, normal, facing, wo, blocked = jax.tree.map(lambda x: x[inside], met)
     return Baked(
         jnp.asarray(pixels),
+        jnp.asarray(places[:-1]),
         jnp.asarray(of_block),
         point,
         normal,
@@ -236,11 +261,13 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
 
 def _blocks_of(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((blocks, block) numbers of the pixels, (blocks,) their surface): pixels that see a surface,
-    surface by surface, the last block of each filled up with the number of pixels."""
-    pixels, of_block = [np.zeros((0, _BLOCK), int)], []
-    for index in np.unique(surface[surface >= 0]):
+    surface by surface, the last block of each filled up with the number of pixels. Where none sees
+    one, a block of filling."""
+    pixels, of_block = [], []
+    seen = np.unique(surface[surface >= 0])
+    for index in seen if len(seen) else [0]:
         mine = np.flatnonzero(surface == index)
-        count = -(-len(mine) // _BLOCK)
+        count = max(-(-len(mine) // _BLOCK), 1)
         filled = np.full(count * _BLOCK, len(surface))
         filled[: len(mine)] = mine
         pixels.append(filled.reshape(count, _BLOCK))
@@ -263,7 +290,7 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
         for members, group in groups:
             material, among = stored(partial(take, members), group, surface)
 
-            def pixel(number, point, normal, wo, visible, material=material) -> Colour:
+            def pixel(number, point, normal, wo, visible, material) -> Colour:
                 return outgoing_radiance(
                     material,
                     scene.lights,
@@ -275,7 +302,8 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
                     visible=visible,
                 )
 
-            shaded = jax.vmap(pixel)(pixels, point, normal, wo, visible)
+            of_each = jax.tree.map(partial(_for_each, len(pixels)), material)
+            shaded = jax.vmap(pixel)(pixels, point, normal, wo, visible, of_each)
             radiance = jnp.where(among, shaded, radiance)
         if any(emission is not None for emission in emissions):
             emitted = _of_surface(emissions, surface)
@@ -291,12 +319,20 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
         baked.facing,
         baked.wo,
         baked.blocked,
-        size=TILE // _BLOCK,
+        size=_TILE // _BLOCK,
     )
     bands = sorted_radiance.shape[-1]
-    image = jnp.broadcast_to(baked.background, (len(baked.background), bands))
-    at, values = baked.pixels.reshape(-1), sorted_radiance.reshape(-1, bands)
-    return image.at[at].set(values, mode="drop").reshape(*baked.resolution, bands)
+    sorted_radiance = sorted_radiance.reshape(baked.pixels.size, bands)
+    image = reordered(sorted_radiance, baked.places, baked.pixels.reshape(-1))
+    return (image + baked.background).reshape(*baked.resolution, bands)
+
+
+def _for_each(count: int, leaf: Array) -> Array:
+    """The array once for each of many rays; a short one number by number, so that each number's
+    cotangents are summed up alone, not side by side with those of others."""
+    if leaf.ndim != 1 or leaf.size > _FEW:
+        return jnp.broadcast_to(leaf, (count, *leaf.shape))
+    return jnp.stack([jnp.broadcast_to(x, (count,)) for x in apart(leaf, leaf.size)], axis=-1)
 
 
 def render_light_field(
@@ -314,12 +350,13 @@ def render_light_field(
     The scene is what lies behind the aperture. `resolution`: samples (s, t, u, v), the outermost
     on the windows' rims; one sample of an axis lies at its start.
     """
+    shapes = _shapes_of(scene)
     axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
     places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
 
     def sample(place, number):
         ray = light_field_ray(aperture, focal, place)
-        return radiance_along(scene, ray, rule=rule_for(rule, number), shadows=shadows)
+        return _along(scene, shapes, ray, rule_for(rule, number), shadows)
 
-    radiance = in_tiles(sample, places, jnp.arange(len(places)), size=TILE)
+    radiance = in_tiles(sample, places, jnp.arange(len(places)), size=_TILE)
     return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)

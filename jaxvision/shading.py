@@ -18,17 +18,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from . import brdf
-from ._numerics import safe_sqrt
-from ._staging import together
-from ._types import Colour, Key, Scalar, group_by_structure
+from ._bands import Bands, apart, plus
+from ._numerics import reciprocal, safe_sqrt
+from ._staging import derived_together, together
+from ._types import Colour, Key, Scalar, common_dtype, group_by_structure
 from ._vector import Vec, Vector, as_array, as_vec
 from .brdf.mirror import Mirror
-from .geometry import Ray, mirror_direction, occluded
+from .geometry import Ray, Shapes, mirror_direction, sorted_shapes
 from .hemisphere import Frame, local_frame, product_nodes, to_local, to_world
 from .lights import (
     Balanced,
     Incident,
-    Quadrature,
     Rule,
     can_be_seen,
     direction_pdf,
@@ -39,10 +39,19 @@ from .lights import (
     nearest_seen,
     seen,
 )
-from .scene import AmbientLight, Light, Material, Shape
+from .scene import AmbientLight, Light, Material
+from .shadows import (
+    DEFAULT_RULE,
+    Leaving,
+    Place,
+    Visible,
+    clear,
+    comes_through,
+    light_comes_through,
+)
 
+_FEW = 8  # numbers in an array of a material that are read one by one
 _UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
-DEFAULT_RULE = Quadrature(8)  # 1e-5 off a quarter of its side below a square light
 
 
 class Estimate(eqx.Module):
@@ -51,26 +60,6 @@ class Estimate(eqx.Module):
 
     value: Colour
     error: Colour
-
-
-class Leaving(eqx.Module):
-    """How shadow rays leave a surface. `normal`: (3,) unit, of the surface itself. `size`: () m,
-    as `geometry.Hit.size`, or None: that of the largest shape."""
-
-    normal: Vector
-    size: Scalar | None = None
-
-
-class Place(eqx.Module):
-    """A point of a surface, m, and what may lie between it and the light."""
-
-    point: Vector
-    leaving: Leaving
-    occluders: tuple[Shape, ...]
-
-
-Bands = tuple[Scalar, ...]
-Visible = tuple[Bool[Array, " _"], ...]
 
 
 def outgoing_radiance(
@@ -83,7 +72,7 @@ def outgoing_radiance(
     ambient: AmbientLight | None = None,
     tangent: Vector | None = None,
     rule: Rule = DEFAULT_RULE,
-    occluders: Sequence[Shape] | None = None,
+    occluders: Shapes | None = None,
     leaving: Leaving | None = None,
     visible: Visible | None = None,
 ) -> Colour:
@@ -104,10 +93,10 @@ def outgoing_radiance(
     eight lights of one kind, are a loop over one piece of code; up to eight lights at one place are
     summed in one pass over the rays.
     """
-    frame, viewer = together(_frame(normal, wo, tangent))
-    dtype = _dtype(material, lights, point, normal, wo)
+    frame, viewer = _frame(normal, wo, tangent)
+    dtype = common_dtype(material, lights, point, normal, wo)
     own = Leaving(normal) if leaving is None else leaving
-    place = None if occluders is None else Place(point, own, tuple(occluders))
+    place = None if occluders is None else Place(point, own, sorted_shapes(occluders))
     if visible is not None and isinstance(rule, Balanced):
         raise ValueError("visible is known for Quadrature and MonteCarlo, got the rule Balanced.")
 
@@ -123,6 +112,7 @@ def outgoing_radiance(
     if ambient is not None:
         spectra.append(ambient.radiance.shape)
     (bands,) = _check_bands(material, spectra)
+    parameters = _in_numbers(material)
 
     def shaded(
         light: Light, u: Float[Array, "2"], weight: Scalar, passes: Bool[Array, ""] | None
@@ -130,12 +120,12 @@ def outgoing_radiance(
         arriving = incident_sample(light, rule, point, u, weight)
         wi = together(to_local(frame, arriving.direction))
         if place is not None:
-            passes = _unblocked(place, arriving)
+            passes = comes_through(place, arriving)
         return together(reflected(arriving, wi, passes))
 
     def reflected(arriving: Incident, wi: Vector, passes: Bool[Array, ""] | None) -> Bands:
-        shading = _apart(brdf.shading(material, wi, viewer), bands)
-        irradiance = _apart(arriving.irradiance, bands)
+        shading = apart(brdf.shading(parameters(), wi, viewer), bands)
+        irradiance = apart(arriving.irradiance, bands)
         return tuple(_where(passes, e * s) for e, s in zip(irradiance, shading, strict=True))
 
     def from_places(
@@ -143,9 +133,9 @@ def outgoing_radiance(
     ) -> list[Bands]:
         (node,), (weight,) = light_nodes(lights[0], rule, dtype)
         arriving = [incident_sample(light, rule, point, node, weight) for light in lights]
-        directions = together([to_local(frame, arrived.direction) for arrived in arriving])
+        directions = [to_local(frame, arrived.direction) for arrived in arriving]
         if place is not None:
-            through = together([_unblocked(place, arrived) for arrived in arriving])
+            through = [light_comes_through(place, light) for light in lights]
         else:
             through = [None if flags is None else flags[0] for flags in passes]
         return [reflected(*of_one) for of_one in zip(arriving, directions, through, strict=True)]
@@ -157,20 +147,20 @@ def outgoing_radiance(
         nodes, weights = light_nodes(light, rule, dtype)
         if not can_be_seen(light):
             only = None if passes is None else passes[0]
-            return _sum(radiance, shaded(light, nodes[0], weights[0], only)), None
+            return plus(radiance, shaded(light, nodes[0], weights[0], only)), None
 
         @jax.checkpoint
         def from_node(
             total: Bands, node: tuple[Array, Array, Bool[Array, ""] | None]
         ) -> tuple[Bands, None]:
-            return _sum(total, shaded(light, *node)), None
+            return plus(total, shaded(light, *node)), None
 
         @jax.checkpoint
         def from_both(total: Bands, node: tuple[Array, Array, Array]) -> tuple[Bands, None]:
             of_light, of_material, weight = node
             both = _balanced(material, light, point, frame, viewer, of_light, of_material, place)
             both = weight * both
-            return _sum(total, _apart(both, bands)), None
+            return plus(total, apart(both, bands)), None
 
         if not isinstance(rule, Balanced):
             return jax.lax.scan(from_node, radiance, (nodes, weights, passes))
@@ -179,7 +169,7 @@ def outgoing_radiance(
 
     radiance = (jnp.zeros((), dtype),) * bands
     if ambient is not None and k_a is not None:
-        radiance = _sum(radiance, _apart(k_a * ambient.radiance, bands))
+        radiance = plus(radiance, apart(k_a * ambient.radiance, bands))
     for members, group in grouped:
         passes = [None if visible is None else visible[member] for member in members]
         if can_be_seen(lights[members[0]]) or len(members) > _UNROLLED:
@@ -187,39 +177,14 @@ def outgoing_radiance(
             radiance, _ = jax.lax.scan(from_light, radiance, (group, flags))
         else:
             for of_one in from_places([lights[member] for member in members], passes):
-                radiance = _sum(radiance, of_one)
+                radiance = plus(radiance, of_one)
     if isinstance(material, Mirror):  # a delta function: no sample meets it, but its ray is known
         direction = mirror_direction(as_vec(normal), as_vec(wo))
         ahead = nearest_seen(lights, Ray(point, direction))
-        passes = None if place is None else _clear(place, direction, ahead.distance)
+        passes = None if place is None else clear(place, direction, ahead.distance)
         image = _where(passes, brdf.albedo(material, viewer) * ahead.radiance)
-        radiance = _sum(radiance, _apart(image, bands))
+        radiance = plus(radiance, apart(image, bands))
     return jnp.stack(together([jnp.where(viewer.z > 0, band, 0) for band in radiance]))
-
-
-def visibility(
-    lights: Sequence[Light],
-    point: Vector,
-    occluders: Sequence[Shape],
-    leaving: Leaving,
-    *,
-    rule: Rule = DEFAULT_RULE,
-) -> Visible:
-    """Which nodes of each light come through to `point`, (3,) m: (nodes,) for each. No gradient;
-    no unit."""
-    place, dtype = Place(point, leaving, tuple(occluders)), _dtype(lights, point)
-
-    def of_light(light: Light) -> Bool[Array, " nodes"]:
-        nodes, weights = light_nodes(light, rule, dtype)
-        return jax.lax.map(
-            lambda node: _unblocked(place, incident_sample(light, rule, place.point, *node)),
-            (nodes, weights),
-        )
-
-    flags: dict[int, Bool[Array, " nodes"]] = {}
-    for members, group in group_by_structure(lights):
-        flags |= dict(zip(members, jax.lax.map(of_light, group), strict=True))
-    return tuple(flags[i] for i in range(len(lights)))
 
 
 def hemisphere_radiance(
@@ -284,7 +249,7 @@ def sampled_radiance(
         wi = as_vec(brdf.sample(material, viewer, u))
         density = brdf.pdf(material, wi, viewer)
         arriving = incident_radiance(_world(frame, wi, wo))
-        return arriving * brdf.shading(material, wi, viewer) * _inverse(density)
+        return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
 
     return _mean(jax.vmap(draw)(jax.random.uniform(key, (samples, 3), viewer.z.dtype)))
 
@@ -299,7 +264,7 @@ def lit_radiance(
     *,
     samples: int,
     tangent: Vector | None = None,
-    occluders: Sequence[Shape] | None = None,
+    occluders: Shapes | None = None,
 ) -> Estimate:
     """Radiance from `point` under one extended light, each sample a direction drawn from the light
     and one from the material, joined by the balance heuristic (Veach and Guibas, "Optimally
@@ -314,7 +279,7 @@ def lit_radiance(
     """
     _check_samples(samples)
     frame, viewer = _frame(normal, wo, tangent)
-    place = None if occluders is None else Place(point, Leaving(normal), tuple(occluders))
+    place = None if occluders is None else Place(point, Leaving(normal), sorted_shapes(occluders))
     if isinstance(material, Mirror):
         arriving = _arriving(light, point, mirror_direction(normal, wo), place)
         return Estimate(brdf.albedo(material, viewer) * arriving, jnp.zeros_like(arriving))
@@ -342,7 +307,7 @@ def _balanced(
         world = _world(frame, wi, point)
         density = direction_pdf(light, point, world) + brdf.pdf(material, wi, viewer)
         arriving = _arriving(light, point, world, place)
-        return arriving * brdf.shading(material, wi, viewer) * _inverse(density)
+        return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
 
     from_light = to_local(frame, direction_sample(light, point, of_light).direction)
     from_material = brdf.sample(material, viewer, of_material)
@@ -352,36 +317,30 @@ def _balanced(
 def _arriving(light: Light, point: Vector, wi: Vector, place: Place | None) -> Colour:
     """Radiance, W m^-2 sr^-1, that reaches the point from `wi`, 0 where something is between."""
     ahead = seen(light, Ray(point, wi))
-    passes = None if place is None else _clear(place, wi, ahead.distance)
+    passes = None if place is None else clear(place, wi, ahead.distance)
     return _where(passes, ahead.radiance)
-
-
-def _clear(place: Place, direction: Vector, distance: Scalar) -> Bool[Array, ""]:
-    """Whether light from so far, m, comes through to the place."""
-    normal, size = place.leaving.normal, place.leaving.size
-    return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
-
-
-def _unblocked(place: Place, arriving: Incident) -> Bool[Array, ""]:
-    """Whether what a light sends comes through to the place."""
-    far = jnp.full_like(as_vec(arriving.direction).x, jnp.inf)
-    distance = far if arriving.distance is None else arriving.distance
-    return _clear(place, arriving.direction, distance)
-
-
-def _apart(spectrum: Colour, bands: int) -> Bands:
-    """The bands of a spectrum, a neutral one's repeated: one number each, for a loop over rays
-    with an array of three in it does not use the vector units."""
-    return tuple(spectrum[min(k, spectrum.shape[0] - 1)] for k in range(bands))
-
-
-def _sum(one: Bands, other: Bands) -> Bands:
-    return tuple(a + b for a, b in zip(one, other, strict=True))
 
 
 def _where(condition: Bool[Array, ""] | None, value: Array) -> Array:
     """The value where the condition holds, else 0; without a condition the value."""
     return value if condition is None else jnp.where(condition, value, 0)
+
+
+def _in_numbers(material: Material) -> Callable[[], Material]:
+    """The material, put together anew for each that reads it, of numbers whose cotangents all
+    lights share: those of arrays would be put side by side for each light, and added then."""
+    leaves, tree = jax.tree.flatten(material)
+    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= _FEW]
+    numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
+    numbers = derived_together(numbers)
+
+    def assembled() -> Material:
+        again = list(leaves)
+        for i, own in zip(few, numbers, strict=True):
+            again[i] = jnp.stack(own).reshape(leaves[i].shape)
+        return jax.tree.unflatten(tree, again)
+
+    return assembled
 
 
 def _frame(normal: Vector, wo: Vector, tangent: Vector | None) -> tuple[Frame, Vec]:
@@ -395,12 +354,6 @@ def _world(frame: Frame, wi: Vec, like: Vector) -> Vector:
     return as_array(world) if isinstance(like, Array) else world
 
 
-def _inverse(density: Scalar) -> Scalar:
-    """1 / density, 0 where nothing can be drawn."""
-    drawn = density > 0
-    return jnp.where(drawn, 1 / jnp.where(drawn, density, 1), 0)
-
-
 def _mean(values: Float[Array, "samples bands"]) -> Estimate:
     count = values.shape[0]
     return Estimate(values.mean(axis=0), safe_sqrt(values.var(axis=0, ddof=1) / count))
@@ -409,12 +362,6 @@ def _mean(values: Float[Array, "samples bands"]) -> Estimate:
 def _check_samples(samples: int) -> None:
     if samples < 2:
         raise ValueError(f"samples must be at least 2, got {samples}.")
-
-
-def _dtype(*records: object) -> jnp.dtype:
-    """The common floating dtype of all numbers."""
-    leaves = jax.tree.leaves(records)
-    return jnp.result_type(*(x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)))
 
 
 def _check_bands(material: Material, spectra: Sequence[tuple[int, ...]]) -> tuple[int, ...]:

@@ -1,6 +1,9 @@
-"""Strict JAX for the whole suite: no silent promotion, warnings are errors, both dtypes at hand."""
+"""Strict JAX for the whole suite: no silent promotion, warnings are errors, both dtypes at hand;
+and quick compiles, which are most of its time."""
 
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
@@ -11,9 +14,38 @@ import pytest
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+# A third of the time to compile, for what runs once. `XLA_FLAGS= pytest` compiles as users do.
+QUICK_COMPILE = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
+    "--xla_cpu_parallel_codegen_split_count=1"
+)
 DATA = Path(
     os.environ.get("JAXVISION_DATA", Path(__file__).parents[1].parent / "shared" / "data")
 ).resolve()
+COMPILED = pytest.StashKey[str]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The default run compiles quickly; long sweeps and benchmarks as users do. What one worker
+    has compiled the others read, but for benchmarks, which time it. All this before the first use
+    of XLA, which reads its flags then; workers inherit them."""
+    if config.option.markexpr == "benchmark":
+        return
+    if "not slow" in config.option.markexpr:
+        os.environ.setdefault("XLA_FLAGS", QUICK_COMPILE)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        config.stash[COMPILED] = tempfile.mkdtemp(prefix="jaxvision-compiled-")
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = config.stash[COMPILED]
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    # a worker may meet an entry that another is still writing: then it compiles its own
+    config.addinivalue_line("filterwarnings", "ignore:Error (read|writ)ing persistent compilation")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if COMPILED in config.stash:
+        shutil.rmtree(config.stash[COMPILED], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -8,45 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.sensors import EVERY_EFFECT
 
 from jaxvision import optics
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
 from jaxvision.sensor import raw_image
 
 KEY, DIE = jax.random.split(jax.random.key(8))
 LIGHT = jnp.full((6, 8, 3), 1e-3, float)
-SENSOR = s.Sensor(
-    photon_conversion=s.PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),
-    infrared_cut=[0.9, 1.0, 1.0],
-    exposure_time=0.01,
-    quantum_efficiency=0.5,
-    colour_filter=s.ColourFilter(np.eye(3), pattern=bayer("RGGB")),
-    pixel_aperture=s.PixelAperture(0.5),
-    crosstalk=0.01,
-    smear=1e-4,
-    prnu=0.01,
-    dead_pixels=1e-3,
-    dark_current=s.DoublingDarkCurrent(100.0, 300.0, 293.0, 8.0),
-    hot_pixels=s.HotPixels(0.01, 100.0),
-    shot_noise=s.FastPoissonShotNoise(),
-    full_well=1e4,
-    blooming=0.5,
-    charge_transfer=s.ChargeTransfer(1e-4, trail=2),
-    conversion_prnu=0.01,
-    dsnu=1.0,
-    column_dsnu=0.5,
-    row_dsnu=0.5,
-    reset_noise=s.ResetNoise(1e-15, 300.0),
-    read_noise=s.HeavyTailedReadNoise(2.0, 9.0, 0.01),
-    telegraph_noise=s.TelegraphNoise(0.1, 5.0),
-    row_noise=0.5,
-    banding=s.Banding(1.0, 5.0),
-    column_prnu=0.01,
-    gain=0.4,
-    offset=64.0,
-    bits=12,
-)
 # Where the program of an effect holds what no other effect's does.
 SIGNATURES = {
     "smear": "reduce_sum",
@@ -112,24 +81,24 @@ def test_a_sensor_without_effects_is_no_program_at_all():
 
 @pytest.fixture(scope="module")
 def with_all():
-    return shot(SENSOR)
+    return shot(EVERY_EFFECT)
 
 
-EFFECTS = [name for name, value in vars(SENSOR).items() if value is not None]
+EFFECTS = [name for name, value in vars(EVERY_EFFECT).items() if value is not None]
 
 
 @pytest.mark.parametrize("effect", [name for name in EFFECTS if name != "full_well"])
 def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
     """Of all effects at once: without one there is nothing new, and less of something; alone it
     is the only one with random bits, if it draws."""
-    without = shot(replace(SENSOR, **{effect: None}))
+    without = shot(replace(EVERY_EFFECT, **{effect: None}))
     cut = Counter(["min"]) if effect == "blooming" else Counter()  # a well that only ends
     assert without - cut <= with_all
     assert without != with_all
     if effect in SIGNATURES:
         assert with_all[SIGNATURES[effect]] > without[SIGNATURES[effect]] == 0
-    needed = {"full_well": SENSOR.full_well} if effect == "blooming" else {}
-    alone = shot(s.Sensor(**{effect: getattr(SENSOR, effect)}, **needed))
+    needed = {"full_well": EVERY_EFFECT.full_well} if effect == "blooming" else {}
+    alone = shot(s.Sensor(**{effect: getattr(EVERY_EFFECT, effect)}, **needed))
     assert alone
     assert (alone["shift_left"] > 0) == (effect in DRAWN)  # the rotations of the hash
 

@@ -172,7 +172,12 @@ def direction(x):
 
 def shifted(tree, step):
     """Every number of a tree moved by `step` along `direction`."""
-    return jax.tree.map(lambda x: x + step * direction(x) if is_float(x) else x, tree)
+    return jax.tree.map(lambda x: np.asarray(x) + step * direction(x) if is_float(x) else x, tree)
+
+
+def stacked(*leaves):
+    """In NumPy, which compiles nothing, but for random keys."""
+    return (jnp if jnp.issubdtype(leaves[0].dtype, jax.dtypes.prng_key) else np).stack(leaves)
 
 
 def total(tree):
@@ -212,7 +217,9 @@ LONG = {
     "optics.irradiance.sensor_irradiance",
     "optics.resampling.distort_image",
     "optics.resampling.lateral_aberration",
+    "lights.adaptive.adaptive_irradiance",
     "lights.light_field.refocus",
+    "lights.polygon.nodes_integral",
     "lights.polygon.rectangle_irradiance",
     "matting.closed_form.closed_form_matte",
     "matting.foreground.estimate_foreground",
@@ -226,6 +233,7 @@ LONG = {
     "transport.ray_tree.ray_traced",
     "transport.ray_tree.ray_tree_radiances",
     "transport.radiosity.exchange.form_factor_table",
+    "transport.radiosity.form_factors.polygon_to_polygon",
     "transport.radiosity.gather.radiosity_along",
     "transport.radiosity.gather.radiosity_image",
     "transport.radiosity.solution.direct_irradiance",
@@ -238,34 +246,44 @@ LONG = {
     [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in sorted(EXAMPLES)],
 )
 def test_eager_jit_vmap_loop_and_gradient(name):
+    """Two programs: the value with its gradient, and lanes of values, which hold the steps of the
+    finite difference too."""
     arguments, options = EXAMPLES[name]
     function = partial(TRACED[f"jaxvision.{name}"], **options)
-    compiled = quick_jit(function)
-    eager = function(*arguments)
-    close(compiled(*arguments), eager, 1e-12)
-
-    lanes = [arguments, shifted(arguments, 1e-3)]
-    batch = jax.tree.map(lambda *x: jnp.stack(x), *lanes)
-    looped = jax.tree.map(lambda *x: jnp.stack(x), *(compiled(*lane) for lane in lanes))
-    close(quick_jit(jax.vmap(function))(*batch), looped, 1e-12)
-
     flat, structure = jax.tree.flatten(arguments)
     numbers = [i for i, x in enumerate(flat) if is_float(x)]
 
-    def of_numbers(values):
-        whole = list(flat)
+    def summed(values, whole):
+        whole = list(whole)
         for i, value in zip(numbers, values, strict=True):
             whole[i] = value
-        return total(function(*jax.tree.unflatten(structure, whole)))
+        result = function(*jax.tree.unflatten(structure, whole))
+        return total(result), result
 
-    gradient = quick_jit(jax.grad(of_numbers))([flat[i] for i in numbers])
-    assert all(jnp.isfinite(g).all() for g in gradient)
+    one = quick_jit(jax.grad(summed, has_aux=True))
+
+    def at(point):
+        leaves = jax.tree.leaves(point)
+        return one([leaves[i] for i in numbers], leaves)
 
     h = 1e-6
-    ahead, behind = (total(compiled(*shifted(arguments, step))) for step in (h, -h))
+    here, aside, ahead, behind = (shifted(arguments, step) for step in (0, 1e-3, h, -h))
+    batch = jax.tree.map(stacked, here, aside, ahead, behind)
+    lanes = jax.tree.map(np.asarray, quick_jit(jax.vmap(function))(*batch))
+
+    def lane(i):
+        return jax.tree.map(lambda x: x[i], lanes)
+
+    gradient, compiled = at(here)
+    close(compiled, function(*arguments), 1e-12)
+    close(lane(0), compiled, 1e-12)
+    close(lane(1), at(aside)[1], 1e-12)
+    assert all(jnp.isfinite(g).all() for g in gradient)
+
+    above, below = float(total(lane(2))), float(total(lane(3)))
     slope = sum(
         float(np.vdot(g, direction(flat[i]))) for g, i in zip(gradient, numbers, strict=True)
     )
     # central difference: truncation h^2, rounding eps / h of the value
-    tolerance = 1e-6 * abs(slope) + 1e-8 * abs(float(ahead)) + 1e-12
-    assert abs(float(ahead - behind) / (2 * h) - slope) <= tolerance
+    tolerance = 1e-6 * abs(slope) + 1e-8 * abs(above) + 1e-12
+    assert abs((above - below) / (2 * h) - slope) <= tolerance

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ FLOORS = [
     {"spectra", "hemisphere", "padding"},
     {"geometry", "colour_data"},
     {"lights", "brdf", "filters"},
+    {"shadows"},
     {"shading", "point_ops"},
     {"colour_spaces"},
     {"histogram", "compositing", "optics", "sensor"},
@@ -31,7 +33,7 @@ FLOORS = [
     {"render_job"},
     {"cli"},
 ]
-PHYSICS = set.union(*FLOORS[1:12])
+PHYSICS = set.union(*FLOORS[1:13])
 SOLVERS = {
     "parameters",
     "least_squares",
@@ -82,6 +84,7 @@ def imports(file: Path) -> set[str]:
     return found
 
 
+@cache
 def rooms(package: str) -> dict[str, set[str]]:
     """For each top-level module of a package (a sub-package counts as one), what it imports.
 

@@ -11,7 +11,12 @@ from oracles import exact
 from jaxvision import as_dtype
 from jaxvision._numerics import log_of_zero
 from jaxvision.brdf import reflect
-from jaxvision.brdf.gaussian_lobe import GaussianLobe, gaussian_lobe, gaussian_lobe_shading
+from jaxvision.brdf.gaussian_lobe import (
+    GaussianLobe,
+    gaussian_lobe,
+    gaussian_lobe_shading,
+    squared_angle_between,
+)
 from jaxvision.brdf.lambert import Lambert, lambert_shading
 from jaxvision.brdf.phong import Phong, phong_lobe, phong_shading
 
@@ -49,6 +54,35 @@ def test_gaussian_lobe_in_ulps(dtype):
     for x, got in zip(theta, gaussian_lobe(theta, c), strict=True):
         argument = -((exact.number(x) * exact.number(c)) ** 2)
         assert exact.ulps(got, mp.exp(argument)) <= 1 + 3 * abs(argument)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_squared_angle_in_ulps_and_its_gradient(dtype):
+    """From nothing to opposite directions, against the angle of the very numbers in 50 digits;
+    d theta^2 / d theta = 2 theta along the arc, finite at both ends. Vectors eps off unit length
+    lie that much apart, of theta."""
+    eps = float(jnp.finfo(dtype).eps)
+    angles = [0.0, 1e-10, 1e-4, 0.1, 0.7, 1.5, 1.6, 2.5, 3.1, 3.1415, np.pi]
+    axis = jnp.asarray(direction(0.3, 1.0), dtype)
+    frame = np.linalg.qr(np.stack([direction(0.3, 1.0), *np.eye(3)[:2]]).T)[0]
+    sign = np.sign(frame[:, 0] @ direction(0.3, 1.0))
+    along, across = sign * frame[:, 0], frame[:, 1]
+    slope = jax.grad(lambda w: squared_angle_between(axis, w))
+    for angle in angles:
+        w = jnp.asarray(np.cos(angle) * along + np.sin(angle) * across, dtype)
+        got, gradient = squared_angle_between(axis, w), slope(w)
+        assert got.dtype == dtype
+        assert jnp.isfinite(gradient).all()
+        truth = exact.angle(exact.vector(axis), exact.vector(w))
+        if truth > 20 * eps:
+            assert exact.ulps(got, truth**2) <= 12 + 4 * eps / truth**2
+        else:
+            assert got <= (40 * eps) ** 2
+        if 1e-4 <= angle < 3.1:
+            turned = np.asarray(gradient) @ (np.cos(angle) * across - np.sin(angle) * along)
+            assert turned == pytest.approx(
+                2 * angle, rel=2000 * float(jnp.finfo(dtype).eps) + 1e-12
+            )
 
 
 def test_lobes_broadcast_a_scalar_and_keep_float32():

@@ -330,8 +330,14 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
     odd.write_text("1,2,3")
     empty.write_text("")
     junk.write_bytes(b"junk")
+    folder = tmp_path / "folder.brdf"
+    folder.mkdir()
     cases = [
         ((tmp_path / "none.brdf",), "no such file"),
+        ((folder,), "is a folder"),
+        ((good, "--out", empty), "is a file; give --out a folder"),
+        ((good, "--out", empty / "below"), "choose another path"),
+        ((junk, "--out", tmp_path / "new"), "not an RGL tensor file"),
         ((empty,), "count of wavelengths"),
         ((junk,), "not an RGL tensor file"),
         ((good, tmp_path / "rig"), "no file of measured reflectance"),
@@ -349,6 +355,7 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
         assert sentence.count("jaxvision-fit:") == 1
         assert expected in sentence, sentence
     assert run(good, "--model", "mirror")[0] == 2
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_table_is_read_off_by_solid_angle(tmp_path):

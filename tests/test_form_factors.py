@@ -1,6 +1,6 @@
 """Form factors against published numbers, laws of conservation and brute-force quadrature."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -138,6 +138,11 @@ def test_a_point_below_a_corner_of_a_square(height):
     np.testing.assert_allclose(got, exact, rtol=tolerance)
 
 
+@cache
+def quadrature(order):
+    return quick_jit(partial(polygon_to_polygon, order=order))
+
+
 @pytest.mark.parametrize("other", ["lid", "wall"])
 def test_quadrature_over_one_polygon_states_its_error(other):
     second = polygon(CEILING if other == "lid" else WALL)
@@ -145,7 +150,7 @@ def test_quadrature_over_one_polygon_states_its_error(other):
     exact = form(*scalars(1, 1, 1))
     errors = []
     for order in (2, 4):
-        got = quick_jit(partial(polygon_to_polygon, order=order))(polygon(UNIT_SQUARE), second)
+        got = quadrature(order)(polygon(UNIT_SQUARE), second)
         errors.append(abs(float(got.value - exact)))
         assert errors[-1] <= float(got.error)
     assert errors[1] < 1e-5

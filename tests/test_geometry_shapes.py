@@ -152,8 +152,8 @@ def test_no_ray_leaves_a_closed_mesh(scale, searched, monkeypatch):
     directions = np.concatenate([aimed, random])
     mesh = as_dtype(TriangleMesh(scale * BALL.vertices, BALL.faces), jnp.float32)
     ray = rays(scale * np.broadcast_to(origin, directions.shape), directions, jnp.float32)
-    encounter = jax.jit(lambda ray: jax.vmap(lambda r: nearest_shape(r, [mesh]))(ray))(ray)
-    assert (encounter.shape == 0).all()
+    meets = jax.jit(lambda ray: jax.vmap(lambda r: nearest_shape(r, [mesh]))(ray))
+    assert (meets(ray).shape == 0).all()
 
 
 def test_the_tree_and_the_loop_find_the_same_triangles(monkeypatch):

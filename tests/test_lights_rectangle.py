@@ -7,7 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision import InputError, MonteCarlo, Quadrature, Ray, RectangleLight, as_dtype, as_vec
+from jaxvision import (
+    Balanced,
+    InputError,
+    MonteCarlo,
+    Phong,
+    Quadrature,
+    Ray,
+    RectangleLight,
+    as_dtype,
+    as_vec,
+    outgoing_radiance,
+)
 from jaxvision.lights import (
     direction_pdf,
     direction_sample,
@@ -17,6 +28,7 @@ from jaxvision.lights import (
     radiance_from,
     seen,
 )
+from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.orders import ORDERS, order_for
 from jaxvision.lights.polygon import rectangle_irradiance
 
@@ -128,6 +140,78 @@ def test_a_tolerance_out_of_reach_is_named():
         order_for(LAMP, below(0.002), tolerance=1e-12)
 
 
+LONG_LAMP = RectangleLight([-0.5, 0.1, 0], [1, 0, 0], [0, -0.2, 0], [1.0])  # shining down
+
+
+def receivers(count):
+    """Within 40 lengths of a lamp, near and far alike, of any tilt that leaves some light."""
+    rng = np.random.default_rng(4)
+    places, normals = rng.standard_normal((2, count, 3))
+    places[:, 2] = -np.abs(places[:, 2])
+    places *= np.exp(rng.uniform(np.log(0.05), np.log(40), (count, 1)))
+    normals = normals / np.linalg.norm(normals, axis=1)[:, None] + [0, 0, 0.5]
+    return places, normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
+def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
+    """Alone, each by its own rule: within the tolerance of its own light, or, where that skims the
+    horizon, of what it would get if it faced the light."""
+    places, normals = receivers(4000)
+
+    def alone(point, normal):
+        nodes = adaptive_irradiance(LONG_LAMP, point[None], normal[None], tolerance=tolerance)
+        return nodes[0, 0], rectangle_irradiance(LONG_LAMP, point, normal)[0]
+
+    got, truth = quick_jit(jax.vmap(alone))(*map(jnp.asarray, (places, normals)))
+    lit = truth > 0
+    facing = 0.2 * -places[:, 2] / (places**2).sum(axis=1) ** 1.5
+    error = np.abs(got - truth)[lit]
+    assert 0.1 < (error == 0).mean() < 0.9  # closed form, and nodes
+    assert (error <= tolerance * np.maximum(facing, truth)[lit]).all()
+    assert np.quantile(error / truth[lit], 0.995) < tolerance
+
+
+def test_receivers_together_take_the_rule_of_the_neediest():
+    """Far ones alone by four nodes, wrong before the tenth digit; with one that is near, or one
+    whose horizon cuts the light, all by the closed form."""
+    far = np.array([[x, 0.3, -9.0] for x in (-1.0, 0.0, 2.0)])
+    loose = quick_jit(partial(adaptive_irradiance, tolerance=1e-2))
+
+    def error(places, normals):
+        places, normals = jnp.asarray(places), jnp.asarray(normals, float)
+        lit = jax.vmap(exact, in_axes=(None, 0, 0))(LAMP, places, normals)
+        return np.abs(loose(LAMP, places, normals) - lit)[:3]
+
+    up = np.tile([0.0, 0, 1], (4, 1))
+    assert (error(far, up[:3]) > 1e-8).all()
+    assert (error([*far, [0, 0, -0.1]], up) < 1e-13).all()
+    assert (error([*far, [0, 0, -20]], [*up[:3], [1, 0, 0]]) < 1e-13).all()
+    behind = loose(LAMP, jnp.asarray([[0.0, 0, 40]]), -UP)
+    assert (behind == 0).all()
+    with pytest.raises(ValueError, match=r"tolerance must be above 0, got 0"):
+        adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
+
+
+def test_nodes_have_the_gradient_of_the_closed_form():
+    """One normal for all; float32 stays float32."""
+    places = jnp.asarray([[x, 0.3, -3.0] for x in (-1.0, 0.0, 2.0)])
+
+    def total(lamp, places, irradiance):
+        return irradiance(lamp, places, UP).sum()
+
+    nodes = partial(adaptive_irradiance, tolerance=1e-7)
+    closed = jax.vmap(rectangle_irradiance, in_axes=(None, 0, None))
+    pulled, truth = (
+        quick_jit(jax.grad(partial(total, irradiance=f), argnums=(0, 1)))(LAMP, places)
+        for f in (nodes, closed)
+    )
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-7), pulled, truth)
+    single = adaptive_irradiance(*as_dtype((LAMP, places, UP), jnp.float32))
+    assert single.dtype == jnp.float32
+    np.testing.assert_allclose(single, closed(LAMP, places, UP), rtol=1e-4)
+
+
 @pytest.mark.parametrize("height", [0.1, 0.5, 30.0])
 def test_density_is_that_of_the_samples(height):
     """Radiance / density is the sample's weight, and the weights integrate the direction itself
@@ -167,6 +251,34 @@ def test_one_place_only_is_asked_of_lights_at_one_place():
         RectangleLight([0, 0, 0], [1, 0], [0, 1, 0], [1.0])
     with pytest.raises(ValueError, match=r"Quadrature.order must be at least 1, got 0"):
         Quadrature(0)
+
+
+def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
+    """In the middle of the lamp, near its rim and across it, as far away as it is wide: against
+    600 x 600 plain Gauss-Legendre nodes in NumPy."""
+    viewers = np.array([[0.1, 0.05, 1], [0.45, 0.1, 1], [0.52, 0, 1]])
+    viewers /= np.linalg.norm(viewers, axis=1)[:, None]
+    x, weight = (a / 2 for a in np.polynomial.legendre.leggauss(600))
+    x, y = np.meshgrid(x, x)
+    square = x * x + y * y + 1
+    cosine = [(wo[2] - wo[0] * x - wo[1] * y) / np.sqrt(square) for wo in viewers]
+    lobe = 0.5 * np.maximum(cosine, 0) ** 1000 / square**1.5
+    truth = np.einsum("i,j,kij->k", weight, weight, lobe)
+    lamp = RectangleLight([-0.5, 0.5, 1], [1, 0, 0], [0, -1, 0], [1.0])
+    material, point = Phong([0.0], [0.5], 1000.0), jnp.zeros(3)
+
+    def shaded(wo, rule):
+        return outgoing_radiance(material, [lamp], point, UP, wo, rule=rule)[0]
+
+    for order, error in ((24, 6e-3), (32, 5e-4)):
+        by_nodes = jax.vmap(partial(shaded, rule=Quadrature(order)))(jnp.asarray(viewers))
+        np.testing.assert_allclose(by_nodes, truth, rtol=error)
+
+    def drawn(key):
+        return jax.vmap(lambda wo: shaded(wo, Balanced(key, 32)))(jnp.asarray(viewers))
+
+    draws = np.asarray(quick_jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 256)))
+    assert (np.abs(draws.mean(axis=0) - truth) < 4 * draws.std(axis=0) / 16).all()
 
 
 def test_near_light_in_float32():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxvision import (
+    DirectionalLight,
     Lambert,
     Phong,
     Pinhole,
@@ -40,6 +41,7 @@ from jaxvision.transport.radiosity import (
     shoot,
     solve_radiosity,
 )
+from jaxvision.transport.radiosity._receivers import receivers_of
 
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 GREY = Lambert([0.5 / np.pi])
@@ -137,6 +139,31 @@ def test_a_wall_between_is_seen(width, low, high):
 
 
 ROOM = room([GREY] * 6)
+
+
+def test_what_stands_on_an_element_leaves_the_rest():
+    """A box over the quarter x < .5, y < .5 of a floor of one element: three quarters are left, and
+    their centroid is (7, 7) / 12 of it. Over all of a floor it leaves nothing."""
+    floor = Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
+    for side, area, place in ((0.25, 0.75, 7 / 12), (0.6, 0.0, 0.5)):
+        box = Surface(Box([side, side, 0.3], [side, side, 0.3]), GREY)
+        scene = Scene([floor, box], [])
+        plan = plan_patches(scene, size=2.0, split=1)
+        elements = quick_jit(lambda scene, plan=plan: receivers_of(scene, plan).elements)(scene)
+        np.testing.assert_allclose(elements.area[0], area, rtol=1e-12)
+        np.testing.assert_allclose([elements.centre.x[0], elements.centre.y[0]], place, rtol=1e-12)
+
+
+def test_half_of_an_element_in_the_shadow_is_half_as_bright():
+    """Light straight down, and a screen over the half x > .5 of the unit floor."""
+    floor = Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
+    screen = Surface(Quad([0.5, 0, 0.5], [0.5, 0, 0], [0, 1, 0]), GREY, two_sided=True)
+    scene = Scene([floor, screen], [DirectionalLight([0, 0, 1.0], [2.0])])
+    plan = plan_patches(scene, size=2.0, split=1)
+    black = jnp.zeros((3, 3))  # no light but the lamp's
+    solution = quick_jit(lambda scene: radiosity(scene, plan, table=black))(scene)
+    np.testing.assert_allclose(solution.radiosity[0], 0.5 * 0.5 * 2.0, rtol=1e-12)
+
 
 # ------------------------------------------------ radiosity
 
@@ -258,6 +285,19 @@ def test_solvers_and_their_gradients(method):
         np.testing.assert_allclose(
             (pulled[i] * way).sum(), (ends[1] - ends[0]) / (2 * step), rtol=1e-5
         )
+
+
+def test_single_precision_solves_scenes_of_which_most_is_dark():
+    """One lit patch among many: to float32's rounding and the tolerance of what is sent."""
+    sent = as_dtype(jnp.zeros_like(SENT).at[7].set(3.0), jnp.float32)
+    table, albedo = as_dtype((TABLE, ALBEDO), jnp.float32)
+    exact = solve_radiosity(TABLE, ALBEDO, jnp.asarray(sent, float))
+    got = quick_jit(partial(solve_radiosity, method="iterative"))(table, albedo, sent)
+    assert got.dtype == jnp.float32
+    assert np.abs(np.asarray(got) - np.asarray(exact)).max() < 3 * 1e-4
+    np.testing.assert_array_equal(
+        solve_radiosity(table, albedo, 0 * sent, method="iterative"), jnp.zeros_like(sent)
+    )
 
 
 def test_bounces_and_shots_converge():

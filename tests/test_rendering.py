@@ -264,3 +264,22 @@ def test_baked_geometry_gives_the_same_picture_and_gradient(rule):
     np.testing.assert_allclose(*slopes, rtol=1e-11)
     with pytest.raises(ValueError, match="Balanced"):
         bake(scene(kd), VIEW, rule=Balanced(jax.random.key(1), 4))
+
+
+def test_baked_pictures_are_differentiated_both_ways_and_mapped():
+    """Forward as backward, for one material or a stack of them; black where nothing is seen."""
+    ball = Sphere([0.3, -0.2, 1.0], 0.4)
+    scene = Scene([Surface(ball, Lambert(KD))], [PointLight([1.5, 1, 3.0], [5.0, 4])])
+    view = Orthographic(VIEW.position, VIEW.rotation, 0.2, resolution=(8, 8))
+    baked = bake(scene, view)
+
+    def total(kd):
+        picture = shade_baked(baked, Scene([Surface(ball, Lambert(kd))], scene.lights))
+        return jnp.stack([picture.sum(), (picture**2).sum()])
+
+    kd = jnp.asarray([[0.25, 0.1], [0.5, 0.4]])
+    forward = quick_jit(jax.vmap(jax.jacfwd(total)))(kd)
+    np.testing.assert_allclose(quick_jit(jax.vmap(jax.jacrev(total)))(kd), forward, rtol=1e-13)
+    assert (forward > 0).all()
+    away = Orthographic([9.0, 9, 9], VIEW.rotation, 0.2, resolution=(8, 8))
+    assert (shade_baked(bake(scene, away), scene) == 0).all()

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.sensors import OF_PHOTONS
 from scipy import integrate, stats
 
 from jaxvision import scene as s
@@ -22,30 +23,7 @@ from jaxvision.sensor import (
 
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY, DIE = jax.random.split(jax.random.key(5))
-FULL = s.Sensor(
-    exposure_time=0.02,
-    quantum_efficiency=0.5,
-    crosstalk=0.03,
-    smear=1e-4,
-    prnu=0.02,
-    dark_current=s.DoublingDarkCurrent(500.0, 303.0, 293.0, 8.0),
-    hot_pixels=s.HotPixels(0.02, 2000.0),
-    shot_noise=s.FastPoissonShotNoise(),
-    charge_transfer=s.ChargeTransfer(1e-4),
-    conversion_prnu=0.015,
-    dsnu=3.0,
-    reset_noise=s.ResetNoise(1e-16, 300.0),
-    read_noise=s.HeavyTailedReadNoise(3.0, 12.0, 0.05),
-    telegraph_noise=s.TelegraphNoise(0.1, 8.0),
-    banding=s.Banding(2.0, 7.0),
-    row_noise=1.0,
-    column_prnu=0.01,
-    column_dsnu=1.5,
-    row_dsnu=1.0,
-    gain=0.6,
-    offset=100.0,
-    bits=14,
-)
+FULL = replace(OF_PHOTONS, dead_pixels=None, full_well=None, blooming=None)  # nothing is clipped
 
 
 def quadrature(mean, sigma, low, high):

@@ -7,9 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
-from jaxvision import DirectionalLight, Lambert, PointLight, RectangleLight, as_dtype
+from jaxvision import (
+    AmbientLight,
+    DirectionalLight,
+    Lambert,
+    PointLight,
+    RectangleLight,
+    as_dtype,
+    environment_map,
+)
 from jaxvision._random import Stream, seed_of
+from jaxvision._vector import as_array
 from jaxvision.geometry import Ray
 from jaxvision.optics import look_at
 from jaxvision.scene import Disc, Pinhole, Quad, Scene, Sphere, Surface, TriangleMesh
@@ -24,6 +34,7 @@ from jaxvision.transport import (
 from jaxvision.transport._emitters import toward_emitter
 from jaxvision.transport._vertices import hidden, meet
 from jaxvision.transport._world import world_of
+from jaxvision.transport.radiosity import plan_patches, radiosity
 
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY = jax.random.key(6)
@@ -156,9 +167,9 @@ def test_both_ways_find_the_closed_form(name, strategy):
 def test_a_lamp_in_the_plane_of_the_ceiling_shines():
     """A lamp that lies in a ceiling, float32, far from the floor and the world's middle too."""
     for scale in (1.0, 1e4):
-        lamp = [np.array(x) * scale for x in wide(5.0)]
+        corner, u, v = (np.array(x) * scale for x in wide(5.0))
         ceiling = [np.array(x) * scale for x in wide(9.0)]
-        scene = Scene([FLOOR, Surface(Quad(*ceiling), GREY)], [RectangleLight(*lamp, [1.0])])
+        scene = Scene([FLOOR, Surface(Quad(*ceiling), GREY)], [RectangleLight(corner, u, v, [1.0])])
         scene, ray = as_dtype((scene, LOOKS), jnp.float32)
         alone = Scene(scene.surfaces[:1], scene.lights)
         shown, unhidden = by_rays(scene, ray), by_rays(alone, ray)
@@ -217,3 +228,55 @@ def test_interpolated_normals_carry_light_as_they_carry_radiance():
     error = float(jnp.sqrt((light.error**2).mean() / light.error.size))
     assert error < 0.1 * expected
     assert abs(float(light.radiance.mean()) - expected) < 4 * error
+
+
+def test_interpolated_normals_create_no_light():
+    """A white icosahedron that is shaded as a ball, under a sky of radiance 1 that it sends back
+    whole. Of the directions about the normal that shades, (1 - cos) / 2 of the light would come
+    through the face itself: that part is lost, up to a tenth at a corner, and so is a face seen
+    from behind that normal; nothing is gained anywhere."""
+    ball = trimesh.creation.icosahedron()
+    vertices = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
+    mesh = TriangleMesh(vertices, ball.faces, normals=vertices)
+    sky = environment_map(np.ones((2, 4, 1)))
+    scene = Scene([Surface(mesh, Lambert([1 / np.pi]))], [sky])
+    toward = np.random.default_rng(3).normal(size=(20_000, 3))
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    aside = np.cross(toward, np.roll(toward, 1, axis=1))
+    rays = Ray(jnp.asarray(3 * toward + 0.8 * aside), jnp.asarray(-toward))
+    seed = seed_of(KEY)
+
+    def one(ray, pixel):
+        stream = Stream(pixel, jnp.uint32(0), seed)
+        return path_sample(scene, ray, stream, method=Paths(1, 4, strategy="surfaces"))[0]
+
+    met = jax.vmap(partial(meet, world_of(scene).surfaces))(rays)
+    assert met.hit.shading_normal is not None
+    shades, face = as_array(met.hit.shading_normal), as_array(met.hit.normal)
+    on_ball = np.asarray(met.surface) >= 0
+    assert on_ball.mean() > 0.5
+    cosine = np.sum(np.asarray(shades) * np.asarray(face), axis=1)
+    seen = np.sum(np.asarray(shades) * toward, axis=1) > 0
+    expected = np.where(seen, (1 + cosine) / 2, 0)
+    pixels = jnp.arange(len(toward), dtype=jnp.uint32)
+    found = np.asarray(quick_jit(jax.vmap(one))(rays, pixels))
+    assert found.max() < 1 + 1e-12
+    apart = (found - expected)[on_ball]
+    assert abs(apart.mean()) < 4 * apart.std() / np.sqrt(apart.size)
+    assert 0.88 < expected[on_ball & seen].min() < 0.92
+    assert expected[on_ball & seen].mean() > 0.95
+    assert seen[on_ball].mean() > 0.97
+
+
+def test_ambient_light_stands_for_what_bounces():
+    """Where light bounces it is left out: black by every tracer, and refused by the one that
+    starts at what shines."""
+    scene = Scene([FLOOR], [], ambient=AmbientLight([3.0]))
+    traced = path_radiance(KEY, scene, LOOKS, method=Paths(2, 3))
+    np.testing.assert_array_equal(traced.radiance, 0)
+    np.testing.assert_array_equal(by_rays(scene, LOOKS), 0)
+    plan = plan_patches(scene, size=1.0)
+    np.testing.assert_array_equal(radiosity(scene, plan).radiosity, 0)
+    view = camera([0.0, 0, 4], [0.0, 0, 0], 0.1, 2)
+    with pytest.raises(ValueError, match="light tracing needs a scene with something that shines"):
+        light_traced(KEY, scene, view, paths=10)

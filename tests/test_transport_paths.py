@@ -25,8 +25,10 @@ from jaxvision import (
     environment_map,
 )
 from jaxvision._random import Stream, seed_of
+from jaxvision.brdf.blinn import BlinnBRDF, NormalisedBlinn
+from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
 from jaxvision.brdf.glass import Glass
-from jaxvision.brdf.phong import NormalisedPhong
+from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
 from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface
 from jaxvision.transport import Paths, path_radiance, path_sample, path_traced, path_traced_pixels
@@ -88,9 +90,13 @@ def test_roulette_is_unbiased():
 FURNACE = {
     "lambert": Lambert([0.25, 0.1]),
     "phong": Phong([0.1, 0.05], [0.3], 8.0),
+    "phong_brdf": PhongBRDF([0.1, 0.05], [0.3], 8.0),
     "normalised_phong": NormalisedPhong([0.3, 0.2], [0.5], 8.0),
     "blinn": Blinn([0.1, 0.05], [0.3], 12.0),
+    "blinn_brdf": BlinnBRDF([0.1, 0.05], [0.3], 12.0),
+    "normalised_blinn": NormalisedBlinn([0.3, 0.2], [0.5], 12.0),
     "gaussian": GaussianLobe([0.1, 0.05], [0.3], 9.0),
+    "gaussian_brdf": GaussianLobeBRDF([0.1, 0.05], [0.3], 9.0),
     "oren_nayar": OrenNayar([0.25, 0.1], 0.4),
     "torrance_sparrow": TorranceSparrow([0.1, 0.05], [0.6], 0.3),
     "dichromatic": Dichromatic(
@@ -211,24 +217,24 @@ def test_a_lamp_is_no_shadow_of_its_own(dtype):
 
 @pytest.mark.slow
 def test_cornell_box_is_that_of_radiosity():
-    """Paths without end against patches of 3 cm and a final gather: within the noise and what
-    patches of that size leave."""
+    """Paths without end against patches of 6 cm and a final gather: within the noise and what
+    patches of that size leave. Many rays a pixel of both, for a silhouette is cut by few."""
     scene, view = cornell_box.scene(emissive_surface=True), cornell_box.view(16)
-    method = Paths(256, 40, strategy="lights", roulette=3)
+    method = Paths(4096, 40, strategy="lights", roulette=3)
     paths = jax.jit(partial(path_traced, method=method))(KEY, scene, view)
-    plan = plan_patches(scene, size=0.03)
+    plan = plan_patches(scene, size=0.06)
 
     @jax.jit
     def by_patches(scene, view):
-        return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=4)
+        return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=256)
 
     patches = np.asarray(by_patches(scene, view))
     seen, noise = np.asarray(paths.radiance), np.asarray(paths.error)
     steady = (noise < 0.03 * seen) & (seen > 0)
-    assert steady.mean() > 0.5
+    assert steady.mean() > 0.7
     apart = (patches - seen)[steady] / seen[steady]
-    assert abs(apart.mean()) < 0.01
-    assert np.sqrt(np.mean(apart**2)) < 0.04
+    assert abs(apart.mean()) < 0.005
+    assert np.sqrt(np.mean(apart**2)) < 0.03
 
 
 # ------------------------------------------------ independence

@@ -30,7 +30,7 @@ LIMIT = 200.0  # per cent: larger errors share a colour
 
 
 def slices_figure(calibration: BRDFCalibration) -> Figure:
-    """Panels of some incidences: reflected light against the viewer's elevation."""
+    """Panels of some incidences: reflected light against the viewer's angle from the normal."""
     measured = calibration.measured
     shown = np.unique(
         np.linspace(0, len(measured.incidences) - 1, SHOWN_INCIDENCES).round().astype(int)
@@ -73,7 +73,7 @@ def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> Non
         axis.set_yscale("symlog", linthresh=linear)
     axis.set(
         title=f"θi = {np.degrees(theta_i):.0f}°",
-        xlabel="viewer's elevation [degrees]",
+        xlabel="viewer's angle from the normal [degrees]",
         ylabel="$f_r$ cos $θ_i$ [sr$^{-1}$]",
         ylim=(0, (1.5 if steep else 1.1) * top),
     )

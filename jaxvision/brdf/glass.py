@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import safe_sqrt
 from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
-from .._vector import Vec, Vector, as_vec
+from .._vector import Vec, Vector, as_vec, where
 from ..scene import Material
 from ._lobe import mirrored
 from ._registry import register
@@ -90,9 +90,7 @@ def evaluate(material: Glass, wi: Vector, wo: Vector) -> Colour:
 def sample(material: Glass, wo: Vector, u: Float[Array, "3"]) -> Vec:
     """The mirrored direction with probability F, else the refracted one; by u_2."""
     split = interface(material, wo)
-    up = u[2] < split.reflectance
-    a, b = split.mirrored, split.refracted
-    return Vec(jnp.where(up, a.x, b.x), jnp.where(up, a.y, b.y), jnp.where(up, a.z, b.z))
+    return where(u[2] < split.reflectance, split.mirrored, split.refracted)
 
 
 def pdf(material: Glass, wi: Vector, wo: Vector) -> Scalar:

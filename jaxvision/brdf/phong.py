@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._bands import by_band
 from .._numerics import dot, log_cos_between, log_of_zero, safe_log
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
@@ -78,7 +79,7 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
     arguments broadcast. Source: Szeliski, Computer Vision, section 2.2.2.
     """
     front = log_cos_mirror > log_of_zero(log_cos_mirror.dtype)
-    return jnp.where(front, jnp.exp(exponent * jnp.where(front, log_cos_mirror, 0)), 0)
+    return jnp.exp(jnp.where(front, exponent * jnp.where(front, log_cos_mirror, 0), -jnp.inf))
 
 
 def phong_shading(
@@ -112,15 +113,28 @@ def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
             lobe = lobe / divisor(as_vec(wi).z)
         case NormalisedPhong():
             lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe
-    return jnp.where(lit_and_seen(wi, wo), material.diffuse + material.specular * lobe, 0)
+    return _body_and_lobe(material, wi, wo, jnp.ones_like(lobe), lobe)
 
 
-def shading(material: Phong, wi: Vector, wo: Vector) -> Colour:
-    """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
-    light = as_vec(wi)
-    lobe = _lobe(light, as_vec(wo), material.exponent)
-    shaded = material.diffuse * light.z + material.specular * lobe
-    return jnp.where(lit_and_seen(wi, wo), shaded, 0)
+def shading(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
+    """f_r cos(theta_i) of the table above, (bands,) in sr^-1."""
+    cosine = as_vec(wi).z
+    lobe = _lobe(as_vec(wi), as_vec(wo), material.exponent)
+    match material:
+        case PhongBRDF():
+            lobe = lobe * cosine
+        case NormalisedPhong():
+            lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe * cosine
+    return _body_and_lobe(material, wi, wo, cosine, lobe)
+
+
+def _body_and_lobe(
+    material: AnyPhong, wi: Vector, wo: Vector, body: Scalar, lobe: Scalar
+) -> Colour:
+    """k_d body + k_s lobe where both directions lie above the surface, sr^-1."""
+    seen = lit_and_seen(wi, wo)
+    body, lobe = jnp.where(seen, body, 0), jnp.where(seen, lobe, 0)
+    return by_band(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
@@ -189,6 +203,5 @@ def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]
     return lobe_integrals(lobe, cos_axis, width=width, end=np.pi / 2)
 
 
-register(Phong, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
-for _record in (PhongBRDF, NormalisedPhong):
-    register(_record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+for _record in (Phong, PhongBRDF, NormalisedPhong):
+    register(_record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)

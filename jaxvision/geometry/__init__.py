@@ -10,7 +10,16 @@ from ._size import largest_size, offset_length
 from .box import intersect_box
 from .checks import problems
 from .flat import intersect_disc, intersect_plane, intersect_quad
-from .nearest import Shapes, Sorted, hit_shape, intersect, nearest_shape, occluded, sorted_shapes
+from .nearest import (
+    Shapes,
+    Sorted,
+    blocked,
+    hit_shape,
+    intersect,
+    nearest_shape,
+    occluded,
+    sorted_shapes,
+)
 from .rays import Encounter, Hit, Ray, mirror_direction, offset_origin
 from .sphere import intersect_sphere
 
@@ -20,6 +29,7 @@ __all__ = [
     "Ray",
     "Shapes",
     "Sorted",
+    "blocked",
     "hit_shape",
     "intersect",
     "intersect_box",

@@ -2,7 +2,8 @@
 
 Distances and normals are then computed here from the triangle found, so they keep gradients and
 the caller's dtype. Embree itself works in float32: where a float64 ray passes an edge within
-float32 rounding, the neighbouring triangle may be the one found.
+float32 rounding, the neighbouring triangle may be the one found, and a triangle nearer than that
+rounding of the mesh's size is not met.
 """
 
 import importlib.util
@@ -23,6 +24,9 @@ from .rays import Ray
 _KEPT = 8  # built scenes: each holds a search tree as large as its mesh
 _built: OrderedDict[int, tuple[np.ndarray, np.ndarray, Any, np.float32]] = OrderedDict()
 _building = Lock()
+# How far a search starts along its ray, of the mesh's size: Embree also meets what lies at distance
+# 0, a ray that begins on the mesh would see nothing else.
+_START = 2 * np.finfo(np.float32).eps
 
 
 def available() -> bool:
@@ -107,7 +111,8 @@ def _ask(vertices: Any, faces: Any, rays: tuple[Any, ...], query: Any) -> np.nda
         flat = [np.array(x.reshape(-1, *end)) for x, end in zip(full, ends, strict=False)]
         scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
         origin, direction, *far = flat
-        found = query(scene, scale * origin, direction, *(scale * x for x in far))
+        start = scale * origin + _START * direction
+        found = query(scene, start, direction, *(scale * x - _START for x in far))
         return found.reshape(batch)
     vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
     faces = np.broadcast_to(faces, batch + faces.shape[-2:])

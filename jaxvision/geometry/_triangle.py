@@ -6,8 +6,8 @@ the ray's own frame, where the ray is the z axis, and the three edge functions t
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
 Two triangles see one edge from the same two vertices, so their edge functions are opposite but for
-the rounding of the products, in which compiled code is free; an edge function within that rounding
-of zero counts as inside, for both.
+rounding, in which compiled code is free, of the products and of the vertices in the ray's frame; an
+edge function within that of zero counts as inside, for both.
 """
 
 import jax
@@ -34,7 +34,19 @@ def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
 def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
     """(p x q in the plane across the ray, the rounding that it may carry)."""
     one, other = p.x * q.y, p.y * q.x
-    return one - other, 2 * jnp.finfo(one.dtype).eps * (jnp.abs(one) + jnp.abs(other))
+    of_products = jnp.abs(one) + jnp.abs(other)
+    of_vertices = _across(p) * _reach(q) + _across(q) * _reach(p)
+    return one - other, 2 * jnp.finfo(one.dtype).eps * (of_products + of_vertices)
+
+
+def _across(v: Vec) -> Scalar:
+    return jnp.abs(v.x) + jnp.abs(v.y)
+
+
+def _reach(v: Vec) -> Scalar:
+    """No less than the length of what is turned into the ray's frame, of which a component carries
+    the rounding."""
+    return _across(v) + jnp.abs(v.z)
 
 
 def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:

@@ -23,8 +23,8 @@ def _crossing(ray: Ray, point: Vector, normal: Vec) -> tuple[Scalar, Bool[Array,
     height = dot(normal, point - ray.origin)
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
-    distance = height / jnp.where(crosses, slope, 1)
-    return distance, crosses & (distance > 0)
+    distance = jnp.where(crosses, height / jnp.where(crosses, slope, 1), 0)
+    return distance, distance > 0
 
 
 def _hit(
@@ -87,14 +87,21 @@ def flat_quad(quad: Quad) -> FlatQuad:
     )
 
 
-def _meet_quad(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(height, slope, whether it is met): the distance is height / slope. All is compared times
-    the slope, which a division would have to come before."""
+def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """(height, slope, u slope, v slope) of where the ray's line crosses the parallelogram's plane:
+    at the distance height / slope, m, of either sign, and at u edge_u + v edge_v from the corner.
+    slope >= 0; all is left times the slope, so that a test need not divide."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
     height, slope = jnp.where(slope < 0, -height, height), jnp.abs(slope)
     u = height * dot(quad.across_u, ray.direction) - slope * dot(quad.across_u, toward)
     v = height * dot(quad.across_v, ray.direction) - slope * dot(quad.across_v, toward)
+    return height, slope, u, v
+
+
+def _meet_quad(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
+    """(height, slope, whether it is met): the distance is height / slope."""
+    height, slope, u, v = line_crossing(ray, quad)
     inside = (jnp.minimum(u, v) >= 0) & (jnp.maximum(u, v) <= slope)
     return height, slope, inside & (height > 0) & (slope > smallest_divisor(slope.dtype))
 

@@ -7,7 +7,7 @@ distance inf, a zero normal, and gradients of zero. Lengths are metres.
 """
 
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from .._numerics import dot
-from .._staging import stored, together
+from .._staging import stored
 from .._types import Scalar, group_by_structure, take
 from .._vector import Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
@@ -94,16 +94,23 @@ def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
 
     Distances, m, are told apart but for their last three bits.
     """
-    ray, ready = jax.lax.stop_gradient((ray, sorted_shapes(shapes)))
+    return stored(_nearest, *jax.lax.stop_gradient((ray, sorted_shapes(shapes))))
+
+
+def _nearest(ray: Ray, ready: Sorted) -> Encounter:
     nothing = jnp.full((), -1, jnp.int32)
     nearest, found = jnp.full_like(ray.origin.x, jnp.inf), nothing
     for members, group in zip(ready.members, ready.groups, strict=True):
+        first_of = _each_stored(_first_of, len(members))
 
         def closer(
-            carry: tuple[Scalar, Int[Array, ""]], start: Int[Array, ""], chunk: Any
+            carry: tuple[Scalar, Int[Array, ""]],
+            start: Int[Array, ""],
+            chunk: Any,
+            first_of: Callable[..., Any] = first_of,
         ) -> tuple[Scalar, Int[Array, ""]]:
             nearest, found = carry
-            distance, place = _unpacked(stored(_first_of, ray, chunk))
+            distance, place = _unpacked(first_of(ray, chunk))
             before = distance < nearest
             return jnp.where(before, distance, nearest), jnp.where(before, start + place, found)
 
@@ -179,6 +186,19 @@ def occluded(
     ends are open by as much as rounding can shift them, see `offset_origin`. `size`: () m, as
     `Hit.size`; without it the largest coordinate of all shapes.
     """
+    return stored(blocked, point, normal, direction, distance, sorted_shapes(shapes), size)
+
+
+def blocked(
+    point: Vector,
+    normal: Vector,
+    direction: Vector,
+    distance: Scalar,
+    shapes: Shapes,
+    size: Scalar | None,
+) -> Bool[Array, ""]:
+    """`occluded`, its lengths in m too, as a part of the loop of the caller, who stores it with
+    what leads to it."""
     point, normal, direction, distance, ready, size = jax.lax.stop_gradient(
         (as_vec(point), normal, as_vec(direction), distance, sorted_shapes(shapes), size)
     )
@@ -189,25 +209,30 @@ def occluded(
     finite = distance < jnp.inf
     end = point + jnp.where(finite, distance, 0) * direction
     reach = jnp.maximum(reach, largest_component(end))
-    start, way = together((start, end - start))
+    way = end - start
     square = dot(way, way)
     apart = finite & (square > 0)
-    inverse = jax.lax.rsqrt(jnp.where(apart, square, 1))
+    inverse = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
     toward = where(apart, way * inverse, direction)
     length = jnp.where(finite, square * inverse - offset_length(reach), jnp.inf)
-    toward, length = together((toward, length))
     ray = Ray(start, toward)
 
-    blocked = jnp.zeros((), bool)
+    anything = jnp.zeros((), bool)
     for members, group in zip(ready.members, ready.groups, strict=True):
+        any_of = _each_stored(_any_of, len(members))
 
-        def blocks(before: Bool[Array, ""], start: Int[Array, ""], chunk: Any) -> Bool[Array, ""]:
+        def blocks(
+            before: Bool[Array, ""],
+            start: Int[Array, ""],
+            chunk: Any,
+            any_of: Callable[..., Any] = any_of,
+        ) -> Bool[Array, ""]:
             del start
-            return before | stored(_any_of, ray, chunk, length)
+            return before | any_of(ray, chunk, length)
 
-        blocked = _over_chunks(blocks, blocked, group, len(members))
+        anything = _over_chunks(blocks, anything, group, len(members))
     return reduce(
-        lambda before, mesh: before | mesh_blocks(ray, mesh, length), ready.meshes, blocked
+        lambda before, mesh: before | mesh_blocks(ray, mesh, length), ready.meshes, anything
     )
 
 
@@ -235,6 +260,12 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 
 
 # ---------------------------------------------------------------- many shapes of a kind
+
+
+def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """The function of a chunk, stored by itself where there is a loop over chunks: its reads of the
+    chunk would else be repeated for each ray."""
+    return partial(stored, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
 def _over_chunks(

@@ -5,7 +5,7 @@ from jaxtyping import Array, Bool
 
 from .._numerics import dot, norm, safe_sqrt, smallest_divisor
 from .._types import Scalar
-from .._vector import Vec, as_vec, masked, where
+from .._vector import Vec, as_vec, where
 from ..scene import Sphere
 from ._size import size_of
 from .rays import Hit, Ray
@@ -51,7 +51,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     closest = _closest_approach(ray, sphere)[1]
     outward = closest + along * ray.direction
     square = jnp.where(hit, dot(outward, outward), 1)
-    normal = masked(hit, outward * (1 / jnp.sqrt(square)))
+    normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
     on_sphere = as_vec(sphere.centre) + sphere.radius * normal
     return Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
 
@@ -70,7 +70,7 @@ def _meet(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
     larger = b + jnp.where(b < 0, -half_chord, half_chord)  # in magnitude: nothing cancels
     meets = (discriminant > 0) & (jnp.abs(larger) > smallest_divisor(larger.dtype))
     away = norm(ray.origin - sphere.centre)
-    smaller = (away - r) * (away + r) / jnp.where(meets, larger, 1)
+    smaller = jnp.where(meets, (away - r) * (away + r) / jnp.where(meets, larger, 1), 0)
     ahead = b >= 0
     near, far = jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller)
     distance = jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)

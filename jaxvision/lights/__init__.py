@@ -10,11 +10,10 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from .._numerics import dot
-from .._types import Colour, Scalar
+from .._types import Colour, Scalar, common_dtype
 from .._vector import Vector
 from ..geometry import Ray
 from ..scene import Light
@@ -89,7 +88,7 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
     """What any light sends to `point`, (3,) in m, as samples along a new leading axis: unit
     directions, and the irradiance, W m^-2, that each puts on a surface facing it. A light at one
     place gives one sample under any rule."""
-    nodes, weights = light_nodes(light, rule, _dtype(light, point))
+    nodes, weights = light_nodes(light, rule, common_dtype(light, point))
     return jax.vmap(lambda u, weight: incident_sample(light, rule, point, u, weight))(
         nodes, weights
     )
@@ -98,7 +97,8 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
 def irradiance(light: Light, point: Vector, normal: Vector, *, rule: Rule) -> Colour:
     """E = sum_i E_i [n.l_i]+: what any light puts on a receiver at `point`, (3,) in m, that faces
     `normal`, (3,) unit: (bands,) in W m^-2. A rectangle has it exactly in
-    `polygon.rectangle_irradiance`, an environment cheaply in `harmonics`."""
+    `polygon.rectangle_irradiance` and for many receivers in `adaptive`, an environment cheaply in
+    `harmonics`."""
     arriving = incident_samples(light, point, rule)
     cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
     return (arriving.irradiance * cosines[:, None]).sum(axis=0)
@@ -140,9 +140,3 @@ def direction_pdf(light: Light, point: Vector, wi: Vector) -> Scalar:
     """Density of `direction_sample`'s directions toward `wi`, () in sr^-1. `ValueError` for a
     light that has no size."""
     return extended_kind(light).pdf(light, point, wi)
-
-
-def _dtype(light: Light, point: Vector) -> DTypeLike:
-    return jnp.result_type(
-        *(x for x in jax.tree.leaves((light, point)) if jnp.issubdtype(x.dtype, jnp.floating))
-    )

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._bands import by_band
 from .._numerics import dot, smallest_divisor
 from .._types import Colour, as_float, check_shape
 from .._vector import Vector
@@ -36,7 +37,8 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     square = dot(toward, toward)
     apart = square > smallest_divisor(square.dtype) ** 2
     nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
-    return Incident(toward * nearness, light.intensity * (nearness * nearness), square * nearness)
+    irradiance = by_band(lambda band: band * (nearness * nearness), light.intensity)
+    return Incident(toward * nearness, irradiance, square * nearness)
 
 
 register(PointLight, incident=from_point_light)

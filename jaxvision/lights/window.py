@@ -12,7 +12,9 @@ from .._numerics import dot, norm, normalize, safe_sqrt, smallest_divisor
 from .._types import Scalar, as_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..geometry import Ray
+from ..geometry.flat import flat_quad, line_crossing
 from ..hemisphere import cross
+from ..scene import Quad
 
 
 class Window(eqx.Module):
@@ -41,22 +43,12 @@ class Crossing(eqx.Module):
 
 def crossing(ray: Ray, window: Window) -> Crossing:
     """Where a ray's line crosses the plane of a window, in m and in units of its edges."""
-    area = cross(window.edge_u, window.edge_v)
-    normal = normalize(area)
-    toward = window.corner - ray.origin
-    facing = -dot(normal, ray.direction)
-    meets = jnp.abs(facing) > smallest_divisor(facing.dtype)
-    distance = -dot(normal, toward) / jnp.where(meets, facing, 1)
-    inside = distance * ray.direction - toward
-    square = dot(area, area)
-    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0)
-    return Crossing(
-        distance,
-        dot(cross(inside, window.edge_v), area) * inverse,
-        dot(cross(window.edge_u, inside), area) * inverse,
-        facing,
-        meets & (square > 0),
-    )
+    flat = flat_quad(Quad(window.corner, window.edge_u, window.edge_v))
+    height, slope, u, v = line_crossing(ray, flat)
+    meets = slope > smallest_divisor(slope.dtype)
+    inverse = jnp.where(meets, 1 / jnp.where(meets, slope, 1), 0)
+    facing = -dot(flat.normal, ray.direction)
+    return Crossing(height * inverse, u * inverse, v * inverse, facing, meets)
 
 
 def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:

@@ -39,25 +39,27 @@ from .lenses import (
     Rim,
 )
 from .light import AmbientLight, Light
-from .sensors import (
+from .noises import (
     ArrheniusDarkCurrent,
     Banding,
-    ChargeTransfer,
-    ColourFilter,
     DarkCurrent,
     DoublingDarkCurrent,
     FastPoissonShotNoise,
     GaussianShotNoise,
     HeavyTailedReadNoise,
     HotPixels,
-    PhotonConversion,
-    PixelAperture,
     PoissonShotNoise,
     ResetNoise,
-    RollingShutter,
-    Sensor,
     ShotNoise,
     TelegraphNoise,
+)
+from .sensors import (
+    ChargeTransfer,
+    ColourFilter,
+    PhotonConversion,
+    PixelAperture,
+    RollingShutter,
+    Sensor,
 )
 from .shapes import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from .surfaces import Material, Scene, Surface

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import dot, norm, normalize, safe_sqrt
+from .._numerics import dot, norm, normalize, safe_sqrt, select
 from .._types import Colour, Scalar, take
 from .._vector import Vec, as_vec
 from ..geometry import Ray
@@ -57,10 +57,7 @@ def emitted(emitters: Emitters, ball: Ball | None, u: Float[Array, "5"]) -> Emit
     for members, group in zip(emitters.members, emitters.groups, strict=True):
         emitter, among = take(members, group, index)
         ray = _emitted(emitter, ball, u)
-        if chosen is None:
-            chosen = ray
-        else:
-            chosen = jax.tree.map(lambda a, b, here=among: jnp.where(here, a, b), ray, chosen)
+        chosen = ray if chosen is None else select(among, ray, chosen)
     if chosen is None:
         raise ValueError("light tracing needs a scene with something that shines.")
     return Emitted(chosen.ray, chosen.flux * count, chosen.normal)

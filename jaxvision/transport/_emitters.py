@@ -15,7 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics import dot, safe_sqrt, smallest_divisor
+from .._bands import Bands, apart, plus, times
+from .._numerics import dot, reciprocal, safe_sqrt, select, smallest_divisor
+from .._staging import stored
 from .._types import Colour, Scalar, group_by_structure, row, take
 from .._vector import Vec, as_vec
 from ..geometry import Ray, largest_size, offset_length
@@ -125,7 +127,7 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
             toward = _toward_surface(emitter, point, u[:2])
         else:
             toward = _toward_light(emitter, point, u[:2])
-        chosen = toward if chosen is None else _select(among, toward, chosen)
+        chosen = toward if chosen is None else select(among, toward, chosen)
     if chosen is None:
         raise ValueError("toward_emitter needs a scene with something that shines.")
     return Toward(
@@ -163,13 +165,13 @@ def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Towa
     cosine = jnp.where(emitter.two_sided, jnp.abs(cosine), jnp.maximum(cosine, 0))
     solid_angle = whole * cosine * nearness * nearness
     # as far above the emitter as a ray that leaves it starts: at a slant, so much farther
-    own = offset_length(emitter.size + distance) * _inverse(cosine)
+    own = offset_length(emitter.size + distance) * reciprocal(cosine)
     return Toward(
         direction,
         distance,
         jnp.maximum(distance - own, 0),
         emitter.emission * solid_angle,
-        _inverse(solid_angle),
+        reciprocal(solid_angle),
     )
 
 
@@ -220,7 +222,8 @@ def shining_ahead(
     absorption: Colour | None,
     *,
     strategy: Strategy,
-) -> tuple[Colour, Bool[Array, ""]]:
+    bands: int,
+) -> tuple[Bands, Bool[Array, ""]]:
     """What a ray finds by chance, W m^-2 sr^-1, and whether a light ends it there.
 
     `surface`, `distance`, `cosine`: what it meets (-1: none), at how many m, and the cosine
@@ -229,17 +232,14 @@ def shining_ahead(
     drawn on purpose counts by the `strategy`'s weight.
     """
     looks = jnp.isinf(density)
-    found, ends = jnp.zeros_like(distance)[None], jnp.zeros_like(looks)
-    if emitters.emission is not None and emitters.area is not None:
+    left = apart(transmitted(absorption, distance), bands)
+    found, ends = (jnp.zeros_like(distance),) * bands, jnp.zeros_like(looks)
+    if emitters.emission is not None:
+        shines, on_purpose = stored(_shining_surface, emitters, surface, distance, cosine)
+        counts = jnp.where(shines, chance_weight(strategy, density, on_purpose), 0)
         met = jnp.maximum(surface, 0)
-        facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
-        shines = (surface >= 0) & (facing > 0)
-        on_purpose = jnp.where(
-            shines, distance * distance / jnp.where(shines, facing * emitters.area[met], 1), 0
-        )
-        weight = chance_weight(strategy, density, on_purpose / emitters.count)
-        emission = row(emitters.emission, met) * transmitted(absorption, distance)
-        found = found + jnp.where(shines, weight, 0) * emission
+        emission = (row(emitters.emission[:, k], met) for k in range(emitters.emission.shape[1]))
+        found = tuple(counts * x for x in times(apart(tuple(emission), bands), left))
     if not emitters.lights:
         return found, ends
 
@@ -258,7 +258,21 @@ def shining_ahead(
             weight = chance_weight(strategy, density, drawn)
             arriving = ahead.radiance * transmitted(absorption, ahead.distance)
             passed = passed + jnp.where(visible(ahead.distance), weight, 0) * arriving
-    return jnp.where(ends, 0, found) + jnp.where(looks, shown, passed), ends
+    of_lights = apart(jnp.where(looks, shown, passed), bands)
+    return plus(tuple(jnp.where(ends, 0, x) for x in found), of_lights), ends
+
+
+def _shining_surface(
+    emitters: Emitters, surface: Int[Array, ""], distance: Scalar, cosine: Scalar
+) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether the surface that is met shows a side that may shine, and with which density, sr^-1,
+    this direction would have been drawn on purpose if it does."""
+    assert emitters.area is not None  # of what has emission
+    met = jnp.maximum(surface, 0)
+    facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
+    shines = (surface >= 0) & (facing > 0)
+    nearness = jnp.where(shines, facing * emitters.area[met], 1)
+    return shines, jnp.where(shines, distance * distance / nearness, 0) / emitters.count
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
@@ -298,16 +312,3 @@ def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
     drawn = own > 0
     ratio = jnp.where(drawn, other / jnp.where(drawn, own, 1), jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))
-
-
-def _select(keep: Bool[Array, ""], new: Toward, old: Toward) -> Toward:
-    def chosen(a: Array, b: Array) -> Array:
-        return jnp.where(keep, a, b)
-
-    return jax.tree.map(chosen, new, old)
-
-
-def _inverse(x: Scalar) -> Scalar:
-    """1 / x, 0 where nothing can be drawn."""
-    positive = x > 0
-    return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)

@@ -23,10 +23,11 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import brdf
-from .._numerics import dot, smallest_divisor
-from .._staging import stored
+from .._bands import Bands, apart
+from .._numerics import dot, reciprocal, select, smallest_divisor
+from .._staging import stored, together
 from .._types import Colour, Scalar, group_by_structure, take
-from .._vector import Vec, as_vec
+from .._vector import Vec, as_vec, where
 from ..brdf.glass import Glass, Split, interface
 from ..brdf.mirror import Mirror
 from ..geometry import (
@@ -71,19 +72,19 @@ class Met(eqx.Module):
 
 
 class Onward(eqx.Module):
-    """Where a path goes. `direction`: unit. `weight`: (bands,), what is carried on over its
+    """Where a path goes. `direction`: unit. `weight`: in bands, what is carried on over its
     density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
 
     direction: Vec
-    weight: Colour
+    weight: Bands
     density: Scalar
 
 
 class Vertex(eqx.Module):
-    """What a surface does. `shaded`: (bands,) sr^-1 toward the asked direction; `density`: ()
+    """What a surface does. `shaded`: in bands, sr^-1 toward the asked direction; `density`: ()
     sr^-1 with which the path would have gone there. `onward`: where it goes instead."""
 
-    shaded: Colour
+    shaded: Bands
     density: Scalar
     onward: Onward
 
@@ -121,7 +122,7 @@ def is_delta(material: Material) -> bool:
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
     """What a ray meets first, in m; gradients reach the shape that is met."""
     encounter = checkpoint_name(stored(nearest_shape, ray, surfaces.shapes), SEARCHED)
-    return Met(encounter.shape, stored(hit_shape, ray, surfaces.shapes, encounter))
+    return Met(encounter.shape, together(hit_shape(ray, surfaces.shapes, encounter)))
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
@@ -152,12 +153,11 @@ def vertex(
     chosen = None
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
-        here = _vertex(material, viewer, light, u, flat, carries=carries)
-        here = _with_bands(here, bands)
-        chosen = here if chosen is None else _select(among, here, chosen)
+        here = _vertex(material, viewer, light, u, flat, carries=carries, bands=bands)
+        chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
     # stored, for else all that is computed of it would draw it again
-    world = stored(_in_world, frame.normal, chosen.onward.direction)
+    world = together(as_vec(to_world(frame, chosen.onward.direction)))
     return eqx.tree_at(lambda v: v.onward.direction, chosen, world)
 
 
@@ -196,14 +196,14 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
             case Mirror():
                 reflected, albedo = _reflected(material, viewer, flat)
                 mirrored = jnp.where(among, albedo, mirrored)
-                up = _choose(among, reflected, up)
+                up = where(among, reflected, up)
             case Glass():
                 split = _split(material, viewer, flat)
                 passing = (1 - split.reflectance) / (split.eta * split.eta)
                 mirrored = jnp.where(among, split.reflectance, mirrored)
                 refracted = jnp.where(among, passing, refracted)
-                up = _choose(among, split.mirrored, up)
-                down = _choose(among, split.refracted, down)
+                up = where(among, split.mirrored, up)
+                down = where(among, split.refracted, down)
     return Branches(as_vec(to_world(frame, up)), as_vec(to_world(frame, down)), mirrored, refracted)
 
 
@@ -234,17 +234,19 @@ def _vertex(
     flat: Vec | None,
     *,
     carries: Carries,
+    bands: int,
 ) -> Vertex:
     """`vertex` in the local frame, of one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
     match material:
         case Glass():
-            return Vertex(zero[None], zero, _through(material, back, u, flat, carries))
+            onward, weight = _through(material, back, u, flat, carries)
+            return Vertex((zero,) * bands, zero, Onward(onward, (weight,) * bands, everywhere))
         case Mirror():
             onward, weight = _reflected(material, back, flat)
-            return Vertex(zero[None], zero, Onward(onward, weight, everywhere))
-    onward, density = jax.lax.stop_gradient(_drawn(material, back, u))
-    weight = _transfer(material, onward, back, flat, carries) * _inverse(density)
+            return Vertex((zero,) * bands, zero, Onward(onward, apart(weight, bands), everywhere))
+    onward, density = together(jax.lax.stop_gradient(_drawn(material, back, u)))
+    weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
     chance = jax.lax.stop_gradient(brdf.pdf(material, asked, back))
     front = back.z > 0
@@ -253,14 +255,10 @@ def _vertex(
         front &= dot(back, flat) > 0
         shows, goes = front & (dot(asked, flat) > 0), front & (dot(onward, flat) > 0)
     return Vertex(
-        jnp.where(shows, shaded, 0),
+        apart(jnp.where(shows, shaded, 0), bands),
         jnp.where(front, chance, 0),
-        Onward(onward, jnp.where(goes, weight, 0), density),
+        Onward(onward, apart(jnp.where(goes, weight, 0), bands), density),
     )
-
-
-def _in_world(normal: Vec, local: Vec) -> Vec:
-    return as_vec(to_world(local_frame(normal), local))
 
 
 def _drawn(material: Material, back: Vec, u: Float[Array, "3"]) -> tuple[Vec, Scalar]:
@@ -281,20 +279,19 @@ def _transfer(
 
 def _through(
     material: Glass, back: Vec, u: Float[Array, "3"], flat: Vec | None, carries: Carries
-) -> Onward:
+) -> tuple[Vec, Scalar]:
     """One of the two ways, by u_2, as likely as its part of the flux, which is divided by that
-    probability and so keeps its gradient in the index."""
+    probability and so keeps its gradient in the index; and what it counts."""
     split = _split(material, back, flat)
     likely = jax.lax.stop_gradient(split.reflectance)
     mirrored = u[2] < likely
     squeezed = 1 if carries == "light" else 1 / (split.eta * split.eta)
     weight = jnp.where(
         mirrored,
-        split.reflectance * _inverse(likely),
-        (1 - split.reflectance) * squeezed * _inverse(1 - likely),
+        split.reflectance * reciprocal(likely),
+        (1 - split.reflectance) * squeezed * reciprocal(1 - likely),
     )
-    onward = _choose(mirrored, split.mirrored, split.refracted)
-    return Onward(onward, weight[None], jnp.full_like(weight, jnp.inf))
+    return where(mirrored, split.mirrored, split.refracted), weight
 
 
 def _split(material: Glass, back: Vec, flat: Vec | None) -> Split:
@@ -314,7 +311,7 @@ def _split(material: Glass, back: Vec, flat: Vec | None) -> Split:
         plain.reflectance,
         plain.eta,
     )
-    return jax.tree.map(lambda a, b: jnp.where(right, a, b), split, plain)
+    return select(right, split, plain)
 
 
 def _reflected(material: Mirror, back: Vec, flat: Vec | None) -> tuple[Vec, Colour]:
@@ -326,7 +323,7 @@ def _reflected(material: Mirror, back: Vec, flat: Vec | None) -> tuple[Vec, Colo
     right = (back.z > 0) & (dot(up, flat) > 0)
     plain = brdf.albedo(material, as_vec(to_local(local_frame(flat), back)))
     mirrored = 2 * side * flat - back
-    return _choose(right, up, mirrored), jnp.where(side > 0, jnp.where(right, albedo, plain), 0)
+    return where(right, up, mirrored), jnp.where(side > 0, jnp.where(right, albedo, plain), 0)
 
 
 def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
@@ -334,7 +331,7 @@ def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
     came: a ray all the same, whose hits are finite."""
     hit = met.hit
     origin = offset_origin(hit.point, hit.normal, direction, size=hit.size)
-    return Ray(_choose(goes, origin, ray.origin), _choose(goes, direction, ray.direction))
+    return Ray(where(goes, origin, ray.origin), where(goes, direction, ray.direction))
 
 
 def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
@@ -367,27 +364,3 @@ def absorption_after(
     outside = before if around is None else jnp.where(left, around, before)
     after = jnp.where(inside, surfaces.absorption[surface], outside)
     return jnp.where(surfaces.glass[surface], after, before)
-
-
-def _choose(first: Bool[Array, ""], a: Vec, b: Vec) -> Vec:
-    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)
-
-
-def _with_bands(here: Vertex, bands: int) -> Vertex:
-    """What is neutral takes the bands of the rest."""
-    onward = here.onward
-    return Vertex(
-        jnp.broadcast_to(here.shaded, (bands,)),
-        here.density,
-        Onward(onward.direction, jnp.broadcast_to(onward.weight, (bands,)), onward.density),
-    )
-
-
-def _select(keep: Bool[Array, ""], new: Vertex, old: Vertex) -> Vertex:
-    return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
-
-
-def _inverse(density: Scalar) -> Scalar:
-    """1 / density, 0 where nothing can be drawn."""
-    drawn = density > 0
-    return jnp.where(drawn, 1 / jnp.where(drawn, density, 1), 0)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from .._numerics import dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
-from .._staging import TILE, stored
+from .._staging import TILE, stored, together
 from .._types import Key, Scalar
 from .._vector import Vec, as_vec
 from ..geometry import Ray, offset_origin
@@ -112,7 +112,7 @@ def _light_path(
         flux = flux * transmitted(absorption, met.hit.distance)
         flux = jnp.where(met.surface >= 0, flux, 0)
         of_lens, of_surface = uniforms(stream, 2 * k + 2, dtype), uniforms(stream, 2 * k + 3, dtype)
-        arrival = stored(_arrival, view, met.hit.point, of_lens[:2])
+        arrival = together(_arrival(view, met.hit.point, of_lens[:2]))
         at = vertex(
             world.surfaces,
             met,
@@ -122,19 +122,20 @@ def _light_path(
             carries="light",
             bands=world.bands,
         )
+        at = together(at)
         dark = stored(hidden, world.surfaces, met, arrival.toward, arrival.distance)
         reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
         if world.emitters.lights:  # the camera sees the light before what lies behind it
             camera = Ray(met.hit.point + arrival.distance * arrival.toward, -arrival.toward)
             reaches &= ~(nearest_seen(world.emitters.lights, camera).distance < arrival.distance)
         response = arrival.response * transmitted(absorption, arrival.distance)
-        value = jnp.where(reaches, flux * at.shaded * response, 0)
+        value = jnp.where(reaches, flux * jnp.stack(at.shaded) * response, 0)
         row = jnp.floor(arrival.row + 0.5).astype(jnp.int32)
         column = jnp.floor(arrival.column + 0.5).astype(jnp.int32)
         within = reaches & (row >= 0) & (row < height) & (column >= 0) & (column < width)
         pixel = jnp.where(within, row * width + column, height * width)
         onward = at.onward
-        flux = flux * onward.weight
+        flux = flux * jnp.stack(onward.weight)
         goes = flux.max() > 0
         after = leave(met, ray, onward.direction, goes)
         absorption = absorption_after(world.surfaces, met, ray.direction, after, absorption)

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, UInt32
 
-from .._bands import Bands, apart
+from .._bands import Bands, apart, plus, times
 from .._numerics import dot, safe_sqrt
 from .._random import Stream, seed_of, uniforms
 from .._staging import LANES, stored
@@ -53,6 +53,9 @@ from ._vertices import (
 )
 from ._world import World, world_of
 
+# Pieces of a path of which a gradient keeps all that it needs, up to 400 bytes a ray and piece: of
+# more, it computes them again.
+_KEPT = 8
 _BLOCK = 65536  # pixels at once: a bounce is many small loops, and to start each one costs
 
 
@@ -113,10 +116,10 @@ class _Path(eqx.Module):
 def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Colour:
     """The radiance of ONE random path that begins along `ray`: (bands,) in W m^-2 sr^-1, whose
     mean over streams is the radiance along the ray."""
-    return _walk(world_of(scene), ray, stream, method)
+    return jnp.stack(_walk(world_of(scene), ray, stream, method))
 
 
-def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Colour:
+def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
     dtype = ray.origin.x.dtype
     dark = (jnp.zeros((), dtype),) * world.bands
     path = _Path(
@@ -133,9 +136,11 @@ def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Colour:
 
     pieces = method.depth - 1
     if method.roulette is None:
-        keep = jax.checkpoint_policies.save_only_these_names(SEARCHED)
+        if method.depth > _KEPT:
+            keep = jax.checkpoint_policies.save_only_these_names(SEARCHED)
+            step = jax.checkpoint(step, policy=keep)
         path, _ = jax.lax.scan(
-            lambda path, k: (jax.checkpoint(step, policy=keep)(path, k), None),
+            lambda path, k: (step(path, k), None),
             path,
             jnp.arange(pieces, dtype=jnp.uint32),
         )
@@ -147,7 +152,7 @@ def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Colour:
         )
     if method.depth == 1 or method.strategy != "lights" or _has_chance_only(world):
         path, _ = _look(world, path, method)
-    return jnp.stack(path.radiance)
+    return path.radiance
 
 
 def _has_chance_only(world: World) -> bool:
@@ -168,23 +173,25 @@ def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
         path.density,
         path.absorption,
         strategy=method.strategy,
+        bands=world.bands,
     )
-    radiance = _plus(path.radiance, path.alive, _times(path.weight, apart(found, world.bands)))
     weight = path.weight
     if path.absorption is not None:
         left = transmitted(path.absorption, met.hit.distance)
-        weight = _times(weight, apart(left, world.bands))
+        weight = times(weight, apart(left, world.bands))
+    radiance = plus(path.radiance, _where(path.alive, times(path.weight, found)))
     alive = path.alive & (met.surface >= 0) & ~ends
     return _Path(path.ray, weight, radiance, path.density, path.absorption, alive), met
 
 
 def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) -> _Path:
     """One piece of a path and the surface at its end."""
+    came = path.ray
     path, met = _look(world, path, method)
     dtype = met.hit.distance.dtype
     of_light = uniforms(stream, 2 * k + 1, dtype)
     of_surface = uniforms(stream, 2 * k + 2, dtype)
-    back = -path.ray.direction
+    back = -came.direction
     purposeful = world.emitters.count > 0 and not all(map(is_delta, world.surfaces.materials))
     if purposeful:
         light = toward_emitter(world.emitters, met.hit.point, of_light[:3])
@@ -198,41 +205,31 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
     if light is not None:
         blocked = stored(hidden, world.surfaces, met, light.direction, light.clear)
         counts = purpose_weight(method.strategy, light.density, at.density)
-        arriving = light.irradiance * transmitted(path.absorption, light.distance)
-        shown = apart(at.shaded * arriving * counts, world.bands)
-        radiance = _plus(radiance, path.alive & ~blocked, _times(path.weight, shown))
+        arriving = light.irradiance * transmitted(path.absorption, light.distance) * counts
+        shown = times(times(path.weight, at.shaded), apart(arriving, world.bands))
+        radiance = plus(radiance, _where(path.alive & ~blocked, shown))
     onward = at.onward
-    weight = _times(path.weight, apart(onward.weight, world.bands))
+    weight = times(path.weight, onward.weight)
     largest = reduce(jnp.maximum, weight)
     alive = path.alive & (largest > 0)
     if method.roulette is not None:
         likely = jnp.where(k >= method.roulette, jnp.minimum(jax.lax.stop_gradient(largest), 1), 1)
         alive &= of_surface[3] < likely
         weight = tuple(w / jnp.where(likely > 0, likely, 1) for w in weight)
-    ray = stored(leave, met, path.ray, onward.direction, alive)
-    return _Path(
-        ray,
-        tuple(jnp.where(alive, w, 0) for w in weight),
-        radiance,
-        onward.density,
-        absorption_after(world.surfaces, met, path.ray.direction, ray, path.absorption),
-        alive,
-    )
+    ray = stored(leave, met, came, onward.direction, alive)
+    absorption = absorption_after(world.surfaces, met, came.direction, ray, path.absorption)
+    return _Path(ray, _where(alive, weight), radiance, onward.density, absorption, alive)
 
 
-def _times(a: Bands, b: Bands) -> Bands:
-    return tuple(x * y for x, y in zip(a, b, strict=True))
-
-
-def _plus(total: Bands, counts: Bool[Array, ""], more: Bands) -> Bands:
-    return tuple(x + jnp.where(counts, y, 0) for x, y in zip(total, more, strict=True))
+def _where(counts: Bool[Array, ""], bands: Bands) -> Bands:
+    return tuple(jnp.where(counts, band, 0) for band in bands)
 
 
 def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
     """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1."""
     world, seed = world_of(scene), seed_of(key)
 
-    def sample(number: UInt32[Array, ""]) -> Colour:
+    def sample(number: UInt32[Array, ""]) -> Bands:
         return _walk(world, ray, Stream(jnp.zeros((), jnp.uint32), number, seed), method)
 
     return _mean(sample, 0, method.samples, world.bands, ray.origin.x.dtype)
@@ -260,7 +257,7 @@ def path_traced_pixels(
     def pixel(row: Array, column: Array) -> Traced:
         number = (row * view.resolution[1] + column).astype(jnp.uint32)
 
-        def sample(count: UInt32[Array, ""]) -> Colour:
+        def sample(count: UInt32[Array, ""]) -> Bands:
             stream = Stream(number, count, seed)
             u = uniforms(stream, 0, dtype)
             down, right = row.astype(dtype) + u[0] - 0.5, column.astype(dtype) + u[1] - 0.5
@@ -296,21 +293,23 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
 
 
 def _mean(
-    sample: Callable[[Array], Colour], first: int, count: int, bands: int, dtype: jnp.dtype
+    sample: Callable[[Array], Bands], first: int, count: int, bands: int, dtype: jnp.dtype
 ) -> Traced:
     """The mean of samples, one after another, and its standard error (Welford, Technometrics 4(3)
     (1962)): no sum of squares cancels."""
-    zero = jnp.zeros(bands, dtype)
+    dark = (jnp.zeros((), dtype),) * bands
 
     @jax.checkpoint
-    def add(state: tuple[Colour, Colour], k: Array) -> tuple[tuple[Colour, Colour], None]:
-        mean, squares = state
-        value = sample(k + jnp.uint32(first))
-        away = value - mean
-        mean = mean + away / (k + 1).astype(dtype)
-        return (mean, squares + away * (value - mean)), None
+    def add(state: tuple[Bands, Bands], k: Array) -> tuple[tuple[Bands, Bands], None]:
+        value, number = sample(k + jnp.uint32(first)), (k + 1).astype(dtype)
+        means, squares = [], []
+        for x, mean, square in zip(value, *state, strict=True):
+            means.append(mean + (x - mean) / number)
+            squares.append(square + (x - mean) * (x - means[-1]))
+        return (tuple(means), tuple(squares)), None
 
-    (mean, squares), _ = jax.lax.scan(add, (zero, zero), jnp.arange(count, dtype=jnp.uint32))
+    state, _ = jax.lax.scan(add, (dark, dark), jnp.arange(count, dtype=jnp.uint32))
+    mean, squares = (jnp.stack(x) for x in state)
     if count == 1:
         return Traced(mean, jnp.full_like(mean, jnp.inf))
     return Traced(mean, safe_sqrt(squares / (float(count) * (count - 1))))

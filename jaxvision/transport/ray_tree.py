@@ -174,8 +174,9 @@ def _follow(world: World, rule: Quadrature, k: Array, tree: _Tree) -> _Tree:
         jnp.full((), jnp.inf, dtype),
         absorption,
         strategy="lights",
+        bands=world.bands,
     )
-    radiance = tree.radiance + weight * found
+    radiance = tree.radiance + weight * jnp.stack(found)
     on_surface = (met.surface >= 0) & ~ends
     weight = jnp.where(on_surface, weight * transmitted(absorption, met.hit.distance), 0)
     radiance = radiance + weight * _direct(world, met, back, absorption, rule)

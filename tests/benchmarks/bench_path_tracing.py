@@ -1,7 +1,7 @@
 """The Cornell box by path tracing against Mitsuba 3 (`llvm_ad_rgb`, `path`): 256 x 256 pixels, 64
 samples, up to 6 pieces, no roulette, float32. Both against a reference of 4096 samples by Mitsuba,
 so that speed is compared at the error that each has; and the compile times of the picture and of
-a gradient in all albedos.
+its gradients, in all materials and in the whole scene.
 
     pytest tests/benchmarks/bench_path_tracing.py -m benchmark -s
 
@@ -9,64 +9,24 @@ Mitsuba needs `DRJIT_LIBLLVM_PATH`, see its documentation.
 """
 
 import time
+from collections.abc import Callable
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mitsuba_scenes import mitsuba, mitsuba_cornell_box
 from oracles import cornell_box
 from scipy.ndimage import binary_dilation
 from turns import in_turns
 
 from jaxvision import as_dtype
+from jaxvision.scene import Scene
 from jaxvision.transport import Paths, path_traced
 
 SIDE, SAMPLES, DEPTH, ROUNDS = 256, 64, 6, 7
-
-
-def mitsuba_scene(mi):
-    """The same parallelograms, colours, lamp and camera."""
-    to_world = mi.ScalarTransform4f
-    fov = float(np.degrees(2 * np.arctan(cornell_box.FILM / 2 / cornell_box.FOCAL_LENGTH)))
-    description = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": 1000},
-        "sensor": {
-            "type": "perspective",
-            "fov": fov,
-            "to_world": to_world().look_at(cornell_box.EYE, cornell_box.TARGET, cornell_box.UP),
-            "sampler": {"type": "independent", "sample_count": SAMPLES},
-            "film": {
-                "type": "hdrfilm",
-                "width": SIDE,
-                "height": SIDE,
-                "rfilter": {"type": "box"},
-                "pixel_format": "rgb",
-                "component_format": "float32",
-            },
-        },
-    }
-    faces = [*cornell_box.FACES, cornell_box.LAMP]
-    for i, ((corner, u, v), colour) in enumerate(
-        zip(faces, [*cornell_box.ALBEDOS, (0, 0, 0)], strict=True)
-    ):
-        matrix = np.eye(4)
-        normal = np.cross(u, v)
-        matrix[:3] = np.stack(
-            [u / 2, v / 2, normal / np.linalg.norm(normal), corner + u / 2 + v / 2], axis=1
-        )
-        reflectance = {"type": "rgb", "value": [float(c) for c in colour]}
-        face = {
-            "type": "rectangle",
-            "to_world": to_world(matrix.tolist()),
-            "bsdf": {"type": "diffuse", "reflectance": reflectance},
-        }
-        if i == len(faces) - 1:
-            radiance = {"type": "rgb", "value": list(cornell_box.RADIANCE)}
-            face["emitter"] = {"type": "area", "radiance": radiance}
-        description[f"face{i}"] = face
-    return mi.load_dict(description)
 
 
 def compiled(strategy, scene, view):
@@ -79,45 +39,58 @@ def compiled(strategy, scene, view):
     return (lambda key: call(key, scene, view).radiance), time.perf_counter() - start
 
 
-def gradient_seconds(scene, view):
-    """Tracing and compiling the gradient of a mean picture in all materials."""
+def gradient_seconds(scene, view, *, whole):
+    """Tracing and compiling the gradient of a mean picture, in all materials or in the `whole`
+    scene: shapes and emission too."""
     method = Paths(4, DEPTH, strategy="lights")
+    materials = [surface.material for surface in scene.surfaces]
 
     def mean(scene):
         return path_traced(jax.random.key(0), scene, view, method=method).radiance.mean()
 
+    def of_materials(materials):
+        surfaces = [
+            eqx.tree_at(lambda s: s.material, surface, material)
+            for surface, material in zip(scene.surfaces, materials, strict=True)
+        ]
+        return mean(Scene(surfaces, scene.lights))
+
+    loss, at = (mean, scene) if whole else (of_materials, materials)
     start = time.perf_counter()
-    call = jax.jit(jax.grad(mean)).lower(scene).compile()
+    call = jax.jit(jax.grad(loss)).lower(at).compile()
     seconds = time.perf_counter() - start
-    gradient = call(scene)
-    assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(call(at)))
     return seconds
 
 
 @pytest.mark.benchmark
 def test_cornell_box():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("llvm_ad_rgb")
-    peer = mitsuba_scene(mi)
+    mi = mitsuba()
+    path = {"type": "path", "max_depth": DEPTH, "rr_depth": 1000}
+    peer = mitsuba_cornell_box(mi, side=SIDE, integrator=path)
     scene = as_dtype(cornell_box.scene(emissive_surface=True), jnp.float32)
     view = as_dtype(cornell_box.view(SIDE), jnp.float32)
     seeds = iter(range(1, 100000))
 
-    def mitsuba(samples=SAMPLES):
+    def theirs(samples=SAMPLES):
         return np.asarray(mi.render(peer, spp=samples, seed=next(seeds)))
 
-    reference = np.mean([mitsuba(512) for _ in range(8)], axis=0)
+    reference = np.mean([theirs(512) for _ in range(8)], axis=0)
     # all but the lamp and its edge, whose pixels differ by where a sample falls, hundredfold
-    unlit = ~binary_dilation(reference.max(axis=-1) > 2, iterations=2)
+    unlit = np.logical_not(binary_dilation(reference.max(axis=-1) > 2, iterations=2))
+
+    def with_next_key(picture):
+        return picture(jax.random.key(next(seeds)))
 
     def error(picture):
         apart = (np.asarray(picture) - reference)[unlit]
         return np.sqrt(np.mean(apart**2)) / reference[unlit].mean()
 
-    rivals, compile_seconds = {"Mitsuba path": mitsuba}, {}
+    rivals: dict[str, Callable[[], object]] = {"Mitsuba path": theirs}
+    compile_seconds = {}
     for strategy in ("lights", "balance"):
         picture, compile_seconds[strategy] = compiled(strategy, scene, view)
-        rivals[f"ours, {strategy}"] = lambda run=picture: run(jax.random.key(next(seeds)))
+        rivals[f"ours, {strategy}"] = partial(with_next_key, picture)
     errors = {}
     for name, run in rivals.items():
         mean = np.mean([np.asarray(run())[unlit].mean(axis=0) for _ in range(4)], axis=0)
@@ -132,4 +105,6 @@ def test_cornell_box():
         print(f"{name:16s}{taken:8.2f}{errors[name]:12.4f}{faster:14.2f}{equal:16.2f}")
     for strategy, taken in compile_seconds.items():
         print(f"compiled {strategy}: {taken:.2f} s")
-    print(f"compiled gradient: {gradient_seconds(scene, view):.2f} s")
+    for name, whole in (("materials", False), ("the whole scene", True)):
+        taken = gradient_seconds(scene, view, whole=whole)
+        print(f"compiled gradient in {name}: {taken:.2f} s")

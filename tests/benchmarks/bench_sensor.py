@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.sensors import OF_PHOTONS
 from turns import in_turns
 
 from jaxvision import as_dtype
@@ -21,27 +22,14 @@ ROUNDS = 5
 SHAPE = (3000, 4000, 1)
 AIM = 1.5  # seconds, all sources, on two cores
 KEY, DIE = jax.random.split(jax.random.key(0))
-ALL = s.Sensor(
+ALL = replace(
+    OF_PHOTONS,
     exposure_time=0.01,
-    quantum_efficiency=0.5,
-    prnu=0.01,
-    dead_pixels=1e-5,
-    dark_current=10.0,
-    hot_pixels=s.HotPixels(1e-4, 1000.0),
-    shot_noise=s.FastPoissonShotNoise(),
-    full_well=1e4,
-    conversion_prnu=0.005,
-    dsnu=1.0,
-    column_dsnu=0.5,
-    row_dsnu=0.2,
-    reset_noise=s.ResetNoise(1e-15, 300.0),
-    read_noise=s.HeavyTailedReadNoise(2.0, 10.0, 0.01),
-    telegraph_noise=s.TelegraphNoise(0.01, 5.0),
-    row_noise=0.5,
-    banding=s.Banding(1.0, 50.0),
-    column_prnu=0.001,
+    crosstalk=None,
+    smear=None,
+    blooming=None,
+    charge_transfer=None,
     gain=0.4,
-    offset=64.0,
     bits=12,
 )
 LINEAR = s.Sensor(exposure_time=0.01, quantum_efficiency=0.5, gain=0.4, offset=64.0, bits=12)

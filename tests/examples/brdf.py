@@ -76,6 +76,7 @@ EXAMPLES = {
     **family("phong", PHONG, "shading"),
     "brdf.gaussian_lobe.gaussian_lobe": ((X, TWO), {}),
     "brdf.gaussian_lobe.gaussian_lobe_shading": ((N, WI, WO, KD, KS, TWO), {}),
+    "brdf.gaussian_lobe.squared_angle_between": ((WI, WO), {}),
     "brdf.gaussian_lobe.gaussian_integrals": ((COS, TWO), {}),
     **family("gaussian_lobe", GaussianLobeBRDF(KD, KS, TWO), *SAMPLED),
     **family("gaussian_lobe", GaussianLobe(KD, KS, TWO), "shading"),

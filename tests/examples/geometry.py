@@ -9,7 +9,7 @@ from jaxvision.geometry import Encounter, Ray
 from jaxvision.geometry.flat import flat_quad
 from jaxvision.lights import Quadrature
 from jaxvision.rendering import Baked
-from jaxvision.shading import Leaving
+from jaxvision.shadows import Leaving
 
 
 def unit(*v):
@@ -63,6 +63,7 @@ EXAMPLES = {
     "geometry.flat.intersect_disc": ((RAY, DISC), {}),
     "geometry.flat.intersect_quad": ((RAY, QUAD), {}),
     "geometry.flat.flat_quad": ((QUAD,), {}),
+    "geometry.flat.line_crossing": ((RAY, flat_quad(QUAD)), {}),
     "geometry.flat.quad_distance": ((RAY, flat_quad(QUAD)), {}),
     "geometry.flat.quad_blocks": ((RAY, flat_quad(QUAD), FAR), {}),
     "geometry.flat.quad_hit": ((RAY, flat_quad(QUAD), jnp.asarray(True)), {}),
@@ -74,7 +75,7 @@ EXAMPLES = {
         (RAY, SHAPES, Encounter(jnp.asarray(1), jnp.asarray(-1))),
         {},
     ),
-    "shading.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
+    "shadows.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
     "rendering.shade_baked": ((BAKED, SCENE), {}),
     "geometry.nearest.occluded": ((POINT, N, W, FAR, SHAPES), {}),
 }

@@ -66,6 +66,10 @@ EXAMPLES = {
     "lights.nearest_seen": (([RECTANGLE, SKY], RAY), {}),
     "lights.radiance_from": ((SKY, POINT, UP), {}),
     "lights.seen": ((FIELD, RAY), {}),
+    "lights.adaptive.adaptive_irradiance": (
+        (RECTANGLE, jnp.stack([POINT, 2 * POINT]), N),
+        {"tolerance": 1e-3},
+    ),
     "lights.directional.from_directional_light": ((SUN, POINT), {}),
     "lights.environment.environment_node": ((SKY, POINT, U), {}),
     "lights.environment.environment_pdf": ((SKY, POINT, UP), {}),
@@ -82,6 +86,10 @@ EXAMPLES = {
     "lights.light_field.refocus": ((FIELD, jnp.asarray([0.1, 0.2, 1.9])), {"order": 2}),
     "lights.point.from_point_light": ((LAMP, POINT), {}),
     "lights.polygon.angle_over_sine": ((jnp.asarray([0.3, 1e-9]), jnp.asarray([-0.2, 0.9])), {}),
+    "lights.polygon.nodes_integral": (
+        (as_vec(3 * UP), as_vec(unit(1.0, 0.2, 0.1)), as_vec(unit(0.2, -1.0, 0.0)), as_vec(N)),
+        {"order": 3},
+    ),
     "lights.polygon.rectangle_irradiance": ((RECTANGLE, POINT, unit(0.9, 0.1, 0.2)), {}),
     "lights.rectangle.rectangle_pdf": ((RECTANGLE, POINT, UP), {}),
     "lights.rectangle.rectangle_sample": ((RECTANGLE, POINT, U), {}),

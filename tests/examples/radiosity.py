@@ -51,7 +51,7 @@ EXAMPLES = {
     f"{ROOM}.form_factors.polygon_to_polygon": ((BELOW, ABOVE), {"order": 2}),
     f"{ROOM}.patches.patches_of": ((SCENE,), {"plan": PLAN}),
     f"{ROOM}.exchange.form_factor_table": ((SCENE,), {"plan": PLAN}),
-    f"{ROOM}.exchange.by_patch": ((SENT, ELEMENTS), {"plan": PLAN}),
+    f"{ROOM}.patches.by_patch": ((SENT, ELEMENTS), {"plan": PLAN}),
     f"{ROOM}.exchange.closure_error": ((TABLE,), {}),
     f"{ROOM}.exchange.reciprocity_error": ((TABLE / 100, ELEMENTS.area), {}),
     f"{ROOM}.solve.solve_radiosity": ((TABLE, ALBEDO, SENT), {}),

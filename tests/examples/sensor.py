@@ -1,8 +1,11 @@
 """The sensor, stage by stage."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from oracles.sensors import EVERY_EFFECT
 
 from jaxvision import scene as s
 from jaxvision.colour_filters import bayer
@@ -21,34 +24,18 @@ TRANSFER = s.ChargeTransfer(1e-3, serial_inefficiency=2e-3, trail=3)
 DARK = s.DoublingDarkCurrent(100.0, 300.0, 293.0, 8.0)
 RESET = s.ResetNoise(1e-15, 300.0)
 SHUTTER = s.RollingShutter(0.004)
-SENSOR = s.Sensor(
+SENSOR = replace(
+    EVERY_EFFECT,
     photon_conversion=s.PhotonConversion([5e-7, 6e-7], 1e-11),
     infrared_cut=[0.9, 0.8],
-    exposure_time=0.01,
     quantum_efficiency=[0.5, 0.6],
+    colour_filter=None,
     pixel_aperture=APERTURE,
-    crosstalk=0.02,
-    smear=1e-3,
-    prnu=0.01,
     dead_pixels=0.1,
-    dark_current=DARK,
-    hot_pixels=HOT,
     shot_noise=s.GaussianShotNoise(),
     full_well=2e9,
-    blooming=0.9,
     charge_transfer=TRANSFER,
-    conversion_prnu=0.02,
-    dsnu=1.0,
-    column_dsnu=0.5,
-    row_dsnu=0.4,
-    reset_noise=RESET,
-    read_noise=s.HeavyTailedReadNoise(2.0, 9.0, 0.1),
-    telegraph_noise=s.TelegraphNoise(0.2, 5.0),
-    row_noise=0.3,
-    banding=s.Banding(2.0, 9.0),
-    column_prnu=0.01,
-    gain=0.1,
-    offset=64.0,
+    bits=None,
 )
 MOMENTS_OF = s.Sensor(
     exposure_time=0.5,

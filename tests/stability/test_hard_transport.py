@@ -11,13 +11,14 @@ import pytest
 from jaxvision import Lambert, Mirror, PointLight, as_dtype
 from jaxvision._random import Stream
 from jaxvision.brdf.glass import Glass, interface, refracted_direction
-from jaxvision.geometry import Ray
-from jaxvision.scene import Box, Quad, Scene, Sphere, Surface
+from jaxvision.geometry import Ray, hit_shape, nearest_shape, occluded
+from jaxvision.scene import Box, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import Paths, path_radiance, path_sample, ray_tree_radiance
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 mp.mp.dps = 50
+CORNERS = (0, 0), (1, 0), (1, 1), (0, 1)
 
 
 def direction(theta, dtype):
@@ -84,6 +85,36 @@ def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
     seen = quick_jit(jax.vmap(one))(numbers, jnp.asarray(directions, jnp.float32))
     assert seen.dtype == jnp.float32
     np.testing.assert_allclose(seen, 1, atol=1e-5)
+
+
+@both_precisions
+def test_a_ray_that_begins_on_a_mesh_meets_what_lies_ahead(dtype):
+    """Two sheets of 128 triangles in one mesh, and a start in the plane of the first: neither a
+    search nor a shadow ray stops at distance 0, which Embree alone would."""
+    pytest.importorskip("embreex")
+    place = np.linspace(-1, 1, 9)
+    x, y = (v.ravel() for v in np.meshgrid(place, place, indexing="ij"))
+    sheets = [np.stack([x, y, np.full_like(x, z)], axis=1) for z in (0, 1)]
+    a, b, c, d = (np.arange(81).reshape(9, 9)[i : i + 8, j : j + 8].ravel() for i, j in CORNERS)
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    mesh = as_dtype(
+        TriangleMesh(np.concatenate(sheets), np.concatenate([faces, faces + 81])), dtype
+    )
+    up, free = jnp.asarray([0, 0, 1.0], dtype), jnp.zeros(3, dtype)
+
+    def ahead(start):
+        ray = Ray(start, up)
+        distance = hit_shape(ray, [mesh], nearest_shape(ray, [mesh])).distance
+        before, behind = (
+            occluded(start, free, up, jnp.asarray(far, dtype), [mesh]) for far in (0.5, 1.5)
+        )
+        return distance, before, behind
+
+    start = np.random.default_rng(0).uniform(-1, 1, (1000, 3)) * [1, 1, 0]
+    distance, before, behind = quick_jit(jax.vmap(ahead))(jnp.asarray(start, dtype))
+    np.testing.assert_allclose(distance, 1, rtol=1e-6)
+    assert not before.any()
+    assert behind.all()
 
 
 HARD = {

@@ -7,7 +7,7 @@ image = radiosity_image(scene, plan, solution, view)
 """
 
 from ._grid import Face, Plan
-from .exchange import by_patch, closure_error, form_factor_table, reciprocity_error
+from .exchange import closure_error, form_factor_table, reciprocity_error
 from .form_factors import (
     Exchange,
     parallel_exchange,
@@ -18,7 +18,7 @@ from .form_factors import (
     polygon_to_polygon,
 )
 from .gather import radiosity_along, radiosity_image
-from .patches import Patches, patches_of, plan_patches
+from .patches import Patches, by_patch, patches_of, plan_patches
 from .solution import Solution, direct_irradiance, radiosity
 from .solve import ambient_estimate, bounce, shoot, solve_radiosity
 

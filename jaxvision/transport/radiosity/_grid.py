@@ -60,6 +60,15 @@ def parents_in(face: Face, split: int) -> np.ndarray:
     return (rows[:, None] * face.columns + columns).reshape(-1)
 
 
+def refined(plan: Plan, split: int) -> Plan:
+    """The plan whose patches are the elements of `plan`, each split^2 elements; no unit."""
+    faces = [
+        face._replace(rows=face.rows * plan.split, columns=face.columns * plan.split)
+        for face in plan.faces
+    ]
+    return Plan(tuple(faces), split)
+
+
 def borders(count: int, graded: bool) -> np.ndarray:
     """The borders of `count` cells of [0, 1]; graded ones narrow toward both ends."""
     t = np.linspace(0, 1, count + 1)

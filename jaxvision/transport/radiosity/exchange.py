@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Float, Int, UInt32
 
 from ..._numerics import dot, norm
 from ..._random import Stream, uniforms
@@ -21,8 +21,9 @@ from ..._types import Scalar
 from ..._vector import Vec, where
 from ...geometry import largest_size, occluded, offset_length, offset_origin
 from ...scene import Scene, Shape
-from ._grid import Plan, offsets_of, parents_of
+from ._grid import Plan
 from ._polygons import far_factor, is_far, near_factor, on_polygon
+from ._receivers import receivers_of
 from .patches import Patches, patches_of
 
 TILE = 128  # elements by patches at once: what is not needed for any of them is skipped
@@ -41,14 +42,15 @@ def form_factor_table(
     else `ValueError`; they go to places spread over the patch, and differently for each pair, so
     that a patch, split into elements, sees others by split^2 `rays` rays. The error of a
     half-hidden factor is of the order of itself over sqrt(rays), and averages out over patches.
-    Elements receive at their centres: reciprocity holds to 2 % of the largest exchange in a cube of
-    3 x 3 patches a wall, split by 2, and better with a finer split.
+    Elements receive at their centres, those covered in part at that of the rest: reciprocity holds
+    to 2 % of the largest exchange in a cube of 3 x 3 patches a wall, split by 2, and better with a
+    finer split.
     Gradients in the geometry are those of the unoccluded factors: none reaches visibility.
     """
     if rays < 1:
         raise ValueError(f"rays must be at least 1, got {rays}.")
     patches = stored(partial(patches_of, plan=plan), scene)
-    elements = stored(partial(patches_of, plan=plan, split=plan.split), scene)
+    elements = receivers_of(scene, plan).elements
     shapes = [surface.shape for surface in scene.surfaces]
     size = largest_size(shapes)
     counts = len(elements.area), len(patches.area)
@@ -148,25 +150,6 @@ def _place_above(
         below = dot(element.normal, chosen - element.centre) <= 0
         chosen = where(below, place(k), chosen)
     return chosen
-
-
-def by_patch(
-    values: Float[Array, "elements n"],
-    elements: Patches,
-    plan: Plan,
-    *,
-    covered: Bool[Array, " elements"] | None = None,
-) -> Float[Array, "patches n"]:
-    """The mean over each patch of what its elements have, by their areas in m^2.
-
-    `covered`: elements that do not count, inside another body: shadow rays already find that part
-    of the patch hidden, and with it the mean would be too dark. A patch without others is 0.
-    """
-    area = elements.area if covered is None else jnp.where(covered, 0, elements.area)
-    of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
-    total = jax.ops.segment_sum(values * area[:, None], of_patch, count)
-    areas = jax.ops.segment_sum(area, of_patch, count)[:, None]
-    return total * jnp.where(areas > 0, 1 / jnp.where(areas > 0, areas, 1), 0)
 
 
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:

@@ -22,7 +22,7 @@ from ...brdf.lambert import Lambert
 from ...hemisphere import cross
 from ...scene import Box, Disc, Quad, Scene, Shape, Sphere, Surface, TriangleMesh
 from ._faces import face_point, lengths, side
-from ._grid import Face, Plan, borders, offsets_of, parents_in
+from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of
 
 
 class Patches(eqx.Module):
@@ -118,6 +118,17 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
         jnp.asarray(surface, jnp.int32),
         jnp.asarray(np.concatenate(planes), jnp.int32),
     )
+
+
+def by_patch(
+    values: Float[Array, "elements n"], elements: Patches, plan: Plan
+) -> Float[Array, "patches n"]:
+    """The mean over each patch of what its elements have, by their areas in m^2. A patch without
+    any area is 0."""
+    of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
+    total = jax.ops.segment_sum(values * elements.area[:, None], of_patch, count)
+    areas = jax.ops.segment_sum(elements.area, of_patch, count)[:, None]
+    return total * jnp.where(areas > 0, 1 / jnp.where(areas > 0, areas, 1), 0)
 
 
 Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge

@@ -7,21 +7,20 @@ the elements directly, with shadows; what then leaves them, patches exchange.
 from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._numerics import dot
 from ..._staging import TILE, in_tiles, stored
 from ..._types import Colour
 from ..._vector import Vec
-from ...geometry import Ray, hit_shape, largest_size, nearest_shape, offset_origin
+from ...geometry import largest_size
 from ...lights import Quadrature, Rule, rule_for
 from ...scene import Quad, Scene
 from ._grid import Plan, parents_of
+from ._receivers import mean_of_parts, receivers_of
 from ._sources import diffuse_of, emission_of, irradiance_at, sources_of
-from .exchange import by_patch, form_factor_table
-from .patches import Patches, patches_of
+from .exchange import form_factor_table
+from .patches import Patches, by_patch, patches_of
 from .solve import solve_radiosity
 
 DEFAULT_RULE = Quadrature(4)
@@ -57,22 +56,22 @@ def radiosity(
     term stands for what is computed here, and is left out.
     """
     patches = stored(partial(patches_of, plan=plan), scene)
-    elements = stored(partial(patches_of, plan=plan, split=plan.split), scene)
+    receivers = receivers_of(scene, plan)
     if table is None:
         table = form_factor_table(scene, plan, rays=rays)
-    direct = direct_irradiance(scene, elements, rule=rule)
-    covered = _covered(scene, elements)
+    parts = direct_irradiance(scene, receivers.parts, rule=rule)
+    direct = mean_of_parts(parts, receivers.parts, plan)
     albedo = jnp.pi * diffuse_of(scene, direct)[patches.surface]
     emitted = jnp.pi * emission_of(scene, direct)
     flat = jnp.asarray([isinstance(surface.shape, Quad) for surface in scene.surfaces])
     by_patches = jnp.where(flat[:, None], 0, emitted)[patches.surface]
     by_lights = jnp.where(flat[:, None], emitted, 0)[patches.surface]
-    first = by_patches + albedo * by_patch(direct, elements, plan, covered=covered)
-    mean_table = by_patch(table, elements, plan, covered=covered)
+    first = by_patches + albedo * by_patch(direct, receivers.elements, plan)
+    mean_table = by_patch(table, receivers.elements, plan)
     solved = solve_radiosity(mean_table, albedo, first, method=method)
     irradiance, own = table @ solved, jnp.asarray(parents_of(plan))
     sent = by_patches[own] + albedo[own] * (direct + irradiance)
-    return Solution(solved + by_lights, irradiance, sent, covered)
+    return Solution(solved + by_lights, irradiance, sent, receivers.elements.area <= 0)
 
 
 def direct_irradiance(
@@ -89,19 +88,3 @@ def direct_irradiance(
 
     start = elements.centre + elements.bulge * elements.normal
     return in_tiles(at, start, elements.normal, jnp.arange(len(elements.area)), size=TILE)
-
-
-def _covered(scene: Scene, elements: Patches) -> Bool[Array, " elements"]:
-    """Whether what lies ahead of an element turns its back, as the inside of a body does."""
-    shapes = [surface.shape for surface in scene.surfaces]
-    two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
-    size = largest_size(shapes)
-
-    def at(point: Vec, normal: Vec) -> Bool[Array, ""]:
-        ray = Ray(offset_origin(point, normal, normal, size=size), normal)
-        encounter = nearest_shape(ray, shapes)
-        back = dot(hit_shape(ray, shapes, encounter).normal, normal) > 0
-        return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]
-
-    start = elements.centre + elements.bulge * elements.normal
-    return in_tiles(at, *jax.lax.stop_gradient((start, elements.normal)), size=TILE)

@@ -1,0 +1,86 @@
+"""The irradiance that a uniform rectangle puts on many receivers, by Gauss-Legendre nodes as many
+as distance over size asks for: chosen while it runs.
+
+The integrand is singular where the complex place of an edge is at no distance: on a receiver at
+distance d of an edge of length s, n nodes a side miss K rho^(-2 n), rho = x + sqrt(1 + x^2) with
+x = 2 d / s, the half-axes' sum of the largest ellipse about the edge in which it is smooth
+(Trefethen, Approximation Theory and Approximation Practice, 2013, theorem 19.3); K is measured.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._numerics import dot
+from .._types import Scalars
+from .._vector import Vec, Vec3, as_vec
+from .polygon import nodes_integral, rectangle_irradiance
+from .rectangle import RectangleLight
+
+_ORDERS = (2, 3, 4, 6)  # a side; more nodes take as long as the closed form
+_FACTOR = 100.0  # K of all but one in a thousand of the receivers that see the whole light
+
+
+def adaptive_irradiance(
+    light: RectangleLight,
+    points: Vec3,
+    normals: Vec3,
+    *,
+    tolerance: float = 1e-4,
+) -> Float[Array, " receivers bands"]:
+    """Irradiance on receivers that lie together, (receivers, bands) in W m^-2, within `tolerance`,
+    relative: all by the fewest nodes that the nearest of them allows, or by the closed form where
+    it is too near or the light crosses the horizon of any.
+
+    `points`: (receivers, 3) m. `normals`: (receivers, 3) unit, or (3,) for all. `tolerance`:
+    static, > 0, else `ValueError`; rounding comes on top, see `polygon.rectangle_irradiance`.
+    Where the light skims the horizon the tolerance is of what a receiver that faces it would get.
+    Of a large field map this over tiles (`jax.lax.map`), each of which takes its own rule; under
+    `vmap` all rules are computed.
+    """
+    if not tolerance > 0:
+        raise ValueError(f"tolerance must be above 0, got {tolerance}.")
+    points, normals = as_vec(points), as_vec(normals)
+
+    def by_nodes(order: int):
+        def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:
+            # in units of the longer edge, which keeps fourth powers in range
+            u, v = as_vec(light.edge_u), as_vec(light.edge_v)
+            square = jax.lax.stop_gradient(jnp.maximum(dot(u, u), dot(v, v)))
+            scale = jax.lax.rsqrt(jnp.where(square > 0, square, 1))
+            corner = (light.corner - points) * scale
+            solid = nodes_integral(corner, u * scale, v * scale, normals, order=order)
+            return solid[:, None] * light.radiance[None]
+
+        return integral
+
+    def closed(light: RectangleLight, points: Vec, normals: Vec) -> Array:
+        axes = (None, 0, 0 if normals.x.ndim else None)
+        return jax.vmap(rectangle_irradiance, axes)(light, points, normals)
+
+    rule = jnp.max(jax.lax.stop_gradient(_rules(light, points, normals, tolerance)))
+    branches = [*(by_nodes(order) for order in _ORDERS), closed]
+    return jax.lax.switch(rule, branches, light, points, normals)
+
+
+def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Int[Array, "..."]:
+    """Which rule each receiver needs: the place of its order in `_ORDERS`, or one past the last."""
+    u, v = as_vec(light.edge_u), as_vec(light.edge_v)
+    apart = points - light.corner
+    nearest = apart
+    for edge in (u, v):
+        square = dot(edge, edge)
+        inverse = 1 / jnp.where(square > 0, square, 1)
+        nearest = nearest - jnp.clip(dot(apart, edge) * inverse, 0, 1) * edge
+    distance, size = dot(nearest, nearest), jnp.maximum(dot(u, u), dot(v, v))
+    needed = jnp.zeros(distance.shape, jnp.int32)
+    for order in _ORDERS:
+        enough = math.sinh(math.log(max(_FACTOR / tolerance, 1)) / (2 * order)) / 2
+        needed = needed + (distance < enough * enough * size).astype(jnp.int32)
+    height, along, across = -dot(normals, apart), dot(normals, u), dot(normals, v)
+    heights: list[Scalars] = [height, height + along, height + across, height + along + across]
+    above = [h >= 0 for h in heights]
+    whole = (above[0] == above[1]) & (above[0] == above[2]) & (above[0] == above[3])
+    return jnp.where(whole, needed, len(_ORDERS))

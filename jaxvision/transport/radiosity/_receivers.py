@@ -1,0 +1,70 @@
+"""Where the elements of a plan receive light: in the part that no other body covers.
+
+Each is cut into parts once more, and what comes straight from a lamp is the mean over these: where
+the edge of a shadow runs through an element, as much of it is lit as is. Lengths in m.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..._numerics import dot
+from ..._staging import TILE, in_tiles, stored
+from ..._vector import Vec, as_array, as_vec, where
+from ...geometry import Ray, hit_shape, largest_size, nearest_shape, offset_origin
+from ...scene import Scene
+from ._grid import Plan, refined
+from .patches import Patches, by_patch, patches_of
+
+_PARTS = 2  # of an element, along each side
+
+
+class Receivers(eqx.Module):
+    """`elements`, `parts`: those that are covered have no area; an element that is covered in part
+    has the centre and the area of the rest."""
+
+    elements: Patches
+    parts: Patches
+
+
+def receivers_of(scene: Scene, plan: Plan) -> Receivers:
+    """The elements of a plan and their parts; lengths in m."""
+    elements = stored(partial(patches_of, plan=plan, split=plan.split), scene)
+    parts = stored(partial(patches_of, plan=plan, split=plan.split * _PARTS), scene)
+    covered = _covered(scene, parts)
+    uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
+    parts = eqx.tree_at(lambda p: p.area, parts, jnp.where(covered, 0, parts.area))
+    middle = as_vec(mean_of_parts(as_array(parts.centre), parts, plan))
+    partly = (uncovered > 0) & (uncovered < 1)
+    elements = eqx.tree_at(
+        lambda e: (e.centre, e.area),
+        elements,
+        (where(partly, middle, elements.centre), elements.area * uncovered),
+    )
+    return Receivers(elements, parts)
+
+
+def mean_of_parts(
+    values: Float[Array, "parts n"], parts: Patches, plan: Plan
+) -> Float[Array, "elements n"]:
+    """The mean over each element of what its parts have, in its unit."""
+    return by_patch(values, parts, refined(plan, _PARTS))
+
+
+def _covered(scene: Scene, patches: Patches) -> Bool[Array, " patches"]:
+    """Whether what lies ahead of a patch turns its back, as the inside of a body does."""
+    shapes = [surface.shape for surface in scene.surfaces]
+    two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
+    size = largest_size(shapes)
+
+    def at(point: Vec, normal: Vec) -> Bool[Array, ""]:
+        ray = Ray(offset_origin(point, normal, normal, size=size), normal)
+        encounter = nearest_shape(ray, shapes)
+        back = dot(hit_shape(ray, shapes, encounter).normal, normal) > 0
+        return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]
+
+    start = patches.centre + patches.bulge * patches.normal
+    return in_tiles(at, *jax.lax.stop_gradient((start, patches.normal)), size=TILE)

@@ -1,0 +1,48 @@
+"""A sensor with every effect at once, and the same for light that is photons already: what the
+tests of a sensor as a whole vary by `replace`."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxvision import scene as s
+from jaxvision.colour_filters import bayer
+
+EVERY_EFFECT = s.Sensor(
+    photon_conversion=s.PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),
+    infrared_cut=[0.9, 1.0, 1.0],
+    exposure_time=0.02,
+    quantum_efficiency=0.5,
+    colour_filter=s.ColourFilter(np.eye(3), pattern=bayer("RGGB")),
+    pixel_aperture=s.PixelAperture(0.5),
+    crosstalk=0.03,
+    smear=1e-4,
+    prnu=0.02,
+    dead_pixels=1e-3,
+    dark_current=s.DoublingDarkCurrent(500.0, 303.0, 293.0, 8.0),
+    hot_pixels=s.HotPixels(0.02, 2000.0),
+    shot_noise=s.FastPoissonShotNoise(),
+    full_well=1e4,
+    blooming=0.5,
+    charge_transfer=s.ChargeTransfer(1e-4, trail=3),
+    conversion_prnu=0.015,
+    dsnu=3.0,
+    column_dsnu=1.5,
+    row_dsnu=1.0,
+    reset_noise=s.ResetNoise(1e-16, 300.0),
+    read_noise=s.HeavyTailedReadNoise(3.0, 12.0, 0.05),
+    telegraph_noise=s.TelegraphNoise(0.1, 8.0),
+    row_noise=1.0,
+    banding=s.Banding(2.0, 7.0),
+    column_prnu=0.01,
+    gain=0.6,
+    offset=100.0,
+    bits=14,
+)
+OF_PHOTONS = replace(
+    EVERY_EFFECT,
+    photon_conversion=None,
+    infrared_cut=None,
+    colour_filter=None,
+    pixel_aperture=None,
+)
