@@ -199,7 +199,8 @@ class _Edge(NamedTuple):
 
 def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
     """The four edges and the one that closes the polygon along the horizon."""
-    heights = [dot(normal, corner) for corner in corners]
+    # stored: loops that each computed a height of 0 again would round and cut it differently
+    heights = together([dot(normal, corner) for corner in corners])
     zero = jnp.zeros_like(normal.x)
     leaving = entering = Vec(zero, zero, zero)
     of_leaving, of_entering = dict.fromkeys(range(4), zero), dict.fromkeys(range(4), zero)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ..._numerics import dot
 from ..._staging import TILE, in_tiles, stored
 from ..._vector import Vec, as_array, as_vec, where
-from ...geometry import Ray, hit_shape, largest_size, nearest_shape, offset_origin
+from ...geometry import Ray, hit_shape, nearest_shape, offset_origin, sorted_shapes
 from ...scene import Scene
 from ._grid import Plan, refined
 from .patches import Patches, by_patch, patches_of
@@ -56,12 +56,11 @@ def mean_of_parts(
 
 def _covered(scene: Scene, patches: Patches) -> Bool[Array, " patches"]:
     """Whether what lies ahead of a patch turns its back, as the inside of a body does."""
-    shapes = [surface.shape for surface in scene.surfaces]
+    shapes = stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
-    size = largest_size(shapes)
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:
-        ray = Ray(offset_origin(point, normal, normal, size=size), normal)
+        ray = Ray(offset_origin(point, normal, normal, size=shapes.size), normal)
         encounter = nearest_shape(ray, shapes)
         back = dot(hit_shape(ray, shapes, encounter).normal, normal) > 0
         return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]

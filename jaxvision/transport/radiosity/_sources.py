@@ -12,14 +12,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._numerics import dot, normalize
-from ..._types import Colour, Scalar, group_by_structure
+from ..._staging import stored
+from ..._types import Colour, group_by_structure
 from ..._vector import Vec, as_array, as_vec
 from ...brdf.lambert import Lambert
-from ...geometry import largest_size, occluded, offset_origin
+from ...geometry import Shapes, largest_size, occluded, offset_origin
 from ...hemisphere import cross
 from ...lights import RectangleLight, Rule, incident_sample, light_nodes
 from ...lights.polygon import rectangle_irradiance
-from ...scene import Light, Quad, Scene, Shape
+from ...scene import Light, Quad, Scene
 
 Table = Float[Array, "surfaces bands"]
 
@@ -44,7 +45,8 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
 
 def sources_of(scene: Scene) -> list[Light]:
     """The lights and, as rectangles just above themselves, the quads that emit."""
-    size, lights = (largest_size([surface.shape for surface in scene.surfaces]), list(scene.lights))
+    size = stored(largest_size, [surface.shape for surface in scene.surfaces])
+    lights = list(scene.lights)
     for surface in scene.surfaces:
         if surface.emission is None or not isinstance(surface.shape, Quad):
             continue
@@ -58,12 +60,7 @@ def sources_of(scene: Scene) -> list[Light]:
 
 
 def irradiance_at(
-    lights: Sequence[Light],
-    shapes: Sequence[Shape],
-    point: Vec,
-    normal: Vec,
-    rule: Rule,
-    size: Scalar,
+    lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> Colour:
     """Irradiance of one point straight from all lights, with shadows: (bands,).
 
@@ -75,9 +72,9 @@ def irradiance_at(
 
         def from_light(_: None, light: Light) -> tuple[None, Colour]:
             if not isinstance(light, RectangleLight):
-                return None, _by_nodes(light, shapes, point, normal, rule, size)[1]
+                return None, _by_nodes(light, shapes, point, normal, rule)[1]
             white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))
-            met, passed = jax.lax.stop_gradient(_by_nodes(white, shapes, point, normal, rule, size))
+            met, passed = jax.lax.stop_gradient(_by_nodes(white, shapes, point, normal, rule))
             share = passed / jnp.where(met > 0, met, 1)
             return None, rectangle_irradiance(light, point, normal) * share
 
@@ -86,7 +83,7 @@ def irradiance_at(
 
 
 def _by_nodes(
-    light: Light, shapes: Sequence[Shape], point: Vec, normal: Vec, rule: Rule, size: Scalar
+    light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
     """The sum over the nodes of a light, (with nothing between, with shadows)."""
     dtype = point.x.dtype
@@ -96,7 +93,7 @@ def _by_nodes(
         wi = as_vec(arriving.direction)
         far = jnp.full((), jnp.inf, dtype)
         distance = far if arriving.distance is None else arriving.distance
-        blocked = occluded(point, normal, wi, distance, shapes, size=size)
+        blocked = occluded(point, normal, wi, distance, shapes)
         met = arriving.irradiance * jnp.maximum(dot(normal, wi), 0)
         return met, jnp.where(blocked, 0, met)
 

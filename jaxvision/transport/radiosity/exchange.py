@@ -19,8 +19,15 @@ from ..._random import Stream, uniforms
 from ..._staging import stored
 from ..._types import Scalar
 from ..._vector import Vec, where
-from ...geometry import largest_size, occluded, offset_length, offset_origin
-from ...scene import Scene, Shape
+from ...geometry import (
+    Sorted,
+    largest_size,
+    occluded,
+    offset_length,
+    offset_origin,
+    sorted_shapes,
+)
+from ...scene import Scene
 from ._grid import Plan
 from ._polygons import far_factor, is_far, near_factor, on_polygon
 from ._receivers import receivers_of
@@ -52,12 +59,12 @@ def form_factor_table(
     patches = stored(partial(patches_of, plan=plan), scene)
     elements = receivers_of(scene, plan).elements
     shapes = [surface.shape for surface in scene.surfaces]
-    size = largest_size(shapes)
+    size, ready = stored(largest_size, shapes), stored(sorted_shapes, shapes)
     counts = len(elements.area), len(patches.area)
 
     def seen(element: Patches, receiver: Number, patch: Patches, sender: Number) -> Scalar:
         stream = Stream(receiver, sender, jnp.asarray(_SEED))
-        return _visible_part(element, patch, stream, rays, shapes, size)
+        return _visible_part(element, patch, stream, rays, ready, size)
 
     def tile(receivers: tuple[Patches, Numbers], senders: tuple[Patches, Numbers]) -> Array:
         pair = receivers[0], senders[0]
@@ -116,7 +123,7 @@ _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 
 
 def _visible_part(
-    element: Patches, patch: Patches, stream: Stream, rays: int, shapes: list[Shape], size: Scalar
+    element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted, size: Scalar
 ) -> Scalar:
     """The fraction of rays from an element's centre to places of a patch, m, that nothing stops."""
     start = element.centre + element.bulge * element.normal
@@ -128,7 +135,7 @@ def _visible_part(
         toward = offset_origin(target, patch.normal, patch.normal, size=4 * size) - start
         distance = norm(toward)
         direction = toward * (1 / jnp.where(distance > 0, distance, 1))
-        blocked = occluded(start, element.normal, direction, distance, shapes, size=size)
+        blocked = occluded(start, element.normal, direction, distance, shapes)
         return seen + jnp.where(blocked, 0, jnp.ones_like(seen))
 
     return jax.lax.fori_loop(0, rays, ray, jnp.zeros_like(shift[0])) / rays

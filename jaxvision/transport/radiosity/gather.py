@@ -18,7 +18,16 @@ from ..._random import Stream, uniforms
 from ..._staging import TILE, in_tiles, stored
 from ..._types import Colour, Image, Scalar, group_by_structure, take
 from ..._vector import Vec, where
-from ...geometry import Encounter, Hit, Ray, hit_shape, largest_size, nearest_shape, offset_origin
+from ...geometry import (
+    Encounter,
+    Hit,
+    Ray,
+    Sorted,
+    hit_shape,
+    nearest_shape,
+    offset_origin,
+    sorted_shapes,
+)
 from ...hemisphere import cosine_direction, local_frame, to_world
 from ...lights import MonteCarlo, Rule, can_be_seen, nearest_seen, rule_for, shifted_lattice
 from ...optics import pixel_grid, view_ray
@@ -48,15 +57,14 @@ def radiosity_along(
     point as noise allows: about .7 / sqrt(rays) of the light that is not direct. For another point
     other numbers are wanted: `lights.rule_for` draws both `rule` and `gather` anew.
     """
-    lights, shapes = sources_of(scene), [surface.shape for surface in scene.surfaces]
-    size = largest_size(shapes)
+    lights, shapes = sources_of(scene), _ready(scene)
     diffuse = diffuse_of(scene, solution.irradiance)
     met = _meet(scene, plan, ray)
-    direct = irradiance_at(lights, shapes, met.point, met.normal, rule, size)
+    direct = irradiance_at(lights, shapes, met.point, met.normal, rule)
     if gather is None:
         exchanged = _interpolated(solution.irradiance, solution.covered, met)
     else:
-        exchanged = _gathered(scene, plan, solution, met, gather, size)
+        exchanged = _gathered(scene, plan, solution, met, gather)
     emission = emission_of(scene, solution.irradiance)[met.surface]
     own = jnp.where(met.seen, diffuse[met.surface] * (direct + exchanged) + emission, 0)
     if not any(can_be_seen(light) for light in scene.lights):
@@ -134,8 +142,12 @@ class _Met(eqx.Module):
     weights: Float[Array, " 4"]
 
 
+def _ready(scene: Scene) -> Sorted:
+    return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
+
+
 def _meet(scene: Scene, plan: Plan, ray: Ray) -> _Met:
-    shapes = [surface.shape for surface in scene.surfaces]
+    shapes = _ready(scene)
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
     encounter = stored(nearest_shape, ray, shapes)
     hit = stored(hit_shape, ray, shapes, encounter)
@@ -154,11 +166,11 @@ def _meet(scene: Scene, plan: Plan, ray: Ray) -> _Met:
 
 
 def _gathered(
-    scene: Scene, plan: Plan, solution: Solution, met: _Met, gather: MonteCarlo, size: Scalar
+    scene: Scene, plan: Plan, solution: Solution, met: _Met, gather: MonteCarlo
 ) -> Colour:
     """The irradiance by rays that are as dense as the cosine: the mean of what is sent where they
     arrive."""
-    frame = local_frame(met.normal)
+    frame, size = local_frame(met.normal), _ready(scene).size
 
     def add(total: Colour, u: Float[Array, "2"]) -> tuple[Colour, None]:
         wi = to_world(frame, cosine_direction(u))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._staging import TILE, in_tiles, stored
 from ..._types import Colour
 from ..._vector import Vec
-from ...geometry import largest_size
+from ...geometry import sorted_shapes
 from ...lights import Quadrature, Rule, rule_for
 from ...scene import Quad, Scene
 from ._grid import Plan, parents_of
@@ -80,11 +80,11 @@ def direct_irradiance(
     """Irradiance of each element straight from lights and quads that emit, with shadows:
     (elements, bands) in W m^-2. Of rectangles it is exact where nothing stands between; `rule` says
     by how many rays half shadows are found."""
-    lights, shapes = sources_of(scene), [surface.shape for surface in scene.surfaces]
-    size = largest_size(shapes)
+    lights = sources_of(scene)
+    shapes = stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
-        return irradiance_at(lights, shapes, point, normal, rule_for(rule, number), size)
+        return irradiance_at(lights, shapes, point, normal, rule_for(rule, number))
 
     start = elements.centre + elements.bulge * elements.normal
     return in_tiles(at, start, elements.normal, jnp.arange(len(elements.area)), size=TILE)
