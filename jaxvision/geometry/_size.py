@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from functools import reduce
 
+import jax
 import jax.numpy as jnp
 
 from .._types import Scalar
@@ -18,6 +19,13 @@ def largest_component(v: Vec3) -> Scalar:
     """The largest of |x|, |y|, |z|, in the unit of `v`."""
     a = as_vec(v)
     return jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
+
+
+def reach_of(points: Sequence[Vec3]) -> Scalar:
+    """The largest of all components in magnitude, in the unit of the points; 1 if all are 0. A
+    constant to gradients."""
+    largest = reduce(jnp.maximum, (largest_component(point) for point in points))
+    return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))
 
 
 def size_of(shape: Shape) -> Scalar:

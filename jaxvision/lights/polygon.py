@@ -20,7 +20,7 @@ from .._numerics import dot, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked, where
-from ..geometry._size import largest_component
+from ..geometry._size import reach_of
 from ..hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight
@@ -143,7 +143,7 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     first = as_vec(light.corner - as_vec(point))
     corners = [first, first + u, first + u + v, first + v]
-    scale = 1 / jax.lax.stop_gradient(_largest(corners))
+    scale = 1 / reach_of(corners)
     u, v, corners = u * scale, v * scale, [corner * scale for corner in corners]
     receiver = as_vec(normal)
     above = [dot(receiver, corner) >= 0 for corner in corners]
@@ -158,12 +158,6 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -
     )
     front = -dot(cross(u, v), corners[0]) > 0
     return light.radiance * jnp.where(front, jnp.maximum(lit, 0), 0)
-
-
-def _largest(corners: list[Vec]) -> Scalar:
-    """The largest component of any corner in magnitude, 1 if all are 0."""
-    largest = reduce(jnp.maximum, (largest_component(corner) for corner in corners))
-    return jnp.where(largest > 0, largest, 1)
 
 
 @jax.custom_jvp

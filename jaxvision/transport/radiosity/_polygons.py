@@ -1,9 +1,7 @@
 """The form factor from a point to a polygon, near and far. For ONE pair; lengths in m."""
 
 from collections.abc import Iterable
-from functools import reduce
 
-import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool
@@ -11,6 +9,7 @@ from jaxtyping import Array, Bool
 from ..._numerics import dot
 from ..._types import Scalar
 from ..._vector import Vec
+from ...geometry._size import reach_of
 from ...hemisphere import cross
 from ...lights import square_nodes
 from ...lights.polygon import contour_integral
@@ -30,20 +29,13 @@ def is_far(point: Vec, corners: Polygon) -> Bool[Array, ""]:
 def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """`point_to_polygon` by the contour integral alone, m."""
     around = [corner - point for corner in corners]
-    scale = 1 / _size(around)
+    scale = 1 / reach_of(around)
     around = [corner * scale for corner in around]
     # seen from the front the corners turn counterclockwise: the light's own sense is the other
     area = cross(around[2] - around[0], around[3] - around[1])
     front = dot(area, around[0] + around[2]) < 0
     seen = contour_integral(around, normal) / jnp.pi
     return jnp.where(front, jnp.clip(seen, 0, 1), 0)
-
-
-def _size(around: list[Vec]) -> Scalar:
-    """The largest component in magnitude, a constant to gradients; 1 if all are 0."""
-    components = [jnp.abs(c) for v in around for c in (v.x, v.y, v.z)]
-    largest = reduce(jnp.maximum, components)
-    return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))
 
 
 def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
