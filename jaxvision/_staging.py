@@ -139,10 +139,11 @@ def _read(values: Array, order: Array, back: Array) -> Array:
 
 
 def _batched_order(arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[Array, int]:
+    """Of many values in one order one reading; of an order for each, a plain index of each."""
     values, order, back = arguments
     axis, *of_orders = axes
     if axis is None or of_orders != [None, None]:
-        raise NotImplementedError("reordered maps over values alone, which share one order.")
+        return jax.vmap(_read, in_axes=tuple(axes))(*arguments), 0
     last = values.ndim - 1
     return _reordered.bind(jnp.moveaxis(values, axis, last), order, back), last
 

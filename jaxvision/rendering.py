@@ -22,7 +22,7 @@ from .lights import Balanced, LightFieldLight, Rule, Window, can_be_seen, neares
 from .lights.light_field import light_field_ray
 from .optics import pixel_grid, view_ray
 from .scene import Scene, TriangleMesh, View
-from .shading import outgoing_radiance
+from .shading import Angles, light_angles, outgoing_radiance
 from .shadows import DEFAULT_RULE, TRACED, Leaving, visibility
 
 # Rays at once: cores share each loop over a tile, which must be long beside the start of a task.
@@ -30,6 +30,7 @@ _TILE = 65536
 _LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
 _FEW = 8  # numbers in an array of a material that are spread one by one
 _BLOCK = 256  # pixels of one surface that are shaded together: a material is read once for them
+_BLOCKS = 2048  # blocks at once of baked angles: what a gradient keeps of them is no more than they
 
 
 def radiance_along(
@@ -186,7 +187,9 @@ class Baked(eqx.Module):
     `places`: where in them a pixel is, one past the last for one that sees no surface.
     `surface`: (blocks,). `point`: m. `normal`: unit, that shades. `facing`: unit, of the surface
     itself, to the front. `wo`: unit; (blocks, block) each. `blocked`: which nodes of each light
-    do not come through, see `shadows.visibility`, or None: none. `background`: (pixels, bands)
+    do not come through, see `shadows.visibility`, or None: none. `angles`: for each of the static
+    `kinds` of material what `shading.light_angles` gives of each light, (blocks, block) in its
+    arrays; a kind that is not there is shaded by the directions. `background`: (pixels, bands)
     W m^-2 sr^-1 of what is seen that is no surface, 0 elsewhere. `rule`: how extended lights were
     taken apart. `resolution`: static.
     """
@@ -199,8 +202,10 @@ class Baked(eqx.Module):
     facing: Vec
     wo: Vec
     blocked: tuple[Bool[Array, "blocks block _"], ...] | None
+    angles: tuple[Angles | None, ...]
     background: Float[Array, "pixels bands"]
     rule: Rule
+    kinds: tuple[type, ...] = eqx.field(static=True)
     resolution: tuple[int, int] = eqx.field(static=True)
 
 
@@ -227,12 +232,18 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
         light_first = (light.distance < hit.distance) | (encounter.shape < 0)
         seen = jnp.where(light_first, jnp.atleast_1d(light.radiance), 0)
         surface = jnp.where(light_first, -1, encounter.shape)
-        blocked = None
+        blocked = visible = None
         if shadows and _can_shade(scene):
             own = rule_for(rule, number)
             visible = visibility(scene.lights, hit.point, shapes, leaving, rule=own)
             blocked = jax.tree.map(jnp.logical_not, visible)
-        return surface, seen, (hit.point, normal, leaving.normal, -ray.direction, blocked)
+        wo = -ray.direction
+        one_of_each = {type(own.material): own.material for own in scene.surfaces}.values()
+        angles = tuple(
+            light_angles(one, scene.lights, hit.point, normal, wo, visible=visible)
+            for one in one_of_each
+        )
+        return surface, seen, (hit.point, normal, leaving.normal, wo, blocked, angles)
 
     @jax.jit
     def trace(scene: Scene, view: View) -> tuple:
@@ -243,7 +254,7 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
     inside = np.minimum(pixels, height * width - 1)
     places = np.full(height * width + 1, pixels.size)
     places[pixels.reshape(-1)] = np.arange(pixels.size)
-    point, normal, facing, wo, blocked = jax.tree.map(lambda x: x[inside], met)
+    point, normal, facing, wo, blocked, angles = jax.tree.map(lambda x: x[inside], met)
     return Baked(
         jnp.asarray(pixels),
         jnp.asarray(places[:-1]),
@@ -253,8 +264,10 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
         facing,
         wo,
         blocked,
+        angles,
         background,
         rule,
+        tuple(dict.fromkeys(type(surface.material) for surface in scene.surfaces)),
         (height, width),
     )
 
@@ -262,7 +275,7 @@ def bake(scene: Scene, view: View, *, rule: Rule = DEFAULT_RULE, shadows: bool =
 def _blocks_of(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((blocks, block) numbers of the pixels, (blocks,) their surface): pixels that see a surface,
     surface by surface, the last block of each filled up with the number of pixels. Where none sees
-    one, a block of filling."""
+    one, a block of filling. Further such blocks make the tiles of `shade_baked` equally long."""
     pixels, of_block = [], []
     seen = np.unique(surface[surface >= 0])
     for index in seen if len(seen) else [0]:
@@ -272,7 +285,14 @@ def _blocks_of(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         filled[: len(mine)] = mine
         pixels.append(filled.reshape(count, _BLOCK))
         of_block += [index] * count
-    return np.concatenate(pixels), np.asarray(of_block, int)
+    short = -len(of_block) % _tiles(len(of_block))
+    pixels.append(np.full((short, _BLOCK), len(surface)))
+    return np.concatenate(pixels), np.asarray(of_block + of_block[-1:] * short, int)
+
+
+def _tiles(blocks: int) -> int:
+    """In how many parts so many blocks are shaded."""
+    return -(-blocks // _BLOCKS)
 
 
 def shade_baked(baked: Baked, scene: Scene) -> Image:
@@ -282,15 +302,20 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
     groups = group_by_structure(materials, largest=_LARGEST)
     emissions = [surface.emission for surface in scene.surfaces]
 
-    def block(pixels, surface, point, normal, facing, wo, blocked) -> Array:
-        # what a loop over tiles slices is stored, or else sliced again in each loop that reads it
-        point = together(point)
-        visible = stored(partial(jax.tree.map, jnp.logical_not), blocked)
+    def block(pixels, surface, point, normal, facing, wo, blocked, angles) -> Array:
+        if (
+            size < blocks
+        ):  # what is sliced is stored, or else sliced again in each loop that reads it
+            point = together(point)
+        visible = jax.tree.map(jnp.logical_not, blocked)
         radiance = jnp.zeros((), point.x.dtype)
         for members, group in groups:
             material, among = stored(partial(take, members), group, surface)
 
-            def pixel(number, point, normal, wo, visible, material) -> Colour:
+            kind = type(materials[members[0]])
+            of_kind = angles[baked.kinds.index(kind)] if kind in baked.kinds else None
+
+            def pixel(number, point, normal, wo, visible, material, angles) -> Colour:
                 return outgoing_radiance(
                     material,
                     scene.lights,
@@ -300,16 +325,22 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
                     ambient=scene.ambient,
                     rule=rule_for(baked.rule, number),
                     visible=visible,
+                    angles=angles,
                 )
 
             of_each = jax.tree.map(partial(_for_each, len(pixels)), material)
-            shaded = jax.vmap(pixel)(pixels, point, normal, wo, visible, of_each)
+            shaded = jax.vmap(pixel)(pixels, point, normal, wo, visible, of_each, of_kind)
             radiance = jnp.where(among, shaded, radiance)
         if any(emission is not None for emission in emissions):
             emitted = _of_surface(emissions, surface)
             radiance = radiance + jnp.where((dot(facing, wo) > 0)[:, None], emitted[None], 0)
         return radiance
 
+    known = dict(zip(baked.kinds, baked.angles, strict=True))
+    of_all = [known.get(type(material)) for material in materials]
+    blocks = len(baked.surface)
+    few = all(angles is not None and None not in angles for angles in of_all)
+    size = blocks // _tiles(blocks) if few else _TILE // _BLOCK
     sorted_radiance = in_tiles(
         block,
         baked.pixels,
@@ -319,7 +350,8 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
         baked.facing,
         baked.wo,
         baked.blocked,
-        size=_TILE // _BLOCK,
+        baked.angles,
+        size=size,
     )
     bands = sorted_radiance.shape[-1]
     sorted_radiance = sorted_radiance.reshape(baked.pixels.size, bands)

@@ -11,6 +11,7 @@ shadow is traced. For ONE point: the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -33,6 +34,7 @@ from .lights import (
     can_be_seen,
     direction_pdf,
     direction_sample,
+    incident,
     incident_sample,
     incident_samples,
     light_nodes,
@@ -49,6 +51,8 @@ from .shadows import (
     comes_through,
     light_comes_through,
 )
+
+Angles = tuple[Any | None, ...]
 
 _FEW = 8  # numbers in an array of a material that are read one by one
 _UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
@@ -75,6 +79,7 @@ def outgoing_radiance(
     occluders: Shapes | None = None,
     leaving: Leaving | None = None,
     visible: Visible | None = None,
+    angles: Angles | None = None,
 ) -> Colour:
     """Radiance from `point` toward `wo`, the sum over any lights: (bands,) in W m^-2 sr^-1.
 
@@ -86,7 +91,9 @@ def outgoing_radiance(
     or whose size is known. Shadows are hard for a light at one place; those of an extended one are
     as soft as the rule has samples, each with a shadow ray of its own. Visibility has no gradient.
     `visible`: what `visibility` found of these lights by this rule, instead of occluders; not for
-    `Balanced`, whose rays follow the material, else `ValueError`.
+    `Balanced`, whose rays follow the material, else `ValueError`. `angles`: what `light_angles`
+    found for materials of this kind, of what is visible: no direction is then computed, and
+    nothing asked about what comes through.
     A surface seen from behind (n.wo <= 0) is black; a mirror shows the extended light it reflects.
     The ambient term is traced only if the material reflects it and there is such a light.
     `ValueError` if spectra differ in their number of bands. The samples of one light, and more than
@@ -121,24 +128,34 @@ def outgoing_radiance(
         wi = together(to_local(frame, arriving.direction))
         if place is not None:
             passes = comes_through(place, arriving)
-        return together(reflected(arriving, wi, passes))
+        return together(reflected(arriving, brdf.shading(parameters(), wi, viewer), passes))
 
-    def reflected(arriving: Incident, wi: Vector, passes: Bool[Array, ""] | None) -> Bands:
-        shading = apart(brdf.shading(parameters(), wi, viewer), bands)
-        irradiance = apart(arriving.irradiance, bands)
-        return tuple(_where(passes, e * s) for e, s in zip(irradiance, shading, strict=True))
+    def reflected(arriving: Incident, shading: Colour, passes: Bool[Array, ""] | None) -> Bands:
+        pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
+        return tuple(_where(passes, e * s) for e, s in pairs)
 
     def from_places(
-        lights: Sequence[Light], passes: Sequence[Bool[Array, " 1"] | None]
+        lights: Sequence[Light],
+        passes: Sequence[Bool[Array, " 1"] | None],
+        angles: Sequence[Any | None],
     ) -> list[Bands]:
         (node,), (weight,) = light_nodes(lights[0], rule, dtype)
         arriving = [incident_sample(light, rule, point, node, weight) for light in lights]
-        directions = [to_local(frame, arrived.direction) for arrived in arriving]
+        at_angles = brdf.family(material).at_angles
+        shadings = [
+            brdf.shading(parameters(), to_local(frame, arrived.direction), viewer)
+            if own is None or at_angles is None
+            else at_angles(parameters(), own)
+            for arrived, own in zip(arriving, angles, strict=True)
+        ]
         if place is not None:
             through = [light_comes_through(place, light) for light in lights]
         else:
-            through = [None if flags is None else flags[0] for flags in passes]
-        return [reflected(*of_one) for of_one in zip(arriving, directions, through, strict=True)]
+            through = [
+                None if flags is None or own is not None else flags[0]
+                for flags, own in zip(passes, angles, strict=True)
+            ]
+        return [reflected(*of_one) for of_one in zip(arriving, shadings, through, strict=True)]
 
     def from_light(
         radiance: Bands, item: tuple[Light, Bool[Array, " nodes"] | None]
@@ -167,24 +184,64 @@ def outgoing_radiance(
         own = jax.random.uniform(jax.random.fold_in(rule.key, 0), (rule.samples, 3), dtype)
         return jax.lax.scan(from_both, radiance, (nodes, own, weights))
 
-    radiance = (jnp.zeros((), dtype),) * bands
+    radiance = seen_anyhow = (jnp.zeros((), dtype),) * bands
     if ambient is not None and k_a is not None:
         radiance = plus(radiance, apart(k_a * ambient.radiance, bands))
     for members, group in grouped:
         passes = [None if visible is None else visible[member] for member in members]
-        if can_be_seen(lights[members[0]]) or len(members) > _UNROLLED:
+        if not _in_one_pass(lights, members):
             flags = None if visible is None else jnp.stack([visible[i] for i in members])
             radiance, _ = jax.lax.scan(from_light, radiance, (group, flags))
         else:
-            for of_one in from_places([lights[member] for member in members], passes):
-                radiance = plus(radiance, of_one)
+            own = [None if angles is None else angles[member] for member in members]
+            parts = from_places([lights[member] for member in members], passes, own)
+            for part, of_angles in zip(parts, own, strict=True):
+                if of_angles is None:
+                    radiance = plus(radiance, part)
+                else:
+                    seen_anyhow = plus(seen_anyhow, part)
     if isinstance(material, Mirror):  # a delta function: no sample meets it, but its ray is known
         direction = mirror_direction(as_vec(normal), as_vec(wo))
         ahead = nearest_seen(lights, Ray(point, direction))
         passes = None if place is None else clear(place, direction, ahead.distance)
         image = _where(passes, brdf.albedo(material, viewer) * ahead.radiance)
         radiance = plus(radiance, apart(image, bands))
-    return jnp.stack(together([jnp.where(viewer.z > 0, band, 0) for band in radiance]))
+    # angles say themselves where the surface is seen from behind
+    radiance = tuple(jnp.where(viewer.z > 0, band, 0) for band in radiance)
+    return jnp.stack(together(plus(radiance, seen_anyhow)))
+
+
+def light_angles(
+    material: Material,
+    lights: Sequence[Light],
+    point: Vector,
+    normal: Vector,
+    wo: Vector,
+    *,
+    visible: Visible | None = None,
+) -> Angles | None:
+    """What the shading of a material takes of the directions of light and viewer, the same for all
+    materials of its kind: for each light at one place what the family's `angles` gives, no unit,
+    None for others, and for all where the family parts nothing. Arguments as in
+    `outgoing_radiance`, for fits that shade one point with many materials. A light that does not
+    come through counts as one below the surface."""
+    of_family = brdf.family(material).angles
+    if of_family is None:
+        return None
+    frame, viewer = _frame(normal, wo, None)
+    found: list[Any | None] = [None] * len(lights)
+    for members, _ in group_by_structure(lights):
+        for member in members if _in_one_pass(lights, members) else ():
+            wi = as_vec(to_local(frame, incident(lights[member], point).direction))
+            if visible is not None:
+                wi = Vec(wi.x, wi.y, jnp.where(visible[member][0], wi.z, -1))
+            found[member] = of_family(wi, viewer)
+    return tuple(found)
+
+
+def _in_one_pass(lights: Sequence[Light], members: Sequence[int]) -> bool:
+    """Whether these lights, all of one kind, are summed in one pass over the rays."""
+    return not can_be_seen(lights[members[0]]) and len(members) <= _UNROLLED
 
 
 def hemisphere_radiance(

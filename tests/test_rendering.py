@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from jaxvision import (
+    AmbientLight,
     DirectionalLight,
     Lambert,
     MonteCarlo,
@@ -22,7 +23,9 @@ from jaxvision import (
     Surface,
     as_dtype,
     rectangle_irradiance,
+    rendering,
 )
+from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
 from jaxvision.lights import Balanced
 from jaxvision.rendering import PixelSamples, bake, radiance_along, render, shade_baked
@@ -264,6 +267,28 @@ def test_baked_geometry_gives_the_same_picture_and_gradient(rule):
     np.testing.assert_allclose(*slopes, rtol=1e-11)
     with pytest.raises(ValueError, match="Balanced"):
         bake(scene(kd), VIEW, rule=Balanced(jax.random.key(1), 4))
+
+
+@pytest.mark.parametrize(("kind", "at_once"), [(PhongBRDF, 2), (NormalisedPhong, 2048)])
+def test_baked_angles_serve_the_kinds_that_were_baked_and_others(kind, at_once, monkeypatch):
+    """Of a lobe the angles were baked, shadows among them, the other's were not: both shade as
+    light that is traced, with the same gradients, in parts as in one."""
+    monkeypatch.setattr(rendering, "_BLOCKS", at_once)
+    lamps, dark = [PointLight([-1.5, 1, 3.0], [5.0, 4]), LAMP], AmbientLight([0.2, 0.1])
+    first = PhongBRDF(KD, [0.3], 9.0)
+    baked = bake(Scene([FLOOR, Surface(BALL, first)], lamps, ambient=dark), VIEW)
+    assert baked.angles[baked.kinds.index(PhongBRDF)] is not None
+
+    def losses(exponent):
+        material = kind([0.2, 0.3], [0.4], exponent, ambient=[0.5, 0.6])
+        scene = Scene([FLOOR, Surface(BALL, material)], lamps, ambient=dark)
+        return (shade_baked(baked, scene) ** 2).sum(), (render(scene, VIEW) ** 2).sum()
+
+    (again, traced), slopes = quick_jit(lambda n: (losses(n), jax.jacrev(losses)(n)))(
+        jnp.asarray(17.0)
+    )
+    np.testing.assert_allclose(again, traced, rtol=1e-12)
+    np.testing.assert_allclose(*slopes, rtol=1e-11)
 
 
 def test_baked_pictures_are_differentiated_both_ways_and_mapped():

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._bands import by_band
-from .._numerics import dot, log_cos_between, log_of_zero, safe_log
+from .._numerics import dot, log_cos_between, log_of_zero
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
@@ -34,6 +34,7 @@ from ._lobe import (
     divisor,
     lit_and_seen,
     lobe_integrals,
+    log_cos,
     mirrored,
     mixed_pdf,
 )
@@ -113,27 +114,31 @@ def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
             lobe = lobe / divisor(as_vec(wi).z)
         case NormalisedPhong():
             lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe
-    return _body_and_lobe(material, wi, wo, jnp.ones_like(lobe), lobe)
+    seen = lit_and_seen(wi, wo)
+    return _body_and_lobe(material, jnp.where(seen, 1, 0), jnp.where(seen, lobe, 0))
 
 
-def shading(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
+def angles(wi: Vec, wo: Vec) -> tuple[Scalar, Scalar]:
+    """(cosine of incidence, logarithm of the cosine to the mirror direction), no unit; of 0 where
+    either direction lies below the surface."""
+    seen, log_cos = lit_and_seen(wi, wo), log_cos_between(mirrored(wi), wo)
+    return jnp.where(seen, wi.z, 0), jnp.where(seen, log_cos, log_of_zero(log_cos.dtype))
+
+
+def at_angles(material: AnyPhong, angles: tuple[Scalar, Scalar]) -> Colour:
     """f_r cos(theta_i) of the table above, (bands,) in sr^-1."""
-    cosine = as_vec(wi).z
-    lobe = _lobe(as_vec(wi), as_vec(wo), material.exponent)
+    cosine, log_cos = angles
+    lobe = phong_lobe(log_cos, material.exponent)
     match material:
         case PhongBRDF():
             lobe = lobe * cosine
         case NormalisedPhong():
             lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe * cosine
-    return _body_and_lobe(material, wi, wo, cosine, lobe)
+    return _body_and_lobe(material, cosine, lobe)
 
 
-def _body_and_lobe(
-    material: AnyPhong, wi: Vector, wo: Vector, body: Scalar, lobe: Scalar
-) -> Colour:
-    """k_d body + k_s lobe where both directions lie above the surface, sr^-1."""
-    seen = lit_and_seen(wi, wo)
-    body, lobe = jnp.where(seen, body, 0), jnp.where(seen, lobe, 0)
+def _body_and_lobe(material: AnyPhong, body: Scalar, lobe: Scalar) -> Colour:
+    """k_d body + k_s lobe, sr^-1."""
     return by_band(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)
 
 
@@ -197,11 +202,19 @@ def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]
     """
 
     def lobe(alpha: Scalars) -> Scalars:
-        return phong_lobe(safe_log(jnp.cos(alpha)), exponent)
+        return phong_lobe(log_cos(alpha), exponent)
 
     width = 8.5 / jnp.sqrt(exponent + 1)
     return lobe_integrals(lobe, cos_axis, width=width, end=np.pi / 2)
 
 
 for _record in (Phong, PhongBRDF, NormalisedPhong):
-    register(_record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+    register(
+        _record,
+        evaluate=evaluate,
+        sample=sample,
+        pdf=pdf,
+        albedo=albedo,
+        angles=angles,
+        at_angles=at_angles,
+    )

@@ -5,6 +5,7 @@ import numpy as np
 
 from jaxvision import Lambert, PointLight, Vec
 from jaxvision import scene as s
+from jaxvision.brdf.phong import PhongBRDF
 from jaxvision.geometry import Encounter, Ray
 from jaxvision.geometry.flat import flat_quad
 from jaxvision.lights import Quadrature
@@ -42,14 +43,17 @@ def repeated(v):
 SCENE = s.Scene([s.Surface(SPHERE, Lambert([0.2, 0.1]))], LAMPS)
 BAKED = Baked(
     jnp.asarray([[2, 0]]),
+    jnp.asarray([1, 2, 0]),
     jnp.asarray([0]),
     repeated(POINT),
     repeated(N),
     repeated(N),
     repeated(W),
     (jnp.asarray([[[True], [False]]]), jnp.asarray([[[True], [True]]])),
+    (None,),
     jnp.full((3, 2), 0.7),
     Quadrature(2),
+    (Lambert,),
     (1, 3),
 )
 
@@ -76,6 +80,7 @@ EXAMPLES = {
         {},
     ),
     "shadows.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
+    "shading.light_angles": ((PhongBRDF([0.2, 0.1], [0.3], 9.0), LAMPS, POINT, N, W), {}),
     "rendering.shade_baked": ((BAKED, SCENE), {}),
     "geometry.nearest.occluded": ((POINT, N, W, FAR, SHAPES), {}),
 }
