@@ -36,6 +36,7 @@ from .reflectance_calibration import HIGHEST_INDEX, OPEN
 from .reflectance_models import INDEX, REFLECTANCES, Model, has_lobe, unit_brdf
 from .reflectance_posterior import curvature_stretch
 
+ROUNDING = 1e-9  # of the signal's RMS: errors below it are rounding, counted as this much
 EDGE = 1e-3  # of the logarithm of a shape: this close to an end of its range it lies there
 
 
@@ -153,20 +154,26 @@ def parameter_space(model: Model) -> ParameterSpace:
 
 
 def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
-    """Both metrics of a prediction of f_r, sr^-1."""
+    """Both metrics of a prediction of f_r, sr^-1. What rounding alone misses counts as
+    `ROUNDING` of the signal in either, so that no model wins by it."""
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
-    roots = (np.cbrt(np.maximum(reflected(measured, v), 0)) for v in (predicted, measured.values))
-    root_missed = np.subtract(*roots)
+    roots, root_signal = (
+        np.cbrt(np.maximum(reflected(measured, v), 0)) for v in (predicted, measured.values)
+    )
 
     def mean_square(x: np.ndarray, chosen: slice | np.ndarray = slice(None)) -> float:
         return float(np.average((x[chosen] ** 2).mean(axis=1), weights=measured.weights[chosen]))
 
     of_incidence = [measured.incidence == i for i in range(len(measured.incidences))]
+    rms, cube_root = np.sqrt(mean_square(missed)), np.sqrt(mean_square(roots - root_signal))
+    scale = np.sqrt(mean_square(signal))
+    if rms < ROUNDING * scale:
+        rms, cube_root = ROUNDING * scale, ROUNDING * np.sqrt(mean_square(root_signal))
     return Errors(
-        rms=np.sqrt(mean_square(missed)),
-        relative=np.sqrt(mean_square(missed) / mean_square(signal)),
-        cube_root=np.sqrt(mean_square(root_missed)),
+        rms=rms,
+        relative=rms / scale,
+        cube_root=cube_root,
         by_incidence=np.sqrt(
             [mean_square(missed, own) / mean_square(signal, own) for own in of_incidence]
         ),
@@ -183,7 +190,7 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.nd
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """The model of least error in the metric of the objective."""
+    """The model of least error in the metric of the objective, of equal ones the first."""
 
     def metric(model: Model) -> float:
         return scores[model].rms if objective == "cosine" else scores[model].cube_root

@@ -77,10 +77,11 @@ def _verdict(calibration: BRDFCalibration) -> str:
     rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in equal]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
+    against = f", against {against}" if others else ""
     unit = " of the signal's" if objective == "cosine" else ""
     return (
         f"At angles of incidence that no fit has seen, {names} {verb}: {METRICS[objective]} "
-        f"{in_words(held_out[winner], objective)}{unit}, against {against}."
+        f"{in_words(held_out[winner], objective)}{unit}{against}."
     )
 
 

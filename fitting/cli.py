@@ -83,8 +83,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Calibrate camera noise, camera response and surface reflectance from images.",
 )
+
+
+def _path(text: str) -> Path:
+    """A path as it was typed; an empty one, which would be the working folder, ends the command."""
+    if not text:
+        _leave("a path is empty; name a folder or a file.", 2)
+    return Path(text)
+
+
 RigPath = Annotated[
-    Path, typer.Argument(help="Folder with a rig.toml (or the rig file itself).", metavar="PATH")
+    Path,
+    typer.Argument(
+        help="Folder with a rig.toml (or the rig file itself).", metavar="PATH", parser=_path
+    ),
 ]
 Out = Annotated[
     Path | None,
@@ -103,7 +115,9 @@ Walkers = Annotated[int, typer.Option("--walkers", help="Walkers (--mcmc).", min
 def noise(
     path: Annotated[
         Path,
-        typer.Argument(help="Rig folder, or a CSV of sums per exposure.", metavar="PATH"),
+        typer.Argument(
+            help="Rig folder, or a CSV of sums per exposure.", metavar="PATH", parser=_path
+        ),
     ],
     bits: Annotated[
         int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)
@@ -175,6 +189,7 @@ def brdf(
             help="A rig folder, or files of measured reflectance: .brdf (Cornell), .bsdf (RGL), "
             ".binary (MERL).",
             metavar="PATH...",
+            parser=_path,
         ),
     ],
     model: Annotated[

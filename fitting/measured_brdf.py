@@ -36,6 +36,9 @@ SAME_INCIDENCE = np.radians(1.0)  # of elevation: samples closer than this share
 FEWEST_INCIDENCES = 4  # three to fit and one to test on
 FEWEST_SAMPLES = 20
 HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
+# f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any
+# goniometer, reads at most 1e6 from a perfect mirror; the blackest coatings reflect 1e-4.
+LARGEST, SMALLEST = 1e6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,12 @@ def from_samples(
             f"{source}: {int(seen.sum())} of {len(seen)} samples are finite and above the "
             f"horizon; a fit needs at least {FEWEST_SAMPLES}."
         )
+    farthest = values[seen].flat[np.abs(values[seen]).argmax()]
+    if abs(farthest) > LARGEST:
+        raise InputError(
+            f"{source}: a value of {farthest:g} is beyond {LARGEST:g} sr^-1, which no measured "
+            "BRDF reaches; remove the rows that mark missing data, or convert the unit."
+        )
     if not values[seen].max() > 0:
         raise InputError(f"{source}: no value is positive; the file holds no reflectance.")
     if (values[seen].mean(axis=0) <= 0).any():
@@ -166,6 +175,7 @@ def from_samples(
             f"{'s' if len(incidences) > 1 else ''}; at least {FEWEST_INCIDENCES} are needed to fit "
             "lobes and to test them on an angle that no fit has seen."
         )
+    _check_signal(source, values[seen], incidence, incidences)
     negative = float(np.mean(values[seen] < 0))
     if negative:
         findings += (
@@ -192,6 +202,30 @@ def from_samples(
         wavelengths=nanometres,
         findings=findings,
     )
+
+
+def _check_signal(
+    source: str,
+    values: Float[np.ndarray, "n bands"],
+    incidence: Int[np.ndarray, " n"],
+    incidences: Float[np.ndarray, " incidences"],
+) -> None:
+    """`InputError` for negative values that are no noise, and for light of which nothing comes
+    back."""
+    lowest = values.min()
+    if -lowest > values.max():
+        raise InputError(
+            f"{source}: a value of {lowest:g} lies farther below zero than any above it, so it is "
+            "no noise; remove the rows that mark missing data."
+        )
+    brightest = np.array([values[incidence == i].max() for i in range(len(incidences))])
+    dark = int(np.argmin(brightest))
+    if brightest[dark] < SMALLEST:
+        there = f" at {np.degrees(incidences[dark]):.0f} degrees of incidence"
+        raise InputError(
+            f"{source}: no value{there if brightest.max() >= SMALLEST else ''} is above "
+            f"{SMALLEST:g} sr^-1, so nothing is reflected; remove such rows, or convert the unit."
+        )
 
 
 def _incidences(

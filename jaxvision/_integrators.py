@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from ._staging import LANES, TILE, in_tiles
 from ._types import Colour, Image, Key
+from .brdf.lambert import Lambert
 from .errors import InputError
 from .geometry import Ray
 from .lights import Balanced, MonteCarlo, Quadrature, Rule, rule_for
@@ -25,7 +26,16 @@ from .scene import Scene, View
 from .scene_files import SceneFile
 from .scene_files.schema import RenderEntry
 from .transport import Paths, light_traced, path_traced_pixels, ray_tree_radiances
-from .transport.radiosity import patches_of, plan_patches, radiosity, radiosity_along
+from .transport.radiosity import (
+    Plan,
+    form_factor_table,
+    patches_of,
+    plan_patches,
+    radiosity,
+    radiosity_along,
+)
+from .transport.radiosity._sources import diffuse_of
+from .transport.radiosity._trapped import trapping_patch
 
 BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
@@ -135,16 +145,43 @@ def _solved(source: SceneFile, settings: RenderEntry) -> Along:
         scene, rule = source.scene, _rule(settings, jax.random.key(settings.seed))
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
+        _check_balance(scene, plan)
         solution = jax.jit(lambda scene, rule: radiosity(scene, plan, rule=rule))(scene, rule)
+    gather = None
+    if settings.gather > 0:
+        gather = MonteCarlo(jax.random.fold_in(jax.random.key(settings.seed), 2), settings.gather)
 
     def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
         def one(ray: Ray, number: Array) -> Colour:
             own = rule_for(rule, number)
-            return radiosity_along(scene, plan, solution, ray, rule=own)
+            anew = gather
+            if gather is not None:
+                anew = MonteCarlo(jax.random.fold_in(gather.key, number), gather.samples)
+            return radiosity_along(scene, plan, solution, ray, rule=own, gather=anew)
 
         return in_tiles(one, rays, numbers, size=TILE)
 
     return along
+
+
+def _check_balance(scene: Scene, plan: Plan) -> None:
+    """`ValueError` with the number of a surface between whose likes light is caught for ever."""
+    white = [
+        isinstance(surface.material, Lambert) and float(surface.material.diffuse.max()) * np.pi
+        for surface in scene.surfaces
+    ]
+    if max(white) < 1 - 1e-5:
+        return
+    table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
+    patches = jax.jit(lambda scene: patches_of(scene, plan))(scene)
+    albedo = np.pi * np.asarray(diffuse_of(scene, table[:, :1]))[np.asarray(patches.surface)]
+    caught = trapping_patch(np.asarray(table), albedo, plan)
+    if caught is not None:
+        raise ValueError(
+            f"Scene.surfaces[{int(patches.surface[caught])}].material has albedo 1 in a closed "
+            "room of such surfaces, where the light of radiosity grows without end; give one of "
+            "them less."
+        )
 
 
 def _means(

@@ -4,16 +4,17 @@ Of a picture by tiles the file is one line of JSON that says what is being rende
 record per tile: its values as little-endian float32 and their CRC-32. A tile is a run of pixels,
 row by row, all of one length (the last is filled up), so that the tiles one after another are the
 picture. A record counts when it is whole; whatever was being written when the process died is cut
-off. Of a picture by passes the file is such a line and the sum so far in float64, and is replaced
-as a whole.
+off. Of a picture by passes the file is such a line, the sum so far in float64 and the CRC-32 of
+both, and is replaced as a whole. No file is touched before there is something to keep.
 """
 
 import json
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -22,27 +23,29 @@ from .io import replaced_on_success
 
 _CHECKSUM = 4  # bytes
 
+Key = Mapping[str, Any]  # of what JSON holds
+
 
 class PartialImage:
-    """The tiles of one picture. `key`: what tells this render from every other. `values`: numbers
-    in a tile. `done`: whole tiles in the file so far. A context manager."""
+    """The tiles of one picture. `key`: what tells this render from every other, by the names that
+    a refusal uses. `values`: numbers in a tile. `done`: whole tiles in the file so far. A context
+    manager."""
 
-    def __init__(self, path: Path, *, key: str, values: int, fresh: bool) -> None:
-        """Goes on where a file of the same key ends, or begins one; `InputError` for a file of
-        another key unless it may be replaced (`fresh`) or has no tile yet."""
+    def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
+        """Goes on where a file of the same key ends; `InputError` for a file of another key unless
+        it may be replaced (`fresh`) or has no tile yet."""
         self._path, self._values = path, values
         self._record = 4 * values + _CHECKSUM
-        head = json.dumps({"render": key, "values": values}).encode() + b"\n"
-        self._start = len(head)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        self._head = _head(key, values=values)
+        self._file: BinaryIO | None = None
+        self.done = 0
         found = b"" if fresh or not path.is_file() else _first_line(path)
-        if found != head:
-            if found.endswith(b"\n") and path.stat().st_size > len(found):
-                raise _of_another(path)
-            path.write_bytes(head)
-        self._file = path.open("r+b")
-        self.done = self._count_whole()
-        self._file.truncate(self._start + self.done * self._record)
+        if found == self._head:
+            self._file = path.open("r+b")
+            self.done = self._count_whole(self._file)
+            self._file.truncate(self._start_of(self.done))
+        elif found.endswith(b"\n") and path.stat().st_size > len(found):
+            raise _of_another(path, found, key)
 
     def __enter__(self) -> "PartialImage":
         return self
@@ -53,23 +56,26 @@ class PartialImage:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
     def append(self, values: np.ndarray) -> None:
         """The next tile; on the disk when this returns."""
         data = np.ascontiguousarray(values, "<f4").tobytes()
         if len(data) != 4 * self._values:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
-        self._file.seek(self._start + self.done * self._record)
-        self._file.write(data + zlib.crc32(data).to_bytes(_CHECKSUM, "little"))
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        file = self._begun()
+        file.seek(self._start_of(self.done))
+        file.write(data + _checksum(data))
+        file.flush()
+        os.fsync(file.fileno())
         self.done += 1
 
     def tile(self, index: int) -> np.ndarray:
         """The values of a finished tile, flat float32."""
-        self._file.seek(self._start + index * self._record)
-        return np.frombuffer(self._file.read(4 * self._values), "<f4")
+        file = self._begun()
+        file.seek(self._start_of(index))
+        return np.frombuffer(file.read(4 * self._values), "<f4")
 
     def rows(self, width: int, bands: int, height: int, *, at_once: int) -> Iterator[np.ndarray]:
         """The finished picture from above, (rows, width, bands), so many rows `at_once`."""
@@ -86,47 +92,56 @@ class PartialImage:
 
     def delete(self) -> None:
         """When the picture has its own file."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
         self._path.unlink(missing_ok=True)
 
-    def _count_whole(self) -> int:
-        self._file.seek(self._start)
-        for index in range(os.fstat(self._file.fileno()).st_size // self._record + 1):
-            record = self._file.read(self._record)
-            checksum = int.from_bytes(record[-_CHECKSUM:], "little")
-            if len(record) < self._record or zlib.crc32(record[:-_CHECKSUM]) != checksum:
+    def _start_of(self, index: int) -> int:
+        return len(self._head) + index * self._record
+
+    def _begun(self) -> BinaryIO:
+        if self._file is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._path.write_bytes(self._head)
+            self._file = self._path.open("r+b")
+        return self._file
+
+    def _count_whole(self, file: BinaryIO) -> int:
+        file.seek(len(self._head))
+        for index in range(os.fstat(file.fileno()).st_size // self._record + 1):
+            record = file.read(self._record)
+            if len(record) < self._record or not _is_whole(record):
                 return index
         return 0
 
 
 class PartialSum:
-    """The sum of the passes of one picture. `key`: what tells this render from every other.
-    `total`: float64. `done`: passes so far."""
+    """The sum of the passes of one picture. `key`: what tells this render from every other, by the
+    names that a refusal uses. `total`: float64. `done`: passes so far."""
 
-    def __init__(self, path: Path, *, key: str, shape: tuple[int, ...], fresh: bool) -> None:
-        """Goes on from a file of the same key; `InputError` for a file of another key unless it
-        may be replaced (`fresh`)."""
+    def __init__(self, path: Path, *, key: Key, shape: tuple[int, ...], fresh: bool) -> None:
+        """Goes on from a file of the same key, or begins again where the file is damaged;
+        `InputError` for a file of another key unless it may be replaced (`fresh`)."""
         self._path, self._key = path, key
         self.total, self.done = np.zeros(shape), 0
         if fresh or not path.is_file():
             return
-        with path.open("rb") as file:
-            line, data = file.readline(4096), file.read()
-        try:
-            head = json.loads(line)
-        except ValueError:
-            head = {}
-        if head.get("render") != key or "passes" not in head:
-            raise _of_another(path)
-        self.total, self.done = np.frombuffer(data, "<f8").reshape(shape).copy(), head["passes"]
+        content = path.read_bytes()
+        line, _, data = content.partition(b"\n")
+        passes = _read_head(line).get("passes")
+        if not isinstance(passes, int) or line + b"\n" != _head(key, passes=passes):
+            raise _of_another(path, line, key)
+        if len(data) == self.total.nbytes + _CHECKSUM and _is_whole(content):
+            self.total = np.frombuffer(data[:-_CHECKSUM], "<f8").reshape(shape).copy()
+            self.done = passes
 
     def add(self, picture: np.ndarray) -> None:
         """One more pass; on the disk when this returns."""
         self.total += picture
         self.done += 1
-        head = json.dumps({"render": self._key, "passes": self.done}).encode() + b"\n"
+        data = _head(self._key, passes=self.done) + self.total.astype("<f8").tobytes()
         with replaced_on_success(self._path) as new, new.open("wb") as file:
-            file.write(head + self.total.astype("<f8").tobytes())
+            file.write(data + _checksum(data))
             file.flush()
             os.fsync(file.fileno())
 
@@ -135,13 +150,38 @@ class PartialSum:
         self._path.unlink(missing_ok=True)
 
 
-def _of_another(path: Path) -> InputError:
-    return InputError(
-        f"{path}: holds part of a render of another scene, version or setting; add --fresh to "
-        "begin again, or write to another file."
-    )
+def _head(key: Key, **more: int) -> bytes:
+    return json.dumps({"render": key, **more}).encode() + b"\n"
+
+
+def _read_head(line: bytes) -> dict[str, Any]:
+    try:
+        head = json.loads(line)
+    except ValueError:
+        return {}
+    return head if isinstance(head, dict) else {}
 
 
 def _first_line(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.readline(4096)
+        return file.readline(8192)
+
+
+def _of_another(path: Path, line: bytes, key: Key) -> InputError:
+    found, wanted = _read_head(line).get("render"), json.loads(json.dumps(key))
+    if isinstance(found, dict):
+        names = [name for name in {**found, **wanted} if found.get(name) != wanted.get(name)]
+        holds = f"part of a render with another {' and another '.join(names) or 'kind of part'}"
+    else:
+        holds = "something else than part of this render"
+    return InputError(
+        f"{path}: holds {holds}; add --fresh to begin again, or write to another file."
+    )
+
+
+def _checksum(data: bytes) -> bytes:
+    return zlib.crc32(data).to_bytes(_CHECKSUM, "little")
+
+
+def _is_whole(record: bytes) -> bool:
+    return _checksum(record[:-_CHECKSUM]) == record[-_CHECKSUM:]

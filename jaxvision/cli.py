@@ -60,7 +60,12 @@ def render(
         str,
         typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
     ],
-    out: Annotated[Path, typer.Option("--out", help="EXR of radiance to write.", metavar="EXR")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="EXR of radiance to write; missing folders are made.", metavar="EXR"
+        ),
+    ],
     integrator: Annotated[
         str | None,
         typer.Option(
@@ -71,6 +76,9 @@ def render(
     ] = None,
     samples: Annotated[int | None, typer.Option(help="Samples a pixel.")] = None,
     depth: Annotated[int | None, typer.Option(help="Longest path, in pieces.")] = None,
+    gather: Annotated[
+        int | None, typer.Option(help="Of radiosity: rays of the final gather, 0 for none.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of what is random.")] = None,
     tile: Annotated[int | None, typer.Option(help="Pixels computed at once.")] = None,
     resolution: Annotated[
@@ -78,7 +86,10 @@ def render(
     ] = "",
     preview: Annotated[
         Path | None,
-        typer.Option(help="PNG or JPEG of it (default: a PNG beside the EXR).", metavar="FILE"),
+        typer.Option(
+            help="PNG, TIFF or JPEG of it, in 8 bits (default: a PNG beside the EXR).",
+            metavar="FILE",
+        ),
     ] = None,
     no_preview: Annotated[bool, typer.Option("--no-preview", help="Write the EXR only.")] = False,
     fresh: Annotated[
@@ -92,6 +103,7 @@ def render(
             "integrator": integrator,
             "samples": samples,
             "depth": depth,
+            "gather": gather,
             "seed": seed,
             "tile": tile,
         }

@@ -48,11 +48,18 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """`InputError` if the suffix of an image file holds no samples of this kind, or if a folder
-    has its name: before the work that the file is for."""
+    """`InputError` if the suffix of an image file holds no samples of this kind, if a folder has
+    its name, or if nothing can be written where it shall be: before the work that the file is for.
+    Folders that are missing are made with the file."""
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
+    nearest = next(folder for folder in path.absolute().parents if folder.exists())
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise _unwritable(path, error) from error
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
@@ -209,6 +216,7 @@ def _write(
     sample = "float" if dtype == np.float32 else str(dtype)
     sink = oiio.ImageOutput.create(str(file))
     spec = oiio.ImageSpec(width, height, channels, sample)
+    spec.attribute("DateTime", "")  # equal pictures are equal files
     if names:
         spec.channelnames = tuple(names)
     for name, value in attributes.items():

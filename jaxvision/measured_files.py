@@ -20,6 +20,7 @@ rgb (p, t, 3, n, n) or wavelengths (b,) in nm with spectra (p, t, b, n, n). Sour
 Every failure is an `InputError` of one sentence that names the file.
 """
 
+import math
 import os
 import struct
 from pathlib import Path
@@ -136,6 +137,8 @@ def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None
 
 # ---------------------------------------------------------------- Cornell
 
+_TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
+
 
 def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
     """The samples of a Cornell goniometer file, in the file's order."""
@@ -187,6 +190,11 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
             raise InputError(
                 f"{file}, line {number}: elevations {row[0]:g} and {row[2]:g} must lie in "
                 "[0, pi / 2] rad; convert degrees to radians."
+            )
+        if max(abs(row[1]), abs(row[3])) > _TURN:
+            raise InputError(
+                f"{file}, line {number}: azimuths {row[1]:g} and {row[3]:g} must lie in "
+                "[-2 pi, 2 pi] rad; convert degrees to radians."
             )
     table = np.array([row for _, row in rows])
     theta_i, phi_i, theta_s, phi_s = jnp.asarray(table[:, :4].T)
@@ -246,21 +254,26 @@ def table_of_samples(
 
 # ---------------------------------------------------------------- RGL
 
+_MAGIC = b"tensor_file\0"
+_VERSION = b"\1\0"
 _TYPES = dict(
     enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1)
 )
+_MOST_DIMENSIONS = 8  # the database's fields have 5 at most
 
 
 def _fields(file: Path, data: bytes) -> dict[str, np.ndarray]:
     """The named arrays of a tensor file."""
-    if data[:12] != b"tensor_file\0":
+    cut = InputError(f"{file}: the file is cut short; copy it again from its source.")
+    if len(data) < 14 and (_MAGIC.startswith(data) or data.startswith(_MAGIC)):
+        raise cut
+    if data[:12] != _MAGIC:
         raise InputError(f"{file}: not an RGL tensor file; take the .bsdf file of the database.")
-    if data[12:14] != b"\1\0":
+    if data[12:14] != _VERSION:
         raise InputError(
             f"{file}: tensor file version {tuple(data[12:14])} where 1.0 is known; take the "
             "published version of the file."
         )
-    cut = InputError(f"{file}: the file is cut short; copy it again from its source.")
     position = 14
 
     def take(layout: str) -> tuple[int, ...]:
@@ -283,14 +296,18 @@ def _fields(file: Path, data: bytes) -> dict[str, np.ndarray]:
         (length,) = take("H")
         name = bytes(take(f"{length}B")).decode("utf-8", "replace")
         dimensions, kind, offset = take("HBQ")
+        if dimensions > _MOST_DIMENSIONS:
+            raise InputError(
+                f"{file}: field {name[:40]!r} announces {dimensions} dimensions; the header is "
+                "damaged, copy the file again from its source."
+            )
         shape = take(f"{dimensions}Q")
         if kind not in _TYPES:
             raise InputError(f"{file}: field {name!r} has the unknown type {kind}; copy it again.")
         dtype = np.dtype(_TYPES[kind])
-        size = dtype.itemsize
-        for n in shape:
-            size *= n
-        if offset + size > len(data):
+        size = dtype.itemsize * math.prod(shape)
+        # an axis of length 0 hides no absurd one
+        if offset + size > len(data) or math.prod(max(n, 1) for n in shape) > len(data):
             raise cut
         found[name] = np.frombuffer(data[offset : offset + size], dtype).reshape(shape)
     return found
@@ -325,10 +342,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
             raise InputError(
                 f"{file}: field {name!r} holds values that are not finite; copy the file again."
             )
-    for name in ("theta_i", "phi_i"):
-        if (np.diff(fields[name]) <= 0).any():
-            raise InputError(f"{file}: field {name!r} does not increase; copy the file again.")
-    phi = fields["phi_i"]
+    symmetry = _check_rgl_values(file, fields, spectral=spectral)
     dtype = jnp.result_type(float)
     table = {name: jnp.asarray(fields[name], dtype) for name in needed}
     return rgl_material(
@@ -341,8 +355,51 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
         table["luminance"],
         wavelengths=jnp.asarray(fields["wavelengths"], dtype) * NANOMETRE if spectral else None,
         scaled=bool(fields["jacobian"][0]),
-        symmetry=1 if len(phi) <= 2 else round(2 * np.pi / float(phi[-1] - phi[0])),
+        symmetry=symmetry,
     )
+
+
+def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
+    """`InputError` for numbers that are no angles or no densities; how many equal sectors of
+    azimuth a turn has."""
+    theta, phi = fields["theta_i"], fields["phi_i"]
+    for name in ("theta_i", "phi_i"):
+        if (np.diff(fields[name]) <= 0).any():
+            raise InputError(f"{file}: field {name!r} does not increase; copy the file again.")
+    if theta[0] < 0 or theta[-1] > np.pi / 2 + 1e-4:
+        raise InputError(
+            f"{file}: field 'theta_i' runs from {theta[0]:g} to {theta[-1]:g}, which must lie in "
+            "[0, pi / 2] rad; convert degrees to radians."
+        )
+    span = float(phi[-1] - phi[0])
+    if np.abs(phi).max() > _TURN or span > _TURN:
+        raise InputError(
+            f"{file}: field 'phi_i' runs from {phi[0]:g} to {phi[-1]:g}, which must lie in "
+            "[-2 pi, 2 pi] rad and span one turn at most; convert degrees to radians."
+        )
+    symmetry = 1 if len(phi) <= 2 else round(2 * np.pi / span)
+    if symmetry not in (1, 2, 4):
+        raise InputError(
+            f"{file}: field 'phi_i' spans {span:g} rad, which is neither a turn nor a half nor a "
+            "quarter of one; copy the file again."
+        )
+    for name in ("ndf", "sigma", "vndf", "luminance"):
+        lowest = fields[name].min()
+        if lowest < 0:
+            raise InputError(
+                f"{file}: field {name!r} holds {lowest:g} where nothing can be negative; copy the "
+                "file again."
+            )
+        if not fields[name].any():
+            raise InputError(f"{file}: field {name!r} is 0 everywhere; copy the file again.")
+    if spectral:
+        nanometres = fields["wavelengths"]
+        if not np.isfinite(nanometres).all() or (nanometres <= 0).any():
+            raise InputError(
+                f"{file}: field 'wavelengths' must hold finite numbers above 0, in nm; copy the "
+                "file again."
+            )
+    return symmetry
 
 
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
@@ -370,7 +427,7 @@ def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str =
         for name, x in fields.items()
     }
     offset = 18 + sum(2 + len(name) + 11 + 8 * x.ndim for name, x in arrays.items())
-    head, body = b"tensor_file\0\1\0" + struct.pack("<I", len(arrays)), b""
+    head, body = _MAGIC + _VERSION + struct.pack("<I", len(arrays)), b""
     for name, x in arrays.items():
         head += struct.pack("<H", len(name)) + name.encode()
         head += struct.pack("<HBQ", x.ndim, 1 if x.dtype == np.uint8 else 10, offset + len(body))

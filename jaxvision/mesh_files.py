@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from .errors import InputError
@@ -28,9 +29,10 @@ def read_mesh(
     position: Vector = (0.0, 0.0, 0.0),
     smooth: bool = False,
     flip: bool = False,
+    dtype: str | np.dtype | None = None,
 ) -> TriangleMesh:
-    """The triangles of a file, in its order. Those without area, which no ray would meet, are left
-    out, and a warning counts them.
+    """The triangles of a file, in its order, as numbers of `dtype` (None: JAX's own). Those
+    without area in such numbers, which no ray would meet, are left out, and a warning counts them.
 
     Points are scaled, then rotated by `rotation`, (3, 3), whose rows are the file's axes in the
     world (None: the world's own), then moved by `position`, (3,) m. `smooth`: with normals at the
@@ -44,8 +46,12 @@ def read_mesh(
     loaded = _load(file)
     axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
     vertices = scale * np.asarray(loaded.vertices, float) @ axes + np.asarray(position, float)
+    with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
+        vertices = vertices.astype(jnp.result_type(float) if dtype is None else dtype)
     faces = _with_area(file, vertices, np.asarray(loaded.faces, np.int32))
-    normals = np.asarray(loaded.vertex_normals, float) @ axes if smooth else None
+    normals = None
+    if smooth:
+        normals = (np.asarray(loaded.vertex_normals, float) @ axes).astype(vertices.dtype)
     if flip:
         faces = faces[:, ::-1]
         normals = None if normals is None else -normals
@@ -55,8 +61,9 @@ def read_mesh(
 def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The triangles that have one; meshes found in the wild often hold some that do not."""
     if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(
-            f"{file}: a triangle names vertex {max(faces.max(), -faces.min())} where there are "
+            f"{file}: a triangle names vertex {wrong}, counted from 0, where there are "
             f"{len(vertices)}; export it again."
         )
     flat = faces_without_area(vertices, faces)
@@ -87,8 +94,22 @@ def _load(file: Path):
     try:
         mesh = trimesh.load_scene(file, process=False).to_mesh()
     except Exception as error:  # each format's reader fails in its own way
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = _in_plain_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
     if len(mesh.faces) == 0:
         raise InputError(f"{file}: holds no triangles; export it again as a mesh.")
     return mesh
+
+
+def _in_plain_words(error: Exception) -> str:
+    """Why a reader of trimesh failed, as far as the kind of its failure tells."""
+    match error:
+        case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
+            return "it holds bytes that are no text where its format has text"
+        case ModuleNotFoundError():
+            return f"its format takes the package {error.name}, which is not installed"
+        case FileNotFoundError():
+            return "it is not whole, or a file that it names is missing"
+        case IndexError() | KeyError():
+            return "it ends too early, or refers to what is not in it"
+    return "it ends too early, or holds what its format does not have there"

@@ -8,13 +8,12 @@ whole picture.
 """
 
 import dataclasses
-import hashlib
-import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -135,16 +134,17 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
     return tuple(f"band.{i:0{len(str(bands - 1))}d}" for i in range(bands))
 
 
-def _key(source: SceneFile, settings: RenderEntry) -> str:
-    """What every bit of the picture depends on."""
-    parts = {
+def _key(source: SceneFile, settings: RenderEntry) -> dict[str, Any]:
+    """What every bit of the picture depends on, and of tiles their size."""
+    unused = set() if settings.integrator in BY_PIXEL else {"tile"}
+    return {
         "scene": source.digest,
-        "resolution": source.view.resolution,
-        "settings": settings.model_dump(),
-        "versions": [version("jaxvision"), jax.__version__],
+        "resolution": list(source.view.resolution),
+        **settings.model_dump(exclude=unused),
+        "version of jaxvision": version("jaxvision"),
+        "version of jax": jax.__version__,
         "device": jax.devices()[0].device_kind,
     }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def _attributes(source: SceneFile, settings: RenderEntry) -> dict[str, str | int]:

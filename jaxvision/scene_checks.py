@@ -5,6 +5,7 @@ Eager and NumPy: for scenes at hand, not for traced ones, whose renderings are f
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
 from .brdf.glass import Glass
@@ -36,8 +37,9 @@ def scene_problems(
     What `geometry.problems` finds of each shape; closed meshes turned inside out; surfaces that
     shine, and lights, without area or direction; nothing that shines; a light, a surface that
     shines or the camera within an opaque closed surface whose inside is not seen; a point light on
-    a surface, which it shines along and so does not light. Within glass or a two-sided surface all
-    may lie: there the inside is seen, and a ray that starts in glass is taken to be in it.
+    a surface other than a mesh, which it shines along and so does not light. Within glass or a
+    two-sided surface all may lie: there the inside is seen, and a ray that starts in glass is taken
+    to be in it.
     """
     found = [
         f"{name}: {problem}"
@@ -83,6 +85,26 @@ def scene_problems(
     ]
     if not (scene.lights or scene.ambient is not None or any(map(_shines, scene.surfaces))):
         found.append("the scene has nothing that shines; add a [[light]] or an emission.")
+    return found
+
+
+def lost_numbers(exact: object, kept: object) -> list[str]:
+    """One sentence for each field of a record whose numbers its dtype does not hold: `kept` is
+    `exact` in that dtype, and has infinities, or nothing but zeros that `exact` has not."""
+    found = []
+    fields = jax.tree_util.tree_leaves_with_path(exact)
+    for (place, before), after in zip(fields, map(np.asarray, jax.tree.leaves(kept)), strict=True):
+        if not np.issubdtype(after.dtype, np.floating):
+            continue
+        wide, changed = np.asarray(before), np.isinf(after)
+        if (np.abs(after) < np.finfo(after.dtype).tiny).all():
+            changed = wide != 0
+        if changed.any():
+            name = jax.tree_util.keystr(place, simple=True, separator=".")
+            found.append(
+                f"{name} holds {wide[changed].flat[0]:g}, which {after.dtype} cannot; change it, "
+                "or set render.dtype = 'float64'."
+            )
     return found
 
 
@@ -172,8 +194,19 @@ def _corners_around(shape: Shape) -> list[np.ndarray]:
 
 
 def _lies_on(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a place, (3,) m, is on a flat shape, to within what rounds away in float32."""
+    """Whether a place, (3,) m, is on a shape other than a mesh, to within what rounds away in
+    float32."""
     match shape:
+        case Sphere():
+            centre, radius = _array(shape.centre), float(shape.radius)
+            size = max(np.abs(point).max(), np.abs(centre).max(), radius)
+            return bool(abs(np.linalg.norm(point - centre) - radius) <= _ROUNDING * size)
+        case Box():
+            centre, half = _array(shape.centre), _array(shape.half_extents)
+            size = max(np.abs(point).max(), np.abs(centre).max(), half.max())
+            axes = np.eye(3) if shape.rotation is None else _array(shape.rotation)
+            outside = np.abs(axes @ (point - centre)) - half
+            return bool(abs(outside.max()) <= _ROUNDING * size)
         case Plane():
             start, normal = _array(shape.point), _array(shape.normal)
         case Disc():

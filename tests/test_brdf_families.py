@@ -29,6 +29,7 @@ from jaxvision import (
     render,
 )
 from jaxvision._numerics import dot
+from jaxvision._vector import as_vec
 from jaxvision.brdf import microfacet
 from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
@@ -157,6 +158,50 @@ def test_dark_where_either_side_lies_below(name):
     flip = jnp.asarray([[1.0, 1.0, -1.0]])
     for pair in ((wi * flip, wo), (wi, wo * flip), (wi * flip, wo * flip)):
         assert (EVALUATE(material, *pair) == 0).all()
+
+
+@every_family
+def test_nothing_is_seen_from_below(name):
+    material, _ = FAMILIES[name]
+    assert (ALBEDO(material, VIEWS * jnp.asarray([1.0, 1.0, -1.0])) == 0).all()
+
+
+def test_directions_of_another_shape_are_named():
+    """By whichever function, with the name of the one that is wrong; components pass."""
+    material, _ = FAMILIES["lambert"]
+    one, many, flat = PAIRS[0][0], PAIRS[0], PAIRS[0][0][:2]
+    calls = {
+        "wi": [
+            lambda w: brdf.evaluate(material, w, one),
+            lambda w: brdf.shading(material, w, one),
+            lambda w: brdf.pdf(material, w, one),
+        ],
+        "wo": [
+            lambda w: brdf.evaluate(material, one, w),
+            lambda w: brdf.shading(material, one, w),
+            lambda w: brdf.pdf(material, one, w),
+            lambda w: brdf.sample(material, w, one),
+            lambda w: brdf.albedo(material, w),
+        ],
+    }
+    for name, (wrong, shape) in product(calls, [(many, "(200, 3)"), (flat, "(2,)")]):
+        for call in calls[name]:
+            with pytest.raises(ValueError, match=rf"{name} must have shape \(3\), got") as caught:
+                jax.eval_shape(call, wrong)
+            assert shape in str(caught.value)
+    np.testing.assert_array_equal(
+        brdf.evaluate(material, as_vec(one), as_vec(one)), brdf.evaluate(material, one, one)
+    )
+
+
+def test_bands_that_do_not_fit_are_named():
+    with pytest.raises(ValueError, match="interface must have 1 band or 3, as the others, got 2"):
+        TorranceSparrow([0.1] * 3, ONE, 0.3, interface=Conductor([1.0, 2], [3.0, 4]))
+    with pytest.raises(ValueError, match="interface must be a record, Dielectric or Conductor"):
+        TorranceSparrow([0.1] * 3, ONE, 0.3, interface=1.5)
+    for interface in (Dielectric([1.5]), Dielectric([1.5] * 3), None):
+        TorranceSparrow([0.1] * 3, ONE, 0.3, interface=interface)
+    TorranceSparrow([0.1], ONE, 0.3, interface=Dielectric([1.5] * 3))
 
 
 @every_family

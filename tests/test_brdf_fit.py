@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from fitting import cli
 from fitting.brdf_calibration import (
+    best,
     calibrate_brdf,
     errors,
     prediction_of_held_out,
@@ -204,6 +205,17 @@ def test_metrics_by_hand():
     np.testing.assert_allclose(found.cube_root, np.sqrt((0.5**2 + 1**2) / 2), rtol=1e-12)
 
 
+def test_no_model_wins_by_rounding():
+    """A constant, missed by nothing, by rounding, and by 1e-6 of it: the first two are alike."""
+    of = measured("lambert")
+    exact, rounded, off = (errors(of, of.values * (1 + e)) for e in (0, 1e-13, 1e-6))
+    for name in ("rms", "relative", "cube_root"):
+        assert getattr(exact, name) == getattr(rounded, name)
+        assert 0 < getattr(exact, name) < getattr(off, name) / 100
+    np.testing.assert_allclose(off.relative, 1e-6, rtol=1e-6)
+    assert best({"phong": exact, "lambert": rounded, "blinn": off}, "cosine") == "phong"
+
+
 def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
     # Phong and a Gaussian lobe of c^2 = n / 2 are alike; both are right here.
     assert calibration.model in ("phong", "gaussian-lobe")
@@ -299,12 +311,39 @@ def with_values(change):
     return BRDFSamples(*angles, jnp.asarray(values), samples.wavelengths)
 
 
+def with_first(values, value, count=1):
+    return np.concatenate([np.full((count, values.shape[1]), value), values[count:]])
+
+
+@pytest.mark.parametrize("factor", [1e-7, 1e5])
+def test_the_unit_of_the_values_does_not_matter(factor):
+    """Far from one, within what is taken: the same lobe, its amplitudes and errors times that."""
+    samples = samples_of("phong", noise=0.05)
+    angles = (samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o)
+    scaled = BRDFSamples(*angles, samples.values * factor, samples.wavelengths)
+    fits, found = [], []
+    for one in (samples, scaled):
+        of = from_samples("scaled", one, weights=np.ones(200))
+        fits.append(fit_model(of, "phong", index=INDEX))
+        found.append(errors(of, prediction_of_held_out(of, fits[-1])))
+    np.testing.assert_allclose(fits[1].whole.shape, fits[0].whole.shape, rtol=1e-6)
+    np.testing.assert_allclose(fits[1].whole.diffuse, factor * fits[0].whole.diffuse, rtol=1e-6)
+    np.testing.assert_allclose(found[1].relative, found[0].relative, rtol=1e-6)
+    np.testing.assert_allclose(found[1].rms, factor * found[0].rms, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
         (lambda v: v * np.nan, "0 of 200 samples are finite"),
         (lambda v: -v, "no value is positive"),
         (lambda v: v * [1, 1, -1], "mean of a band is not positive"),
+        (lambda v: v * 0 + 1e300, r"1e\+300 is beyond 1e\+06 sr\^-1"),
+        (lambda v: v * 1e160, r"beyond 1e\+06 sr\^-1"),
+        (lambda v: with_first(v, -9.9e37), r"-9.9e\+37 is beyond 1e\+06"),
+        (lambda v: with_first(v, -2.0), "-2 lies farther below zero than any above"),
+        (lambda v: v * 1e-200, "no value is above 1e-09 sr"),
+        (lambda v: with_first(v, 0.0, 40), "no value at 10 degrees of incidence is above 1e-09"),
     ],
 )
 def test_useless_values_are_refused(change, expected):
@@ -334,6 +373,8 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
     folder.mkdir()
     cases = [
         ((tmp_path / "none.brdf",), "no such file"),
+        (("",), "a path is empty"),
+        ((good, ""), "a path is empty"),
         ((folder,), "is a folder"),
         ((good, "--out", empty), "is a file; give --out a folder"),
         ((good, "--out", empty / "below"), "choose another path"),

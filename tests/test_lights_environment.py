@@ -258,3 +258,22 @@ def test_wrong_shapes_are_named():
         environment_map(np.ones((4, 8)))
     with pytest.raises(ValueError, match=r"EnvironmentMap.rotation .* got \(2, 3\)"):
         environment_map(PICTURE, rotation=np.ones((2, 3)))
+    with pytest.raises(ValueError, match=r"must have pixels and bands, got \(0, 8, 3\)"):
+        environment_map(np.ones((0, 8, 3)))
+
+
+@pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
+def test_values_that_are_no_radiance_are_named(wrong):
+    picture = PICTURE.copy()
+    picture[2, 3, 1] = wrong
+    with pytest.raises(ValueError, match=f"finite, at least 0, got {wrong}"):
+        environment_map(picture)
+
+
+@pytest.mark.parametrize("scale", [2.0**124, 2.0**-90])
+def test_probabilities_do_not_depend_on_the_unit(scale):
+    """In float32, where sums of the larger leave its range and those of the smaller its digits."""
+    picture = (PICTURE / PICTURE.max()).astype(np.float32)
+    expected, sky = environment_map(picture), environment_map(picture * np.float32(scale))
+    for name in ("rows", "columns", "density"):
+        np.testing.assert_array_equal(getattr(sky, name), getattr(expected, name))

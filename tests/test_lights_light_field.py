@@ -153,3 +153,33 @@ def test_wrong_shapes_are_named():
         LightFieldLight(np.ones((2, 2, 3)), APERTURE, FOCAL)
     with pytest.raises(ValueError, match=r"Window.edge_u must have shape \(3\)"):
         Window([0, 0, 0], [1, 0], [0, 1, 0])
+
+
+@pytest.mark.parametrize(
+    ("aperture", "focal", "message"),
+    [
+        (APERTURE, APERTURE, "behind or before the aperture, got a distance of 0 m"),
+        (APERTURE, Window([5, 0, 1e-7], [1, 0, 0], [0, -1, 0]), "behind or before the aperture"),
+        (APERTURE, Window([0, 0, 1], [0.6, 0, 0.8], [0, -1, 0]), "parallel .* got 0.927 rad"),
+        (APERTURE, Window([0, 0, 1], [1, 0, 0], [2, 0, 0]), "focal must be a window with an area"),
+        (Window([0, 0, 0], [0, 0, 0], [0, 1, 0]), FOCAL, "aperture must be a window with an area"),
+    ],
+)
+def test_windows_that_make_no_light_field_are_named(aperture, focal, message):
+    with pytest.raises(ValueError, match=message):
+        LightFieldLight(np.ones((2, 2, 2, 2, 1)), aperture, focal)
+
+
+def test_windows_far_out_turned_and_traced_are_taken():
+    """Two parallel windows turned by a rotation that is exact in no float, a kilometre away, in
+    float32; and windows that nobody knows yet."""
+    axis = np.array([1, 2, 2]) / 3
+    turn = 2 * np.outer(axis, axis) - np.eye(3)  # half a turn about the axis
+    corners = [turn @ np.array([699.8, 600.2, 400 + z]) for z in (0, 1)]
+    edges = [(0.1 * turn[0], 0.3 * turn[1]), (0.7 * turn[0], -0.9 * turn[1])]
+    windows = [
+        Window(*(np.float32(a) for a in (c, *e))) for c, e in zip(corners, edges, strict=True)
+    ]
+    LightFieldLight(np.ones((2, 2, 2, 2, 1), np.float32), *windows)
+    made = jax.eval_shape(lambda w: LightFieldLight(jnp.ones((2, 2, 2, 2, 1)), w, w), APERTURE)
+    assert made.radiance.shape == (2, 2, 2, 2, 1)

@@ -133,6 +133,14 @@ def test_the_order_follows_distance_over_size(height, tolerance):
     assert not smaller or worst(smaller[-1]) > tolerance
 
 
+def test_a_rule_takes_a_whole_number():
+    for wrong in (0, -3, True):
+        with pytest.raises(ValueError, match=r"Quadrature\.order must be a whole number of at lea"):
+            Quadrature(wrong)
+    with pytest.raises(ValueError, match=r"MonteCarlo\.samples must be a whole number"):
+        MonteCarlo(jax.random.key(0), 0)
+
+
 def test_a_tolerance_out_of_reach_is_named():
     """Where the tables of orders end: 2 mm below, the kernel is near singular."""
     assert order_for(LAMP, below(0.002), tolerance=1e-6) == ORDERS[-1]

@@ -168,6 +168,8 @@ def test_cornell_round_trip(tmp_path):
         ("0.4 0.5 0.6", "0.4 0,5 0.6", ("line 10", "not a row of numbers")),
         ("0.7 0.1", "40 0.1", ("line 10", "degrees")),
         ("0.5 0.0", "-0.5 0.0", ("line 9", "pi / 2")),
+        ("0.6 3.0", "0.6 180", ("line 9", "azimuths 0 and 180", "degrees")),
+        ("0.7 0.1", "0.7 -90", ("line 10", "azimuths -90 and -1", "degrees")),
         ("3\n", "3.5\n", ("count of wavelengths",)),
         ("3\n", "4\n", ("4 increasing wavelengths",)),
         ("400 410", "410 400", ("increasing wavelengths",)),
@@ -216,11 +218,18 @@ def test_scattered_samples_become_a_table():
 # ------------------------------------------------ RGL
 
 
+def rgl_fields(rng, **options):
+    """The oracle's tables with elevations that end at pi / 2, as those of a file do."""
+    fields = oracle.rgl_fields(rng, **options)
+    theta = fields["theta_i"]
+    return fields | {"theta_i": theta * np.float32(np.pi / 2 / theta[-1])}
+
+
 @pytest.mark.parametrize("bands", [None, 5])
 def test_rgl_fields_and_round_trip(tmp_path, bands):
     """Values against the construction written out over the very fields; written and read again,
     the material is the same to the file's float32."""
-    fields = oracle.rgl_fields(np.random.default_rng(3), bands=bands)
+    fields = rgl_fields(np.random.default_rng(3), bands=bands)
     path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
     material = files.read_measured(path)
     rng = np.random.default_rng(7)
@@ -240,13 +249,13 @@ def test_rgl_fields_and_round_trip(tmp_path, bands):
 def test_symmetry_follows_from_the_span_of_azimuths(tmp_path):
     for span, symmetry in ((2 * np.pi, 1), (np.pi, 2), (np.pi / 2, 4)):
         phi = np.linspace(-np.pi, -np.pi + span, 3)
-        fields = oracle.rgl_fields(np.random.default_rng(3), phi=phi)
+        fields = rgl_fields(np.random.default_rng(3), phi=phi)
         path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
         assert files.read_rgl(path).symmetry == symmetry
 
 
 def test_unscaled_values_are_taken_as_they_are(tmp_path):
-    fields = oracle.rgl_fields(np.random.default_rng(3)) | {"jacobian": np.array([0], np.uint8)}
+    fields = rgl_fields(np.random.default_rng(3)) | {"jacobian": np.array([0], np.uint8)}
     fields["rgb"] = np.full_like(fields["rgb"], 0.25)
     material = files.read_rgl(write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields)))
     up = jnp.asarray([0.0, 0.0, 1.0])
@@ -254,7 +263,7 @@ def test_unscaled_values_are_taken_as_they_are(tmp_path):
 
 
 def test_wrong_rgl_files_are_named(tmp_path):
-    fields = oracle.rgl_fields(np.random.default_rng(3))
+    fields = rgl_fields(np.random.default_rng(3))
     data = oracle.tensor_bytes(fields)
 
     def changed(**new):
@@ -277,3 +286,46 @@ def test_wrong_rgl_files_are_named(tmp_path):
     refused(
         read, write(tmp_path, "7.bsdf", data[:kind] + b"\x63" + data[kind + 1 :]), "unknown type 99"
     )
+
+
+def test_an_rgl_header_that_cannot_be_is_named(tmp_path):
+    """Cut inside its first words, or with dimensions that no field has, one of them 0."""
+    data = oracle.tensor_bytes(rgl_fields(np.random.default_rng(3)))
+    for length in (0, 5, 12, 13):
+        refused(files.read_rgl, write(tmp_path, "cut.bsdf", data[:length]), "cut short")
+    place = data.index(b"phi_i") + len("phi_i")
+
+    def announced(*shape):
+        head = struct.pack("<HBQ", len(shape), 10, 0) + struct.pack(f"<{len(shape)}Q", *shape)
+        return write(tmp_path, "odd.bsdf", data[:place] + head + data[place + 19 :])
+
+    refused(files.read_rgl, announced(*[0] * 100), "'phi_i' announces 100 dimensions")
+    refused(files.read_rgl, announced(*[0] * 60_000), "'phi_i' announces 60000 dimensions")
+    refused(files.read_rgl, announced(0, *[2**62] * 7), "cut short")
+    refused(files.read_rgl, announced(2**63 - 1), "cut short")
+
+
+@pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        ({"theta_i": np.linspace(0, 90, 4)}, ("'theta_i' runs from 0 to 90", "degrees")),
+        ({"theta_i": np.linspace(-0.1, 1.5, 4)}, ("'theta_i' runs from -0.1 to 1.5",)),
+        ({"phi_i": np.linspace(-180, 180, 3)}, ("'phi_i' runs from -180 to 180", "degrees")),
+        ({"phi_i": np.linspace(-4, 4, 3)}, ("'phi_i' runs from -4 to 4", "one turn")),
+        ({"phi_i": np.linspace(0, 2.1, 3)}, ("'phi_i' spans 2.1 rad",)),
+        ({"luminance": -1.0}, ("'luminance' holds -1",)),
+        ({"vndf": -1.0}, ("'vndf' holds -1",)),
+        ({"luminance": 0.0}, ("'luminance' is 0 everywhere",)),
+        ({"vndf": 0.0}, ("'vndf' is 0 everywhere",)),
+        ({"sigma": 0.0}, ("'sigma' is 0 everywhere",)),
+        ({"wavelengths": np.array([400, np.nan, 600])}, ("'wavelengths'", "finite numbers")),
+    ],
+)
+def test_rgl_numbers_that_cannot_be_are_named(tmp_path, new, words):
+    """Angles in degrees, densities that are none: a number stands for the whole field."""
+    (name, value), *_ = new.items()
+    phi, bands = (value, None) if name == "phi_i" else ((0.0,), 3)
+    fields = rgl_fields(np.random.default_rng(3), phi=phi, bands=bands)
+    fields[name] = np.full_like(fields[name], value)
+    path = write(tmp_path, "x.bsdf", oracle.tensor_bytes(fields))
+    refused(files.read_rgl, path, *words)

@@ -23,6 +23,7 @@ from jaxvision.scene_files import read_scene
 from jaxvision.scene_files.schema import overridden
 
 RUNNER = CliRunner()
+K = {"scene": "a", "seed": 1}
 SCENE = """
 [camera]
 kind = "pinhole"
@@ -152,6 +153,7 @@ def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypat
     assert len(computed) == 3
     assert (read_image(tmp_path / "a.exr") == read_image(rendered / "ball.exr")).all()
     assert not (tmp_path / "a.exr.partial").exists()
+    assert (tmp_path / "a.exr").read_bytes() == (rendered / "ball.exr").read_bytes()
 
 
 def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch):
@@ -159,10 +161,22 @@ def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch
     with monkeypatch.context() as patch:
         stop_after(patch, 1)
         run(*command)
-    for change in (["--seed", 3], ["--tile", 50], ["--resolution", "9,13"]):
+    changes = (
+        (["--seed", 3], "seed"),
+        (["--tile", 50], "tile"),
+        (["--resolution", "9,13", "--samples", 2], "resolution and another samples"),
+        (["--integrator", "light"], "integrator and another samples and another depth"),
+    )
+    for change, names in changes:
         status, _, error = run(*command, *change)
         assert status == 2
-        assert "a.exr.partial: holds part of a render of another scene" in error
+        assert f"a.exr.partial: holds part of a render with another {names}" in error
+    with monkeypatch.context() as patch:
+        patch.setattr(render_job, "version", lambda package: "0.0")
+        assert "another version of jaxvision; add --fresh" in run(*command)[2]
+    (tmp_path / "b.toml").write_text(SCENE.replace("radius = 1", "radius = 0.9"))
+    _, _, error = run(tmp_path / "b.toml", "--out", tmp_path / "a.exr")
+    assert "another scene; add --fresh" in error
     status, *_ = run(*command, "--resolution", "9,13", "--fresh")
     assert status == 0
     assert read_image(tmp_path / "a.exr").shape == (9, 13, 3)
@@ -190,7 +204,9 @@ def test_a_killed_render_ends_bit_identical(tmp_path):
     subprocess.run(command(tmp_path / "a.exr"), env=environment, check=True, capture_output=True)
     status, *_ = run(*options, "--out", tmp_path / "b.exr")
     assert status == 0
-    assert (read_image(tmp_path / "a.exr") == read_image(tmp_path / "b.exr")).all()
+    resumed, whole = ((tmp_path / name).read_bytes() for name in ("a.exr", "b.exr"))
+    assert b"capDate" not in whole  # by which two files of one picture would differ
+    assert resumed == whole
 
 
 QUAD = """
@@ -235,8 +251,8 @@ def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
         patch.setattr(PartialSum, "add", failing)
         assert run(*options, "--out", tmp_path / "a.exr")[0] == 130
     status, _, error = run(*options, "--out", tmp_path / "a.exr", "--seed", 1)
-    assert (status, "holds part of a render of another scene" in error) == (2, True)
-    assert run(*options, "--out", tmp_path / "a.exr")[0] == 0
+    assert (status, "holds part of a render with another seed" in error) == (2, True)
+    assert run(*options, "--out", tmp_path / "a.exr", "--tile", 9)[0] == 0  # it has no tiles
     assert (read_image(tmp_path / "a.exr") == read_image(tmp_path / "whole.exr")).all()
     assert not list(tmp_path.glob("*.partial"))
 
@@ -319,6 +335,24 @@ def test_what_an_integrator_refuses_is_named_as_in_the_file(rendered, tmp_path):
     status, _, error = run(tmp_path / "b.toml", "--out", tmp_path / "a.exr", "--integrator", "rays")
     assert status == 2
     assert "rule = 'balanced'; set rule = 'quadrature'" in error
+    glow = '[[surface]]\nname = "glow"\nshape = "plane"\npoint = [0, 0, -2]\nnormal = [0, 0, 1]\n'
+    (tmp_path / "c.toml").write_text(SCENE + glow + "emission = 1\n")
+    out = tmp_path / "made" / "a.exr"
+    status, _, error = run(tmp_path / "c.toml", "--out", out, "--integrator", "light")
+    assert status == 2
+    assert 'c.toml: surface "glow" shines without end' in error
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.toml", "b.toml", "c.toml"]
+
+
+def test_missing_folders_are_made_and_others_named(rendered, tmp_path):
+    scene = rendered / "ball.toml"
+    options = "--out", tmp_path / "a" / "b" / "c.exr", "--preview", tmp_path / "d" / "e.tif"
+    assert run(scene, *options)[0] == 0
+    assert read_image(tmp_path / "d" / "e.tif").dtype == np.uint8
+    for out in (tmp_path / "d" / "e.tif" / "a.exr", "/proc/a.exr"):
+        status, _, error = run(scene, "--out", out)
+        assert (status, error.count("\n")) == (2, 1)
+        assert f"{out}: cannot be written" in error
 
 
 def test_bands_that_are_wavelengths_have_names(tmp_path):
@@ -368,29 +402,35 @@ def test_a_part_counts_whole_tiles_only(tmp_path):
     """Cut anywhere, or with a byte turned, it goes on from the last tile that is whole."""
     tiles = np.random.default_rng(1).normal(size=(4, 6)).astype(np.float32)
     path = tmp_path / "a.partial"
-    with PartialImage(path, key="k", values=6, fresh=False) as part:
+    with PartialImage(path, key=K, values=6, fresh=False) as part:
+        assert not path.exists()
         for values in tiles:
             part.append(values)
     data = path.read_bytes()
     first = data.index(b"\n") + 1
-    assert json.loads(data[:first]) == {"render": "k", "values": 6}
+    assert json.loads(data[:first]) == {"render": K, "values": 6}
     for cut in range(len(data)):
         path.write_bytes(data[:cut])
-        with PartialImage(path, key="k", values=6, fresh=False) as part:
+        with PartialImage(path, key=K, values=6, fresh=False) as part:
             assert part.done == max(cut - first, 0) // 28
             for index in range(part.done):
                 assert (part.tile(index) == tiles[index]).all()
     damaged = bytearray(data)
     damaged[first + 30] ^= 1
     path.write_bytes(damaged)
-    with PartialImage(path, key="k", values=6, fresh=False) as part:
+    with PartialImage(path, key=K, values=6, fresh=False) as part:
         assert part.done == 1
-    with pytest.raises(InputError, match=r"a\.partial: holds part of a render of another"):
-        PartialImage(path, key="other", values=6, fresh=False)
-    with PartialImage(path, key="other", values=6, fresh=True) as part:
+    other = {"scene": "b", "seed": 2}
+    with pytest.raises(InputError, match="part of a render with another scene and another seed"):
+        PartialImage(path, key=other, values=6, fresh=False)
+    with PartialImage(path, key=other, values=6, fresh=True) as part:
         assert part.done == 0
-    with PartialImage(path, key="third", values=6, fresh=False) as part:
+    path.write_bytes(data[:first])
+    with PartialImage(path, key=other, values=6, fresh=False) as part:
         assert part.done == 0  # nothing is lost of a file without a tile
+    path.write_bytes(b"a line\nand another")
+    with pytest.raises(InputError, match="holds something else than part of this render"):
+        PartialImage(path, key=K, values=6, fresh=False)
 
 
 def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
@@ -398,24 +438,52 @@ def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
     pictures = np.random.default_rng(3).normal(size=(3, 2, 4, 3)).astype(np.float32)
     path = tmp_path / "a.partial"
     for done, picture in enumerate(pictures):
-        part = PartialSum(path, key="k", shape=(2, 4, 3), fresh=False)
+        part = PartialSum(path, key=K, shape=(2, 4, 3), fresh=False)
         assert part.done == done
         part.add(picture)
-    part = PartialSum(path, key="k", shape=(2, 4, 3), fresh=False)
+    part = PartialSum(path, key=K, shape=(2, 4, 3), fresh=False)
     expected = (pictures[0].astype(float) + pictures[1]) + pictures[2]
     np.testing.assert_array_equal(part.total, expected)
-    with pytest.raises(InputError, match=r"a\.partial: holds part of a render of another"):
-        PartialSum(path, key="other", shape=(2, 4, 3), fresh=False)
-    assert PartialSum(path, key="other", shape=(2, 4, 3), fresh=True).done == 0
+    for other, sentence in (
+        ({**K, "seed": 2}, "part of a render with another seed; add"),
+        ({"scene": "a"}, "part of a render with another seed; add"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            PartialSum(path, key=other, shape=(2, 4, 3), fresh=False)
+        assert PartialSum(path, key=other, shape=(2, 4, 3), fresh=True).done == 0
     part.delete()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_sum_begins_again(tmp_path):
+    """Cut anywhere, or with any one bit turned, it gives its sum, nothing, or one sentence."""
+    path = tmp_path / "a.partial"
+    PartialSum(path, key=K, shape=(1, 2, 3), fresh=False).add(np.ones((1, 2, 3)))
+    data = path.read_bytes()
+    first = data.index(b"\n") + 1
+    damaged = [data[:cut] for cut in range(len(data))]
+    for bit in range(8 * len(data)):
+        turned = bytearray(data)
+        turned[bit // 8] ^= 1 << bit % 8
+        damaged.append(bytes(turned))
+    begun = 0
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            part = PartialSum(path, key=K, shape=(1, 2, 3), fresh=False)
+        except InputError:  # as of another render
+            assert content[:first] != data[:first]
+            continue
+        assert (part.done, part.total.sum()) == (0, 0)
+        begun += 1
+    assert begun >= 9 * (len(data) - first)
 
 
 @pytest.mark.parametrize("at_once", [1, 3, 64])
 @pytest.mark.parametrize("tile", [4, 7, 35, 40])
 def test_rows_come_out_as_tiles_went_in(tmp_path, tile, at_once):
     picture = np.arange(5 * 7 * 2, dtype=np.float32).reshape(35, 2)
-    with PartialImage(tmp_path / "p", key="k", values=tile * 2, fresh=False) as part:
+    with PartialImage(tmp_path / "p", key=K, values=tile * 2, fresh=False) as part:
         for start in range(0, 35, tile):
             part.append(picture[np.minimum(start + np.arange(tile), 34)])
         blocks = list(part.rows(7, 2, 5, at_once=at_once))

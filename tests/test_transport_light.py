@@ -295,6 +295,14 @@ def test_infinite_light_needs_a_scene_that_ends():
         light_traced(KEY, scene, view, paths=4)
 
 
+def test_a_plane_that_shines_is_refused():
+    floor = Plane([0, 0, 0], [0, 0, 1.0])
+    view = Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
+    scene = Scene([ROOM[0], Surface(floor, BLACK, [2.0, 2.0])], [])
+    with pytest.raises(ValueError, match=r"Scene\.surfaces\[1\] shines without end"):
+        light_traced(KEY, scene, view, paths=4)
+
+
 # ------------------------------------------------ two ways, one picture
 
 ROOM = [

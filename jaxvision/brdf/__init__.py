@@ -15,9 +15,10 @@ the caller vmaps. A spectrum is (bands,), or (1,) where it is neutral and broadc
 Mirrors and glass are delta functions, which no density describes: see `brdf.mirror`, `brdf.glass`.
 """
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Colour, Scalar
+from .._types import Colour, Scalar, check_shape
 from .._vector import Vec, Vector, as_array, as_vec
 from ..hemisphere import local_frame, to_local
 from ..scene import Material
@@ -64,9 +65,9 @@ def evaluate(material: Material, wi: Vector, wo: Vector) -> Colour:
     """f_r(wi, wo), the BRDF of any material: (bands,) in sr^-1.
 
     `wi` (toward the light), `wo` (toward the viewer): (3,) unit, local; 0 where wi.z <= 0 or
-    wo.z <= 0.
+    wo.z <= 0. Here and in the functions below `ValueError` for a direction of another shape.
     """
-    return family(material).evaluate(material, as_vec(wi), as_vec(wo))
+    return family(material).evaluate(material, _direction("wi", wi), _direction("wo", wo))
 
 
 def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
@@ -74,23 +75,24 @@ def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
 
     `wo`: (3,) unit, local, wo.z > 0. `u`: (3,) uniform in [0, 1).
     """
-    wi = family(material).sample(material, as_vec(wo), u)
+    wi = family(material).sample(material, _direction("wo", wo), u)
     return wi if isinstance(wo, Vec) else as_array(wi)
 
 
 def pdf(material: Material, wi: Vector, wo: Vector) -> Scalar:
     """Density of `sample` at `wi`: () in sr^-1 over the whole sphere; `wi`, `wo`: (3,) unit,
     local."""
-    return family(material).pdf(material, as_vec(wi), as_vec(wo))
+    return family(material).pdf(material, _direction("wi", wi), _direction("wo", wo))
 
 
 def albedo(material: Material, wo: Vector) -> Colour:
     """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi: (bands,), no unit.
 
-    What a viewer at `wo`, (3,) unit, local, wo.z > 0, sees of light that comes alike from
-    everywhere; of a reciprocal BRDF also the part that is reflected of light from `wo`.
+    What a viewer at `wo`, (3,) unit, local, sees of light that comes alike from everywhere, 0
+    where wo.z <= 0; of a reciprocal BRDF also the part that is reflected of light from `wo`.
     """
-    return family(material).albedo(material, as_vec(wo))
+    viewer = _direction("wo", wo)
+    return jnp.where(viewer.z > 0, family(material).albedo(material, viewer), 0)
 
 
 def shading(material: Material, wi: Vector, wo: Vector) -> Colour:
@@ -98,7 +100,14 @@ def shading(material: Material, wi: Vector, wo: Vector) -> Colour:
 
     The cosine of incidence is inside. `wi`, `wo`: (3,) unit, local.
     """
-    return family(material).shading(material, as_vec(wi), as_vec(wo))
+    return family(material).shading(material, _direction("wi", wi), _direction("wo", wo))
+
+
+def _direction(name: str, w: Vector) -> Vec:
+    """The components of a direction, `ValueError` if it is an array of another shape than (3,)."""
+    if not isinstance(w, Vec):
+        check_shape(name, w, (3,))
+    return as_vec(w)
 
 
 def reflect(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, safe_log, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
@@ -86,6 +86,15 @@ def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
 
 
 # ---------------------------------------------------------------- what the horizon leaves
+
+
+def log_cosine(angle: Scalars) -> Scalars:
+    """log(cos(angle)), `angle` in [0, pi / 2] rad: by 1 - cos = 2 sin^2(angle / 2) near 0, where
+    the cosine itself has lost the digits that a sharp lobe magnifies; `log_of_zero` at the end."""
+    near = angle < 1
+    small = jnp.log1p(-2 * jnp.square(jnp.sin(jnp.where(near, angle, 0) / 2)))
+    return jnp.where(near, small, safe_log(jnp.cos(jnp.where(near, 0, angle))))
+
 
 _NODES = 48
 

@@ -24,7 +24,16 @@ from .._numerics import arctan2, dot, smallest_divisor
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import direction_at
-from ._lobe import PowerLobe, choose, circles, diffuse_share, divisor, lit_and_seen, mixed_pdf
+from ._lobe import (
+    PowerLobe,
+    choose,
+    circles,
+    diffuse_share,
+    divisor,
+    lit_and_seen,
+    log_cosine,
+    mixed_pdf,
+)
 from ._registry import register
 from .phong import phong_lobe
 
@@ -149,7 +158,7 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
     def ring(doubled: Scalars, phi_m: Scalars, sin_m: Scalars) -> tuple[Scalars, Scalars]:
         """The integrals over |phi| < phi_m at t = doubled / 2."""
         cos_t, sin_t = jnp.cos(doubled / 2), jnp.sin(doubled / 2)
-        lobe = phong_lobe(jnp.log(cos_t), exponent) * sin_t / 2  # dt = d(doubled) / 2
+        lobe = phong_lobe(log_cosine(doubled / 2), exponent) * sin_t / 2  # dt = d(doubled) / 2
         a, b = cos_o * cos_t, sin_o * sin_t
         cos_m = jnp.cos(phi_m)
         d = 2 * (a * phi_m + b * sin_m)

@@ -1,11 +1,11 @@
 """Microfacet distributions and how facets hide each other. Local frame, unit directions.
 
 `alpha`: (2,), the roughness along x and y, no unit: sqrt(2) times the root mean square slope of a
-Beckmann surface; below 1e-6 counts as 1e-6. `distribution`: "beckmann" (Gaussian slopes) or "ggx"
-(heavy tails); `shadowing`: "smith" (height-correlated) or "v-cavity" (the grooves of Torrance and
-Sparrow, whatever the distribution). Densities in sr^-1. Sources: Walter et al., "Microfacet Models
-for Refraction through Rough Surfaces", EGSR 2007; Heitz, "Understanding the Masking-Shadowing
-Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
+Beckmann surface; below 1e-6 it counts as 1e-6 and has no gradient. `distribution`: "beckmann"
+(Gaussian slopes) or "ggx" (heavy tails); `shadowing`: "smith" (height-correlated) or "v-cavity"
+(the grooves of Torrance and Sparrow, whatever the distribution). Densities in sr^-1. Sources:
+Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; Heitz,
+"Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
 """
 
 from typing import Literal
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
-from .._numerics import dot, normalize, safe_sqrt, smallest_divisor
+from .._numerics import dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
 from .._types import Scalar
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cross
@@ -39,14 +39,18 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
     """
     n, a = as_vec(h), jnp.maximum(alpha, 1e-6)
-    above = n.z > 1e-5  # flatter facets have no weight that a float can hold
-    z = jnp.where(above, n.z, 1)
     across = jnp.square(n.x / a[0]) + jnp.square(n.y / a[1])
     scale = jnp.pi * a[0] * a[1]
     match distribution:
         case "beckmann":
-            density = jnp.exp(-across / (z * z)) / (scale * jnp.square(z * z))
-            return jnp.where(above, density, 0)
+            above = n.z > 1e-5  # flatter facets have no weight that a float can hold
+            z = jnp.where(above, n.z, 1)
+            steepness = across / (z * z)
+            # where the exponential is 0, z^4 in a derivative would leave the range of a float
+            counts = above & (steepness < -log_of_zero(z.dtype))
+            z = jnp.where(counts, z, 1)
+            density = jnp.exp(-jnp.where(counts, steepness, 0)) / (scale * jnp.square(z * z))
+            return jnp.where(counts, density, 0)
         case "ggx":
             facing = n.z > 0
             spread = jnp.where(facing, across + n.z * n.z, 1)

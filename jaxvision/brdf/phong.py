@@ -34,7 +34,7 @@ from ._lobe import (
     divisor,
     lit_and_seen,
     lobe_integrals,
-    log_cos,
+    log_cosine,
     mirrored,
     mixed_pdf,
 )
@@ -115,7 +115,7 @@ def evaluate(material: AnyPhong, wi: Vector, wo: Vector) -> Colour:
         case NormalisedPhong():
             lobe = (material.exponent + 2) / (2 * jnp.pi) * lobe
     seen = lit_and_seen(wi, wo)
-    return _body_and_lobe(material, jnp.where(seen, 1, 0), jnp.where(seen, lobe, 0))
+    return _body_and_lobe(material, seen.astype(lobe.dtype), jnp.where(seen, lobe, 0))
 
 
 def angles(wi: Vec, wo: Vec) -> tuple[Scalar, Scalar]:
@@ -202,7 +202,7 @@ def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]
     """
 
     def lobe(alpha: Scalars) -> Scalars:
-        return phong_lobe(log_cos(alpha), exponent)
+        return phong_lobe(log_cosine(alpha), exponent)
 
     width = 8.5 / jnp.sqrt(exponent + 1)
     return lobe_integrals(lobe, cos_axis, width=width, end=np.pi / 2)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, dot, norm, normalize, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_kind, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import reflected
@@ -43,9 +43,10 @@ class TorranceSparrow(Material):
 
     `diffuse`: (bands,) k_d in sr^-1. `specular`: (bands,) or neutral (1,), k_s, no unit: 1 for a
     surface that is all facets. `roughness`: () alpha, or (2,) along the tangent and across it, no
-    unit; below 1e-6 counts as 1e-6. `interface`: what the facets are made of, `Dielectric`,
+    unit; below 1e-6 it counts as 1e-6. `interface`: what the facets are made of, `Dielectric`,
     `Conductor` or `Schlick`; None reflects all. `distribution`: "ggx" or "beckmann".
-    `shadowing`: "smith" or "v-cavity". `ambient`: (bands,) k_a, no unit, or None.
+    `shadowing`: "smith" or "v-cavity". `ambient`: (bands,) k_a, no unit, or None. `ValueError` if
+    the interface has neither one band nor as many as the others.
     """
 
     diffuse: Colour = eqx.field(converter=as_float)
@@ -61,6 +62,14 @@ class TorranceSparrow(Material):
         check_shape("TorranceSparrow.specular", self.specular, self.diffuse.shape, (1,))
         check_shape("TorranceSparrow.roughness", self.roughness, (), (2,))
         check_shape("TorranceSparrow.ambient", self.ambient, self.diffuse.shape)
+        check_kind("TorranceSparrow.interface", self.interface, Interface)
+        counts = [jnp.size(x) for x in (self.diffuse, self.specular)]
+        counts += [jnp.size(x) for x in jax.tree.leaves(self.interface)]
+        if len(set(counts) - {1}) > 1:
+            raise ValueError(
+                f"TorranceSparrow.interface must have 1 band or {max(counts[:2])}, as the others, "
+                f"got {counts[-1]}."
+            )
         if self.distribution not in ("ggx", "beckmann"):
             raise ValueError(
                 "TorranceSparrow.distribution must be 'ggx' or 'beckmann', got "

@@ -62,7 +62,9 @@ def offset_origin(
     `point`: m. `normal`, `direction`: unit; the ray may leave on either side. `size`: () m, as
     `Hit.size`; without it the largest component of the point, too little where the surface
     itself reaches much farther from the world's origin than the point. A constant to gradients
-    but for the point. After Waechter & Binder, "A Fast and Robust Method for Avoiding
+    but for the point. One normal is known here: a ray from an edge or a corner of a mesh that goes
+    outward of the one face and inward of its neighbour starts on the wrong side of the neighbour
+    and may meet it. After Waechter & Binder, "A Fast and Robust Method for Avoiding
     Self-Intersection", Ray Tracing Gems (2019), ch. 6, with the shape's size in the bound.
     """
     reach = largest_component(point) if size is None else size

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar
+from .._types import Scalar, check_kind
 from .._vector import Vector
 from ..scene import Light
 from ._nodes import shifted_lattice
@@ -17,7 +17,8 @@ def light_nodes(
     light: Light, rule: Rule, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
     """Where in the unit square a rule looks at a light, and the weights, of sum 1; no unit. A
-    light at one place is looked at once."""
+    light at one place is looked at once. `ValueError` for what is no rule."""
+    check_kind("rule", rule, Rule)
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         return jnp.zeros((1, 2), dtype), jnp.ones(1, dtype)

@@ -4,7 +4,7 @@ The picture is as seen from inside with the zenith up: row 0 looks to +z, the la
 middle column to +x, and columns to the right turn clockwise seen from above (+y lies a quarter of
 the width to the left of the middle). Pixel centres carry the samples; between them the radiance is
 bilinear, around the seam and across the poles. Directions are unit vectors in the world. For ONE
-direction; the caller vmaps.
+ray or point; the caller vmaps.
 """
 
 import equinox as eqx

@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from .._types import as_float, check_shape
+from .._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
 # Steps of the resolution that every pixel with light gets at least. Running sums err by less than
@@ -26,13 +26,22 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
     pixel, times solid angle (all of the sphere alike if the picture is black), and a place with
     light at least 16 times the resolution of its floats in its row and its row in the picture.
     Gradients do not enter the probabilities. `rotation`: (3, 3), rows the map's axes in the world;
-    by default the world's own. `ValueError` for another shape.
+    by default the world's own. `ValueError` for another shape, a picture without pixels, and values
+    that are negative or not finite.
     """
     picture = as_float(radiance)
     check_shape("environment_map's radiance", picture, ("h", "w", "bands"))
+    if picture.size == 0:
+        raise ValueError(
+            f"environment_map's radiance must have pixels and bands, got {picture.shape}."
+        )
+    check_range("environment_map's radiance", picture, 0)
     h, w, _ = picture.shape
-    brightness = _pixel_means(jax.lax.stop_gradient(picture).mean(axis=-1))
-    brightness = jnp.where(brightness.max() > 0, brightness, 1)
+    fixed = jax.lax.stop_gradient(picture)
+    brightest = fixed.max()
+    # relative to the brightest, so that no sum of them leaves the range of a float
+    relative = jnp.where(brightest > 0, fixed / jnp.where(brightest > 0, brightest, 1), 1)
+    brightness = _pixel_means(relative.mean(axis=-1))
     cell = jnp.asarray(_row_solid_angles(h), picture.dtype)[:, None] * (2 * jnp.pi / w)
     mass = brightness * cell
     row_mass = mass.sum(axis=1, keepdims=True)

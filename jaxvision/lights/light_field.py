@@ -11,10 +11,11 @@ from itertools import product
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, normalize
-from .._types import Colour, Scalar, as_float, check_shape
+from .._types import Colour, Scalar, as_float, check_kind, check_shape, is_known
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..hemisphere import cross
@@ -30,7 +31,7 @@ class LightFieldLight(Light):
 
     `radiance`: (s, t, u, v, bands) W m^-2 sr^-1, the first and last sample of each axis on the
     windows' rims. `aperture`: the window (s, t), one-sided. `focal`: the window (u, v), parallel
-    to the aperture and not in its plane.
+    to the aperture to 1 mrad and not in its plane, else `ValueError`; so is a window of no area.
     """
 
     radiance: Float[Array, "s t u v bands"] = eqx.field(converter=as_float)
@@ -39,6 +40,40 @@ class LightFieldLight(Light):
 
     def __check_init__(self) -> None:
         check_shape("LightFieldLight.radiance", self.radiance, ("s", "t", "u", "v", "bands"))
+        for name in ("aperture", "focal"):
+            check_kind(f"LightFieldLight.{name}", getattr(self, name), Window)
+        if all(is_known(x) for x in jax.tree.leaves((self.aperture, self.focal))):
+            _check_windows(self.aperture, self.focal)
+
+
+_PARALLEL = 1e-3  # rad between the windows: more than float32 makes of any placing
+_APART = 1e-5  # of the largest length about them: a smaller distance between their planes is none
+
+
+def _check_windows(aperture: Window, focal: Window) -> None:
+    """`ValueError` unless the windows have areas, are parallel and lie in different planes."""
+    normals, lengths = [], []
+    for name, window in (("aperture", aperture), ("focal", focal)):
+        u, v = (np.asarray(edge, np.float64) for edge in (window.edge_u, window.edge_v))
+        across, sides = np.cross(u, v), (np.linalg.norm(u), np.linalg.norm(v))
+        area = np.linalg.norm(across)
+        if not area > _APART * sides[0] * sides[1]:
+            raise ValueError(f"LightFieldLight.{name} must be a window with an area, got {area:g}.")
+        normals.append(across / area)
+        lengths += sides
+    tilt = np.arcsin(min(np.linalg.norm(np.cross(*normals)), 1))
+    if tilt > _PARALLEL:
+        raise ValueError(
+            f"LightFieldLight.focal must be parallel to the aperture, got {tilt:.3g} rad between "
+            "them."
+        )
+    between = np.asarray(focal.corner, np.float64) - np.asarray(aperture.corner, np.float64)
+    distance = abs(between @ normals[0])
+    if not distance > _APART * max(*lengths, np.linalg.norm(between)):
+        raise ValueError(
+            "LightFieldLight.focal must lie behind or before the aperture, got a distance of "
+            f"{distance:g} m between their planes."
+        )
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:

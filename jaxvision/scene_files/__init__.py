@@ -7,6 +7,7 @@ by their name.
 
 import hashlib
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,8 +21,9 @@ from .._toml import checked, read_toml
 from .._types import as_dtype
 from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
+from ..geometry import problems
 from ..scene import AmbientLight, Material, Scene, Surface, View
-from ..scene_checks import scene_problems
+from ..scene_checks import lost_numbers, scene_problems
 from .bands import Bands, bands_of, in_bands
 from .folder import Folder
 from .materials import material_of
@@ -69,7 +71,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     surfaces = []
     for name, surface in zip(names, entry.surface, strict=True):
         with _named(file, name):
-            surfaces.append(_surface(surface, materials, bands, folder))
+            surfaces.append(_surface(surface, materials, bands, folder, entry.render.dtype))
     lights, light_names = [], _names("light", entry.light)
     for name, light in zip(light_names, entry.light, strict=True):
         with _named(file, name):
@@ -85,17 +87,29 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         scene = Scene(surfaces, lights, ambient)
     for problem in scene_problems(scene, view, names, light_names):
         raise InputError(f"{file}: {problem}")
-    scene, view = _in_dtype(file, (scene, view), entry.render.dtype)
+    kept, kept_view = _in_dtype(file, (scene, view), entry.render.dtype)
+    of_file = [
+        *zip(names, scene.surfaces, kept.surfaces, strict=True),
+        *zip(light_names, scene.lights, kept.lights, strict=True),
+        ("ambient", scene.ambient, kept.ambient),
+        ("camera", view, kept_view),
+    ]
+    for name, exact, rounded in of_file:
+        lost = lost_numbers(exact, rounded)
+        if isinstance(rounded, Surface):
+            lost += problems(rounded.shape)
+        for problem in lost:
+            raise InputError(f"{file}: {name}: {problem}")
     return SceneFile(
         file,
-        scene,
-        view,
+        kept,
+        kept_view,
         entry.render,
         bands.count,
         bands.wavelengths,
         names,
         light_names,
-        _digest(scene, view),
+        _digest(kept, kept_view),
     )
 
 
@@ -117,7 +131,9 @@ def _found(path: str | os.PathLike[str]) -> Path:
     raise InputError(f"{path}: neither a file nor a shipped scene; {hint}.")
 
 
-def _surface(entry, materials: dict[str, Material], bands: Bands, folder: Folder) -> Surface:
+def _surface(
+    entry, materials: dict[str, Material], bands: Bands, folder: Folder, dtype: str
+) -> Surface:
     """A shape of its material; without one it is black."""
     emission = None
     if entry.emission is not None:
@@ -129,7 +145,7 @@ def _surface(entry, materials: dict[str, Material], bands: Bands, folder: Folder
     else:
         hint = nearest(entry.material, materials)
         raise InputError(f"material {entry.material!r} is not in the file; {hint}.")
-    shape = shape_of(entry, folder)
+    shape = shape_of(entry, folder, dtype)
     return Surface(shape, material, emission, two_sided=entry.two_sided)
 
 
@@ -149,10 +165,12 @@ def _in_dtype(file: Path, records: tuple[Scene, View], dtype: str) -> tuple[Scen
 
 @contextmanager
 def _named(file: Path, name: str) -> Iterator[None]:
-    """Says in which file and object a value was refused."""
+    """Says in which file and object a value was refused, or a warning given."""
+    where = f"{file}: {name}: " if name else f"{file}: "
     try:
-        yield
+        with warnings.catch_warnings(record=True) as caught:
+            yield
     except ValueError as error:  # an InputError is one
-        sentence = str(error).removeprefix(f"{file}: ")
-        where = f"{file}: {name}: " if name else f"{file}: "
-        raise InputError(where + sentence) from error
+        raise InputError(where + str(error).removeprefix(f"{file}: ")) from error
+    for warning in caught:
+        warnings.warn(f"{where}{warning.message}", warning.category, stacklevel=4)

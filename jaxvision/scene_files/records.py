@@ -34,8 +34,8 @@ from .folder import Folder
 from .spectrum_schema import Axes, Spectrum
 
 
-def shape_of(entry: schema.Surface, folder: Folder) -> Shape:
-    """The record of a `[[surface]]`'s shape."""
+def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
+    """The record of a `[[surface]]`'s shape, which will be rendered in `dtype`."""
     match entry:
         case schema.SphereEntry():
             return Sphere(entry.centre, entry.radius)
@@ -56,6 +56,7 @@ def shape_of(entry: schema.Surface, folder: Folder) -> Shape:
                 position=entry.position,
                 smooth=entry.smooth,
                 flip=entry.flip,
+                dtype=dtype,
             )
 
 

@@ -194,7 +194,7 @@ class PinholeEntry(_Camera):
     `pixel_pitch`."""
 
     kind: Literal["pinhole"]
-    field_of_view: Annotated[float, Field(gt=0, lt=180)] | None = None
+    field_of_view: Annotated[Positive, Field(lt=180)] | None = None
     focal_length: Positive | None = None
     pixel_pitch: Positive | None = None
 
@@ -241,8 +241,11 @@ class RenderEntry(Entry):
     rays or paths a pixel; 64 of "path" and "light" if absent, else 1. `depth`: the most straight
     pieces of a path, 6 if absent; of "rays", how many rays of the tree are followed, 16. `rule`,
     `order`: how "direct", "rays" and "radiosity" take an extended light apart: by quadrature of
-    `order` a side, or by `order` random samples. `shadows`: of "direct". `patches`: about how many,
-    of "radiosity". `seed`: of what is random. `tile`: pixels computed at once.
+    `order` a side, or, but not by "rays", by `order` random samples. `shadows`: of "direct".
+    `patches`: about how many, of "radiosity". `gather`: of "radiosity" alone, rays from each point
+    seen that look for what other surfaces send there, drawn anew for each sample; 0: that is
+    interpolated between patches. `seed`: of what is random. `tile`: pixels computed at once; of
+    "light" without meaning, whose passes are whole pictures.
     """
 
     integrator: Literal["direct", "path", "rays", "light", "radiosity"] = "direct"
@@ -252,6 +255,7 @@ class RenderEntry(Entry):
     order: Count = 8
     shadows: bool = True
     patches: Count = 1000
+    gather: Annotated[int, Field(ge=0)] = 0
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     tile: Count = 65536
     dtype: Literal["float32", "float64"] = "float32"

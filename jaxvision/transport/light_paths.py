@@ -31,6 +31,7 @@ from ..optics import (
 from ..scene import Orthographic, Scene, ThinLens, View
 from ._emission import Ball, ball_around, emitted
 from ._emitters import transmitted
+from ._places import has_area
 from ._vertices import absorption_after, absorption_around, hidden, leave, meet, vertex
 from ._world import World, world_of
 from .paths import Paths, Traced, path_traced
@@ -58,7 +59,7 @@ def light_traced(
     static, the most straight pieces between emitter and eye, >= 1, as `Paths.depth`. `samples`:
     static, rays a pixel by which what shines is seen itself, >= 1. The numbers of a path are a
     function of the key and its own number. `ValueError` for light from infinitely far away in a
-    scene that has no end.
+    scene that has no end, and for a surface without end that shines.
     """
     for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
         if value < 1:
@@ -66,6 +67,12 @@ def light_traced(
     seen = path_traced(key, scene, view, method=Paths(samples, 1))
     if depth == 1:
         return seen
+    for i, surface in enumerate(scene.surfaces):
+        if surface.emission is not None and not has_area(surface.shape):
+            raise ValueError(
+                f"Scene.surfaces[{i}] shines without end, which leaves light no place to start "
+                "from; give it a shape of finite area, or trace paths from the eye."
+            )
     world = world_of(scene)
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))

@@ -155,6 +155,65 @@ def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
     np.testing.assert_allclose(single, double, rtol=3e-6)
 
 
+@pytest.mark.parametrize("record", [NormalisedPhong, NormalisedBlinn])
+def test_albedo_of_the_sharpest_lobes(record):
+    """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off; no
+    more from aside, and what 64 bits find."""
+    exponents = np.array([0.0, 1.0, 1e3, 1e5, 1e6, 1e7], np.float32)
+    cosines = np.array([1.0, 0.9, 0.1, 1e-3], np.float32)
+
+    def albedo(n, cos_o):
+        wo = jnp.stack([jnp.sqrt((1 - cos_o) * (1 + cos_o)), 0 * cos_o, cos_o])
+        return brdf.albedo(as_dtype(record([0.0], [1.0], n), cos_o.dtype), wo)[0]
+
+    every = quick_jit(jax.vmap(jax.vmap(albedo, (0, None)), (None, 0)))
+    single, double = (
+        every(jnp.asarray(exponents, dtype), jnp.asarray(cosines, dtype))
+        for dtype in (jnp.float32, jnp.float64)
+    )
+    assert single.dtype == jnp.float32
+    np.testing.assert_allclose(single[0], 1, rtol=1e-6)
+    np.testing.assert_allclose(single, double, rtol=1e-6)
+    assert single.max() <= 1 + 1e-6
+
+
+@both_precisions
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+def test_gradients_in_the_roughness_at_grazing_angles(dtype, distribution):
+    """A normal turned aside down to a cosine of 1e-7 over alphas from below 1e-6 to 10: all finite;
+    and d log(D) / d log(alpha) of D = exp(-tan^2 / alpha^2) / (pi alpha^2 cos^4), or of GGX,
+    where the density is one that a float can hold."""
+    cosines = jnp.logspace(-7, 0, 29, dtype=dtype)
+    alphas = jnp.logspace(-6.5, 1, 31, dtype=dtype)
+
+    def density(alpha, h):
+        both = jnp.stack([alpha, alpha])
+        return microfacet.normal_distribution(h, both, distribution=distribution)
+
+    def of(cos, alpha):
+        h = jnp.stack([jnp.sqrt((1 - cos) * (1 + cos)), 0 * cos, cos])
+        return jax.value_and_grad(density, argnums=(0, 1))(alpha, h)
+
+    every = jax.vmap(jax.vmap(of, (None, 0)), (0, None))
+    values, (slopes, turns) = quick_jit(every)(cosines, alphas)
+    for leaf in (values, slopes, turns):
+        assert jnp.isfinite(leaf).all()
+        assert leaf.dtype == dtype
+    cos, alpha = np.asarray(cosines, float)[:, None], np.asarray(alphas, float)[None]
+    ratio = (1 - cos) * (1 + cos) / (cos * alpha) ** 2
+    if distribution == "beckmann":
+        expected = 2 * ratio - 2
+        there = (cos > 1e-4) & (alpha > 1.1e-6) & (ratio < 20)
+    else:
+        expected = 4 * ratio / (1 + ratio) - 2
+        there = (alpha > 1.1e-6) & (ratio > 0) & (np.asarray(values) > 1e-25)
+    found = np.asarray(slopes, float) * alpha / np.where(there, np.asarray(values, float), 1)
+    assert there.sum() > 40
+    tolerance = 40 * float(jnp.finfo(dtype).eps)
+    error = np.abs(found - expected)[there] / (1 + ratio[there] * (distribution == "beckmann"))
+    assert error.max() <= tolerance
+
+
 def microfacets(**options):
     return [TorranceSparrow([0.1], [1.0], alpha, **options) for alpha in (0.0, 1e-4, 1.0)]
 

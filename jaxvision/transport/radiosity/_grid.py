@@ -1,11 +1,12 @@
 """How faces are cut into cells: their numbers, borders and neighbours. Nothing here has a unit."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._numerics import arctan2, safe_sqrt
 from ..._types import Scalar
@@ -76,25 +77,61 @@ def borders(count: int, graded: bool) -> np.ndarray:
 
 
 def around_place(
-    plan: Plan, face: Int[Array, ""], u: Scalar, v: Scalar
+    plan: Plan, covered: Bool[Array, " elements"], face: Int[Array, ""], u: Scalar, v: Scalar
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """The four elements around a place of a face, and bilinear weights of sum 1, no unit. Beyond
-    the outermost centres the weights extrapolate; around discs and spheres they wrap."""
+    """The element at a place of a face and three beside it, with bilinear weights of sum 1 or,
+    where all are covered, 0; no unit.
+
+    Those beside it lie toward the place. Where they are `covered`, or the face ends, those across
+    from them are taken, and the weights extrapolate, by half a cell at most. Around discs and
+    spheres cells wrap. At a place whose own element is covered, those of the others that are not
+    share its weight.
+    """
     firsts = offsets_of(plan, split=plan.split)[:-1]
     counts = [(f.rows * plan.split, f.columns * plan.split) for f in plan.faces]
     rows, columns = jnp.asarray(counts, jnp.int32)[face]
+    first = jnp.asarray(firsts, jnp.int32)[face]
     graded = jnp.asarray([f.graded for f in plan.faces])[face]
     wraps = jnp.asarray([f.wraps for f in plan.faces])[face]
 
-    def along(place: Scalar, count: Int[Array, ""], wraps: Array) -> tuple[Array, Scalar]:
+    def own(place: Scalar, count: Int[Array, ""]) -> tuple[Int[Array, ""], Scalar]:
         even = 2 / jnp.pi * arctan2(safe_sqrt(place), safe_sqrt(1 - place))
-        at = jnp.where(graded, even, place) * count.astype(place.dtype) - 0.5
-        low = jnp.floor(at).astype(jnp.int32)
-        low = jnp.where(wraps, low, jnp.clip(low, 0, jnp.maximum(count - 2, 0)))
-        share = jnp.where(count > 1, at - low.astype(at.dtype), 0)
-        return jnp.stack([low, low + 1]) % count, share
+        at = jnp.where(graded, even, place) * count.astype(place.dtype)
+        cell = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, count - 1)
+        return cell, at - cell.astype(at.dtype) - 0.5
 
-    (i, s), (j, t) = along(u, rows, jnp.zeros_like(wraps)), along(v, columns, wraps)
-    cells = jnp.asarray(firsts, jnp.int32)[face] + i[:, None] * columns + j[None, :]
-    weights = jnp.stack([1 - s, s])[:, None] * jnp.stack([1 - t, t])[None, :]
-    return cells.reshape(-1), weights.reshape(-1)
+    def cell(i: Int[Array, ""], j: Int[Array, ""]) -> Int[Array, ""]:
+        return first + (i % rows) * columns + j % columns
+
+    def neighbour(
+        share: Scalar, barred: Callable[[Int[Array, ""]], Bool[Array, ""]]
+    ) -> tuple[Int[Array, ""], Scalar]:
+        """The step to the other cell, and its weight."""
+        step = jnp.where(share < 0, -1, 1)
+        ahead, behind = barred(step), barred(-step)
+        away = jnp.where(behind, 0, -jnp.abs(share))
+        return jnp.where(ahead, -step, step), jnp.where(ahead, away, jnp.abs(share))
+
+    (i, s), (j, t) = own(u, rows), own(v, columns)
+    hidden = covered[cell(i, j)]
+    down, s = neighbour(
+        s, lambda k: (i + k < 0) | (i + k >= rows) | (covered[cell(i + k, j)] & ~hidden)
+    )
+    right, t = neighbour(
+        t,
+        lambda k: (
+            (~wraps & ((j + k < 0) | (j + k >= columns))) | (covered[cell(i, j + k)] & ~hidden)
+        ),
+    )
+    cells = jnp.stack(
+        [cell(i, j), cell(i + down, j), cell(i, j + right), cell(i + down, j + right)]
+    )
+    none = jnp.zeros_like(s)
+    plane = jnp.stack([1 - s - t, s, t, none])  # through three, where the fourth has no say
+    weights = plane + jnp.where(covered[cells[3]], none, s * t) * jnp.asarray(
+        [1, -1, -1, 1], s.dtype
+    )
+    open_ = jnp.where(covered[cells], none, jnp.maximum(weights, 0))
+    total = open_.sum()
+    shared = open_ * jnp.where(total > 0, 1 / jnp.where(total > 0, total, 1), 0)
+    return cells, jnp.where(hidden, shared, weights)

@@ -20,11 +20,12 @@ from ._grid import Plan, refined
 from .patches import Patches, by_patch, patches_of
 
 _PARTS = 2  # of an element, along each side
+_LEAST = 1e-3  # of an element, far less than a part is
 
 
 class Receivers(eqx.Module):
     """`elements`, `parts`: those that are covered have no area; an element that is covered in part
-    has the centre and the area of the rest."""
+    has the area of the rest, and its centre lies in the open."""
 
     elements: Patches
     parts: Patches
@@ -36,13 +37,20 @@ def receivers_of(scene: Scene, plan: Plan) -> Receivers:
     parts = stored(partial(patches_of, plan=plan, split=plan.split * _PARTS), scene)
     covered = _covered(scene, parts)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
+    # a mean of ones is 1 but for rounding, and then nothing is left to have a middle
+    uncovered = jnp.where(uncovered > _LEAST, uncovered, 0)
+    uncovered = jnp.where(uncovered < 1 - _LEAST, uncovered, 1)
     parts = eqx.tree_at(lambda p: p.area, parts, jnp.where(covered, 0, parts.area))
+    # The middle of an L is outside it where a body's corner reaches past the element's own middle:
+    # of three open parts of four the one across from the body is taken, of fewer their middle.
     middle = as_vec(mean_of_parts(as_array(parts.centre), parts, plan))
     partly = (uncovered > 0) & (uncovered < 1)
+    away = uncovered / jnp.where(partly, jnp.minimum(uncovered, 1 - uncovered), 1)
+    in_the_open = elements.centre + away * (middle - elements.centre)
     elements = eqx.tree_at(
         lambda e: (e.centre, e.area),
         elements,
-        (where(partly, middle, elements.centre), elements.area * uncovered),
+        (where(partly, in_the_open, elements.centre), elements.area * uncovered),
     )
     return Receivers(elements, parts)
 

@@ -49,7 +49,7 @@ def form_factor_table(
     else `ValueError`; they go to places spread over the patch, and differently for each pair, so
     that a patch, split into elements, sees others by split^2 `rays` rays. The error of a
     half-hidden factor is of the order of itself over sqrt(rays), and averages out over patches.
-    Elements receive at their centres, those covered in part at that of the rest: reciprocity holds
+    Elements receive at their centres, those covered in part where they are open: reciprocity holds
     to 2 % of the largest exchange in a cube of 3 x 3 patches a wall, split by 2, and better with a
     finer split.
     Gradients in the geometry are those of the unoccluded factors: none reaches visibility.

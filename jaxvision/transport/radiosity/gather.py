@@ -59,10 +59,10 @@ def radiosity_along(
     """
     lights, shapes = sources_of(scene), _ready(scene)
     diffuse = diffuse_of(scene, solution.irradiance)
-    met = _meet(scene, plan, ray)
+    met = _meet(scene, plan, solution, ray)
     direct = irradiance_at(lights, shapes, met.point, met.normal, rule)
     if gather is None:
-        exchanged = _interpolated(solution.irradiance, solution.covered, met)
+        exchanged = _interpolated(solution.irradiance, met)
     else:
         exchanged = _gathered(scene, plan, solution, met, gather)
     emission = emission_of(scene, solution.irradiance)[met.surface]
@@ -146,14 +146,16 @@ def _ready(scene: Scene) -> Sorted:
     return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
 
-def _meet(scene: Scene, plan: Plan, ray: Ray) -> _Met:
+def _meet(scene: Scene, plan: Plan, solution: Solution, ray: Ray) -> _Met:
     shapes = _ready(scene)
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
     encounter = stored(nearest_shape, ray, shapes)
     hit = stored(hit_shape, ray, shapes, encounter)
     surface = jnp.maximum(encounter.shape, 0)
     behind = dot(hit.normal, ray.direction) > 0
-    around, weights = stored(partial(_around, scene, plan), hit, encounter, behind)
+    around, weights = stored(
+        partial(_around, scene, plan), solution.covered, hit, encounter, behind
+    )
     return _Met(
         hit.distance,
         hit.point,
@@ -174,8 +176,9 @@ def _gathered(
 
     def add(total: Colour, u: Float[Array, "2"]) -> tuple[Colour, None]:
         wi = to_world(frame, cosine_direction(u))
-        there = _meet(scene, plan, Ray(offset_origin(met.point, met.normal, wi, size=size), wi))
-        arriving = _interpolated(solution.sent, solution.covered, there)
+        onward = Ray(offset_origin(met.point, met.normal, wi, size=size), wi)
+        there = _meet(scene, plan, solution, onward)
+        arriving = _interpolated(solution.sent, there)
         return total + jnp.where(there.seen, arriving, 0), None
 
     nothing = jnp.zeros(solution.sent.shape[1], solution.sent.dtype)
@@ -184,7 +187,12 @@ def _gathered(
 
 
 def _around(
-    scene: Scene, plan: Plan, hit: Hit, encounter: Encounter, behind: Bool[Array, ""]
+    scene: Scene,
+    plan: Plan,
+    covered: Bool[Array, " elements"],
+    hit: Hit,
+    encounter: Encounter,
+    behind: Bool[Array, ""],
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
     """The elements around a hit and their weights."""
     shapes = [surface.shape for surface in scene.surfaces]
@@ -201,16 +209,9 @@ def _around(
     surface = jnp.maximum(encounter.shape, 0)
     to_back = jnp.where(behind, jnp.asarray(fronts, jnp.int32)[surface], 0)
     face = jnp.asarray(firsts, jnp.int32)[surface] + part + to_back
-    return around_place(plan, jnp.minimum(face, len(plan.faces) - 1), u, v)
+    return around_place(plan, covered, jnp.minimum(face, len(plan.faces) - 1), u, v)
 
 
-def _interpolated(
-    values: Float[Array, "elements bands"], covered: Bool[Array, " elements"], met: _Met
-) -> Colour:
-    """A spectrum between elements; covered ones have no say, nor does the rest extrapolate then."""
-    open_ = jnp.where(covered[met.around], 0, jnp.ones_like(met.weights))
-    some = open_.sum() < 4
-    kept = jnp.where(some, jnp.maximum(met.weights, 0) * open_, met.weights)
-    total = kept.sum()
-    kept = kept * jnp.where(total > 0, 1 / jnp.where(total > 0, total, 1), 0)
-    return jnp.maximum((kept[:, None] * values[met.around]).sum(axis=0), 0)
+def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
+    """A spectrum between elements: extrapolated, it is no less than 0."""
+    return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

@@ -1,0 +1,35 @@
+"""Whether light is caught between surfaces that absorb none of it, so that no balance exists."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ._grid import Plan, parents_of
+
+# Of a closed room the mean of the rows of form factors is 1 within what quadrature and shadow rays
+# of single elements are off, divided by the root of their number.
+_CLOSED = 2e-3
+_BESIDE = 0.5  # an element that sees less than that of the scene stands outside of any room
+
+
+def trapping_patch(
+    table: Float[np.ndarray, "elements patches"],
+    albedo: Float[np.ndarray, "patches bands"],
+    plan: Plan,
+) -> int | None:
+    """The number of the first patch, no unit, whose light meets only white patches in some band,
+    again and again, in a room that lets less than 2e-3 of it out; None if there is none."""
+    own = parents_of(plan)
+    inside = table.sum(axis=1) > _BESIDE
+    count = table.shape[1]
+    for band in albedo.T:
+        loses = band < 1 - 16 * np.finfo(band.dtype).eps
+        while True:  # whoever sees a patch that loses light loses light
+            meets = (table @ loses.astype(table.dtype) > 0) & inside
+            more = loses | (np.bincount(own[meets], minlength=count) > 0)
+            if (more == loses).all():
+                break
+            loses = more
+        kept = ~loses[own] & inside
+        if kept.any() and table[kept].sum(axis=1).mean() > 1 - _CLOSED:
+            return int(own[kept][0])
+    return None
