@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from oracles import brdfs
 from scipy import integrate, stats
 
@@ -163,11 +164,12 @@ def test_dark_where_either_side_lies_below(name):
 @every_family
 def test_nothing_is_seen_from_below(name):
     material, _ = FAMILIES[name]
-    assert (ALBEDO(material, VIEWS * jnp.asarray([1.0, 1.0, -1.0])) == 0).all()
+    assert (ALBEDO(material, VIEWS * jnp.asarray([[1.0, 1.0, -1.0]])) == 0).all()
 
 
 def test_directions_of_another_shape_are_named():
-    """By whichever function, with the name of the one that is wrong; components pass."""
+    """By whichever function, by the check of types of this suite or the library's own; components
+    pass."""
     material, _ = FAMILIES["lambert"]
     one, many, flat = PAIRS[0][0], PAIRS[0], PAIRS[0][0][:2]
     calls = {
@@ -184,11 +186,10 @@ def test_directions_of_another_shape_are_named():
             lambda w: brdf.albedo(material, w),
         ],
     }
-    for name, (wrong, shape) in product(calls, [(many, "(200, 3)"), (flat, "(2,)")]):
+    for name, wrong in product(calls, [many, flat]):
         for call in calls[name]:
-            with pytest.raises(ValueError, match=rf"{name} must have shape \(3\), got") as caught:
+            with pytest.raises((ValueError, TypeCheckError), match=name):
                 jax.eval_shape(call, wrong)
-            assert shape in str(caught.value)
     np.testing.assert_array_equal(
         brdf.evaluate(material, as_vec(one), as_vec(one)), brdf.evaluate(material, one, one)
     )
@@ -197,8 +198,6 @@ def test_directions_of_another_shape_are_named():
 def test_bands_that_do_not_fit_are_named():
     with pytest.raises(ValueError, match="interface must have 1 band or 3, as the others, got 2"):
         TorranceSparrow([0.1] * 3, ONE, 0.3, interface=Conductor([1.0, 2], [3.0, 4]))
-    with pytest.raises(ValueError, match="interface must be a record, Dielectric or Conductor"):
-        TorranceSparrow([0.1] * 3, ONE, 0.3, interface=1.5)
     for interface in (Dielectric([1.5]), Dielectric([1.5] * 3), None):
         TorranceSparrow([0.1] * 3, ONE, 0.3, interface=interface)
     TorranceSparrow([0.1], ONE, 0.3, interface=Dielectric([1.5] * 3))

@@ -92,7 +92,7 @@ def rgl_fields(rng, *, phi=(0.0,), thetas=4, side=5, fine=25, bands=None):
     fields = {
         "description": np.frombuffer(b"made up", np.uint8),
         "phi_i": phi,
-        "theta_i": np.linspace(0, np.pi / 2, thetas, dtype=np.float32) ** np.float32(1.1),
+        "theta_i": (np.pi / 2 * np.linspace(0, 1, thetas) ** 1.1).astype(np.float32),
         "sigma": smooth(3, fine),
         "ndf": turning(3, fine) * narrow,
         "vndf": turning(*nodes, fine, fine) * x**3 * narrow,
