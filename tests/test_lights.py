@@ -77,7 +77,5 @@ def test_each_pixel_draws_its_own_samples_by_the_same_rule():
         keys = [jax.random.key_data(x) for x in (key, first.key, second.key)]
         assert len({tuple(np.asarray(x)) for x in keys}) == 3
     assert rule_for(Quadrature(3), jnp.asarray(1)) == Quadrature(3)
-    with pytest.raises(
-        ValueError, match=r"Balanced.samples must be a whole number .* got 0"
-    ):
+    with pytest.raises(ValueError, match=r"Balanced.samples must be a whole number .* got 0"):
         Balanced(key, 0)
