@@ -46,8 +46,13 @@ EAGER = {
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_tables",
 }
-# Static answers to static questions: no array goes in.
+# Static answers to static questions: no array goes in. And parts of the one loop of a shadow ray,
+# swept with `occluded`, `visibility` and `outgoing_radiance`.
 STATIC = {
+    "jaxvision.geometry.nearest.blocked",
+    "jaxvision.shadows.clear",
+    "jaxvision.shadows.comes_through",
+    "jaxvision.shadows.light_comes_through",
     "jaxvision.hemisphere.product_nodes",
     "jaxvision.rendering.bake",
     "jaxvision.transport.radiosity.patches.plan_patches",

@@ -5,6 +5,7 @@ import numpy as np
 
 from jaxvision import as_vec
 from jaxvision.brdf import fresnel as fr
+from jaxvision.brdf import phong
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
 from jaxvision.brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
@@ -73,7 +74,8 @@ EXAMPLES = {
     "brdf.phong.power_pdf": ((N, WI, TWO), {}),
     "brdf.phong.power_integrals": ((COS, TWO), {}),
     **family("phong", NormalisedPhong(KD, KS, TWO), *SAMPLED),
-    **family("phong", PHONG, "shading"),
+    "brdf.phong.angles": ((as_vec(WI), as_vec(WO)), {}),
+    "brdf.phong.at_angles": ((PHONG, phong.angles(as_vec(WI), as_vec(WO))), {}),
     "brdf.gaussian_lobe.gaussian_lobe": ((X, TWO), {}),
     "brdf.gaussian_lobe.gaussian_lobe_shading": ((N, WI, WO, KD, KS, TWO), {}),
     "brdf.gaussian_lobe.squared_angle_between": ((WI, WO), {}),
