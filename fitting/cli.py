@@ -4,26 +4,28 @@ from files of measured BRDFs, and a demo that simulates such a folder first.
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 """
 
+import inspect
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any
 
 import jax
 import numpy as np
 import typer
 
+from jaxvision._command import failures_as_sentences, leave
 from jaxvision.errors import InputError
 
 from .console import Reporter, output, print_section, reporting
 from .posterior import Progress, SamplingOptions
 from .results import Section
 
-STEPS, WALKERS = 20_000, 64
+COMMAND = "jaxvision-fit"
 
 
 class Model(StrEnum):
@@ -52,12 +54,17 @@ class Objective(StrEnum):
 class Options:
     """What every sub-command shares."""
 
-    out: Path | None
-    as_json: bool
-    mcmc: bool
-    seed: int
-    steps: int
-    walkers: int
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write report, results and chains to this folder.", metavar="DIR"),
+    ] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
+    mcmc: Annotated[
+        bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
+    ] = False
+    seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
+    steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
+    walkers: Annotated[int, typer.Option(help="Walkers (--mcmc).", min=4)] = 64
 
     def sampling(self, kind: str, progress: Progress) -> SamplingOptions | None:
         """How to sample, or None for Laplace."""
@@ -88,7 +95,7 @@ app = typer.Typer(
 def _path(text: str) -> Path:
     """A path as it was typed; an empty one, which would be the working folder, ends the command."""
     if not text:
-        _leave("a path is empty; name a folder or a file.", 2)
+        leave(COMMAND, "a path is empty; name a folder or a file.", 2)
     return Path(text)
 
 
@@ -98,21 +105,28 @@ RigPath = Annotated[
         help="Folder with a rig.toml (or the rig file itself).", metavar="PATH", parser=_path
     ),
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", help="Write report, results and chains to this folder.", metavar="DIR"),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
-Mcmc = Annotated[
-    bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
-]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of every random draw.", min=0)]
-Steps = Annotated[int, typer.Option("--steps", help="Most steps of a chain (--mcmc).", min=1)]
-Walkers = Annotated[int, typer.Option("--walkers", help="Walkers (--mcmc).", min=4)]
 
 
-@app.command()
+def _command(function: Callable[..., None]) -> Callable[..., None]:
+    """Registers a sub-command, whose `options` hold what the options that all share say."""
+    shared = inspect.signature(Options).parameters
+    own = dict(inspect.signature(function).parameters)
+    del own["options"]
+
+    def command(**given: Any) -> None:
+        options = Options(**{name: given.pop(name) for name in shared})
+        function(options, **given)
+
+    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
+    command.__signature__ = inspect.Signature(parameters)
+    command.__annotations__ = {p.name: p.annotation for p in parameters}
+    app.command(function.__name__, help=function.__doc__)(command)
+    return function
+
+
+@_command
 def noise(
+    options: Options,
     path: Annotated[
         Path,
         typer.Argument(
@@ -125,53 +139,38 @@ def noise(
     channel: Annotated[
         str, typer.Option(help="Site of a Bayer mosaic to use (default: the first green).")
     ] = "",
-    out: Out = None,
-    as_json: Json = False,
-    mcmc: Mcmc = False,
-    seed: Seed = 0,
-    steps: Steps = STEPS,
-    walkers: Walkers = WALKERS,
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
     from .noise import calibrate_noise, noise_section
     from .photon_transfer import read_photon_transfer
-
-    options = Options(out, as_json, mcmc, seed, steps, walkers)
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading frames"):
             measurement = read_photon_transfer(path, bits=bits, channel=channel)
         with reporter.step("fitting photon transfer") as progress:
             sampling = options.sampling("noise", progress)
-            calibration = calibrate_noise(measurement, sampling=sampling, seed=seed)
+            calibration = calibrate_noise(measurement, sampling=sampling, seed=options.seed)
         return [noise_section(calibration)], {}
 
     _run("Photon transfer", path, options, calibrate)
 
 
-@app.command()
+@_command
 def response(
+    options: Options,
     path: RigPath,
-    out: Out = None,
-    as_json: Json = False,
-    mcmc: Mcmc = False,
-    seed: Seed = 0,
-    steps: Steps = STEPS,
-    walkers: Walkers = WALKERS,
 ) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
     from .exposures import read_exposure_stack
     from .response import calibrate_response, radiance_images, response_section
     from .rig import load_rig
 
-    options = Options(out, as_json, mcmc, seed, steps, walkers)
-
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading exposures"):
             stack = read_exposure_stack(load_rig(path))
         with reporter.step("fitting response") as progress:
             sampling = options.sampling("response", progress)
-            calibration = calibrate_response(stack, sampling=sampling, seed=seed)
+            calibration = calibrate_response(stack, sampling=sampling, seed=options.seed)
         images = {
             f"radiance_{group}.exr" if group else "radiance.exr": radiance
             for group, radiance in radiance_images(calibration).items()
@@ -181,14 +180,15 @@ def response(
     _run("Camera response", path, options, calibrate)
 
 
-@app.command()
+@_command
 def brdf(
+    options: Options,
     paths: Annotated[
         list[Path],
         typer.Argument(
             help="A rig folder, or files of measured reflectance: .brdf (Cornell), .bsdf (RGL), "
             ".binary (MERL).",
-            metavar="PATH...",
+            metavar="PATH",
             parser=_path,
         ),
     ],
@@ -219,18 +219,11 @@ def brdf(
             help="Files: least squares of f_r cos (cosine, the default) or its cube root."
         ),
     ] = None,
-    out: Out = None,
-    as_json: Json = False,
-    mcmc: Mcmc = False,
-    seed: Seed = 0,
-    steps: Steps = STEPS,
-    walkers: Walkers = WALKERS,
 ) -> None:
     """Reflectance from images of a known shape, or of measured BRDFs, models compared on held-out
     lights or angles."""
     from .measured_reflectance import is_measured_brdf
 
-    options = Options(out, as_json, mcmc, seed, steps, walkers)
     if any(is_measured_brdf(path) for path in paths):
         for_rigs = {
             "--compare-all": compare_all,
@@ -324,30 +317,30 @@ def _brdf_of_files(
     _run("Measured reflectance", paths[0], options, calibrate)
 
 
-@app.command()
-def demo(
-    out: Annotated[
-        Path, typer.Option("--out", help="Where images and report go.", metavar="DIR")
-    ] = Path("jaxvision-demo"),
-    as_json: Json = False,
-    mcmc: Mcmc = False,
-    seed: Seed = 0,
-    steps: Steps = STEPS,
-    walkers: Walkers = WALKERS,
-) -> None:
-    """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth."""
+@_command
+def demo(options: Options) -> None:
+    """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
+    in the folder jaxvision-demo, or the one of --out."""
     from .demo import calibrate_lab, demo_section
     from .lab import simulate_lab
 
-    options = Options(out, as_json, mcmc, seed, steps, walkers)
+    out = options.out or Path("jaxvision-demo")
+    options = replace(options, out=out)
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("simulating the lab") as progress:
-            truth = simulate_lab(out / "lab", seed=seed, progress=progress)
+            truth = simulate_lab(out / "lab", seed=options.seed, progress=progress)
         sections = calibrate_lab(out / "lab", reporter.step, options.sampling)
         return [demo_section(sections, truth), *sections], {}
 
     _run("A simulated lab afternoon", out, options, calibrate)
+
+
+_failures = partial(
+    failures_as_sentences,
+    COMMAND,
+    interrupted="interrupted; with --mcmc and --out the same command resumes.",
+)
 
 
 def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
@@ -356,7 +349,7 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
 
     from .report import as_json, write_report
 
-    with _failures_as_sentences(), reporting() as reporter:
+    with _failures(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
@@ -393,24 +386,6 @@ def _folder(out: Path | None) -> Iterator[None]:
         if out is not None and made and not any(out.iterdir()):
             out.rmdir()
         raise
-
-
-@contextmanager
-def _failures_as_sentences() -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        _leave(str(error), 2)
-    except OSError as error:
-        where = error.filename or "a file"
-        _leave(f"{where}: {error.strerror or error}; choose another path or make room.", 2)
-    except KeyboardInterrupt:
-        _leave("interrupted; with --mcmc and --out the same command resumes.", 130)
-
-
-def _leave(sentence: str, status: int) -> NoReturn:
-    print(f"jaxvision-fit: {sentence}", file=sys.stderr)
-    raise typer.Exit(status)
 
 
 def main() -> None:

@@ -130,6 +130,7 @@ from .hemisphere import (
     to_local,
     to_world,
 )
+from .hemisphere_integral import Estimate, hemisphere_radiance, lit_radiance, sampled_radiance
 from .lights import (
     Balanced,
     DirectionalLight,
@@ -255,13 +256,7 @@ from .sensor import (
     raw_image,
     signal_variance,
 )
-from .shading import (
-    Estimate,
-    hemisphere_radiance,
-    lit_radiance,
-    outgoing_radiance,
-    sampled_radiance,
-)
+from .shading import outgoing_radiance
 from .shadows import Leaving, visibility
 from .transport import (
     Paths,

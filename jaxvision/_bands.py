@@ -11,7 +11,7 @@ from ._types import Colour, Scalar
 
 Bands = tuple[Scalar, ...]
 
-_BY_ITSELF = 8  # bands that are computed one by one; of more, the code would only grow
+FEW = 8  # numbers of an array that are computed one by one; of more, the code would only grow
 
 
 def apart(spectrum: Colour | Bands, bands: int) -> Bands:
@@ -40,7 +40,7 @@ def by_band(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Co
     would store it first.
     """
     bands = max(spectrum.shape[0] for spectrum in spectra)
-    if bands > _BY_ITSELF:
+    if bands > FEW:
         return function(*spectra)
     each = zip(*(apart(spectrum, bands) for spectrum in spectra), strict=True)
     return jnp.stack([function(*band) for band in each])

@@ -34,8 +34,7 @@ from .transport.radiosity import (
     radiosity,
     radiosity_along,
 )
-from .transport.radiosity._sources import diffuse_of
-from .transport.radiosity._trapped import trapping_patch
+from .transport.radiosity._trapped import trapping_surface
 
 BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
@@ -145,8 +144,9 @@ def _solved(source: SceneFile, settings: RenderEntry) -> Along:
         scene, rule = source.scene, _rule(settings, jax.random.key(settings.seed))
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
-        _check_balance(scene, plan)
-        solution = jax.jit(lambda scene, rule: radiosity(scene, plan, rule=rule))(scene, rule)
+        table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
+        _check_balance(scene, plan, table)
+        solution = jax.jit(partial(radiosity, plan=plan))(scene, table=table, rule=rule)
     gather = None
     if settings.gather > 0:
         gather = MonteCarlo(jax.random.fold_in(jax.random.key(settings.seed), 2), settings.gather)
@@ -164,23 +164,16 @@ def _solved(source: SceneFile, settings: RenderEntry) -> Along:
     return along
 
 
-def _check_balance(scene: Scene, plan: Plan) -> None:
+def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
     """`ValueError` with the number of a surface between whose likes light is caught for ever."""
-    white = [
-        isinstance(surface.material, Lambert) and float(surface.material.diffuse.max()) * np.pi
-        for surface in scene.surfaces
-    ]
-    if max(white) < 1 - 1e-5:
-        return
-    table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
-    patches = jax.jit(lambda scene: patches_of(scene, plan))(scene)
-    albedo = np.pi * np.asarray(diffuse_of(scene, table[:, :1]))[np.asarray(patches.surface)]
-    caught = trapping_patch(np.asarray(table), albedo, plan)
+    materials = [surface.material for surface in scene.surfaces]
+    diffuse = [np.asarray(own.diffuse) for own in materials if isinstance(own, Lambert)]
+    albedo = np.pi * np.stack(np.broadcast_arrays(*diffuse))  # `plan_patches` refuses all others
+    caught = trapping_surface(np.asarray(table), albedo, plan)
     if caught is not None:
         raise ValueError(
-            f"Scene.surfaces[{int(patches.surface[caught])}].material has albedo 1 in a closed "
-            "room of such surfaces, where the light of radiosity grows without end; give one of "
-            "them less."
+            f"Scene.surfaces[{caught}].material has albedo 1 in a closed room of such surfaces, "
+            "where the light of radiosity grows without end; give one of them less."
         )
 
 

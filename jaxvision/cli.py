@@ -5,16 +5,14 @@ Bad input ends with one sentence on standard error and exit status 2; an interru
 
 import json
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import jax
 import typer
 
+from ._command import failures_as_sentences
 from .errors import InputError
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -211,30 +209,6 @@ def _print_table(title: str, bands: Any) -> None:
         table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells))
     width = None if sys.stdout.isatty() else PLAIN_WIDTH
     Console(width=width, highlight=False).print(table)
-
-
-@contextmanager
-def failures_as_sentences(command: str) -> Iterator[None]:
-    """Turns what a user can put right into one line on standard error and an exit status, and a
-    warning into one line."""
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_: print(
-                f"{command}: {message}", file=sys.stderr
-            )
-            yield
-    except InputError as error:
-        _leave(command, str(error), 2)
-    except OSError as error:
-        where = error.filename or "a file"
-        _leave(command, f"{where}: {error.strerror or error}; choose another path.", 2)
-    except KeyboardInterrupt as interrupt:
-        _leave(command, str(interrupt) or "interrupted.", 130)
-
-
-def _leave(command: str, sentence: str, status: int) -> NoReturn:
-    print(f"{command}: {sentence}", file=sys.stderr)
-    raise typer.Exit(status)
 
 
 def main() -> None:

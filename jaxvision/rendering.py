@@ -12,7 +12,7 @@ import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from ._bands import apart
+from ._bands import FEW, apart
 from ._numerics import dot
 from ._staging import in_tiles, reordered, stored, together
 from ._types import Colour, Image, Key, Scalar, group_by_structure, take
@@ -28,7 +28,6 @@ from .shadows import DEFAULT_RULE, TRACED, Leaving, visibility
 # Rays at once: cores share each loop over a tile, which must be long beside the start of a task.
 _TILE = 65536
 _LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
-_FEW = 8  # numbers in an array of a material that are spread one by one
 _BLOCK = 256  # pixels of one surface that are shaded together: a material is read once for them
 _BLOCKS = 2048  # blocks at once of baked angles: what a gradient keeps of them is no more than they
 
@@ -303,15 +302,12 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
     emissions = [surface.emission for surface in scene.surfaces]
 
     def block(pixels, surface, point, normal, facing, wo, blocked, angles) -> Array:
-        if (
-            size < blocks
-        ):  # what is sliced is stored, or else sliced again in each loop that reads it
+        if size < blocks:  # a slice is stored, or each loop that reads it would slice again
             point = together(point)
         visible = jax.tree.map(jnp.logical_not, blocked)
         radiance = jnp.zeros((), point.x.dtype)
         for members, group in groups:
             material, among = stored(partial(take, members), group, surface)
-
             kind = type(materials[members[0]])
             of_kind = angles[baked.kinds.index(kind)] if kind in baked.kinds else None
 
@@ -339,8 +335,8 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
     known = dict(zip(baked.kinds, baked.angles, strict=True))
     of_all = [known.get(type(material)) for material in materials]
     blocks = len(baked.surface)
-    few = all(angles is not None and None not in angles for angles in of_all)
-    size = blocks // _tiles(blocks) if few else _TILE // _BLOCK
+    parted = all(angles is not None and None not in angles for angles in of_all)
+    size = blocks // _tiles(blocks) if parted else _TILE // _BLOCK
     sorted_radiance = in_tiles(
         block,
         baked.pixels,
@@ -362,7 +358,7 @@ def shade_baked(baked: Baked, scene: Scene) -> Image:
 def _for_each(count: int, leaf: Array) -> Array:
     """The array once for each of many rays; a short one number by number, so that each number's
     cotangents are summed up alone, not side by side with those of others."""
-    if leaf.ndim != 1 or leaf.size > _FEW:
+    if leaf.ndim != 1 or leaf.size > FEW:
         return jnp.broadcast_to(leaf, (count, *leaf.shape))
     return jnp.stack([jnp.broadcast_to(x, (count,)) for x in apart(leaf, leaf.size)], axis=-1)
 

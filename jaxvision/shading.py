@@ -1,7 +1,6 @@
-"""The rendering equation at one surface point: a sum over sources, or an integral over directions.
+"""The rendering equation at one surface point, as a sum over sources.
 
-    L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)                      discrete sources
-    L(wo) = integral over the hemisphere of L_i(wi) S(wi, wo) dwi
+    L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)
 
 with E_i the irradiance a facing surface would receive from source i and S the material's shading:
 f_r cos+ of a BRDF, and what the textbook says of Phong and the Gaussian lobe, which put no cosine
@@ -13,33 +12,29 @@ shadow is traced. For ONE point: the caller vmaps.
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from . import brdf
-from ._bands import Bands, apart, plus
-from ._numerics import reciprocal, safe_sqrt
+from ._bands import FEW, Bands, apart, plus
+from ._directions import balanced, in_frame, where_clear
 from ._staging import derived_together, together
-from ._types import Colour, Key, Scalar, common_dtype, group_by_structure
-from ._vector import Vec, Vector, as_array, as_vec
+from ._types import Colour, Scalar, common_dtype, group_by_structure
+from ._vector import Vec, Vector, as_vec
 from .brdf.mirror import Mirror
 from .geometry import Ray, Shapes, mirror_direction, sorted_shapes
-from .hemisphere import Frame, local_frame, product_nodes, to_local, to_world
+from .hemisphere import to_local
 from .lights import (
     Balanced,
     Incident,
     Rule,
     can_be_seen,
-    direction_pdf,
-    direction_sample,
     incident,
     incident_sample,
     incident_samples,
     light_nodes,
     nearest_seen,
-    seen,
 )
 from .scene import AmbientLight, Light, Material
 from .shadows import (
@@ -54,16 +49,7 @@ from .shadows import (
 
 Angles = tuple[Any | None, ...]
 
-_FEW = 8  # numbers in an array of a material that are read one by one
 _UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
-
-
-class Estimate(eqx.Module):
-    """`value`: (bands,) W m^-2 sr^-1. `error`: (bands,), in the same unit: what the function that
-    made it says it is."""
-
-    value: Colour
-    error: Colour
 
 
 def outgoing_radiance(
@@ -100,7 +86,7 @@ def outgoing_radiance(
     eight lights of one kind, are a loop over one piece of code; up to eight lights at one place are
     summed in one pass over the rays.
     """
-    frame, viewer = _frame(normal, wo, tangent)
+    frame, viewer = in_frame(normal, wo, tangent)
     dtype = common_dtype(material, lights, point, normal, wo)
     own = Leaving(normal) if leaving is None else leaving
     place = None if occluders is None else Place(point, own, sorted_shapes(occluders))
@@ -132,7 +118,7 @@ def outgoing_radiance(
 
     def reflected(arriving: Incident, shading: Colour, passes: Bool[Array, ""] | None) -> Bands:
         pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
-        return tuple(_where(passes, e * s) for e, s in pairs)
+        return tuple(where_clear(passes, e * s) for e, s in pairs)
 
     def from_places(
         lights: Sequence[Light],
@@ -175,7 +161,7 @@ def outgoing_radiance(
         @jax.checkpoint
         def from_both(total: Bands, node: tuple[Array, Array, Array]) -> tuple[Bands, None]:
             of_light, of_material, weight = node
-            both = _balanced(material, light, point, frame, viewer, of_light, of_material, place)
+            both = balanced(material, light, point, frame, viewer, of_light, of_material, place)
             both = weight * both
             return plus(total, apart(both, bands)), None
 
@@ -204,7 +190,7 @@ def outgoing_radiance(
         direction = mirror_direction(as_vec(normal), as_vec(wo))
         ahead = nearest_seen(lights, Ray(point, direction))
         passes = None if place is None else clear(place, direction, ahead.distance)
-        image = _where(passes, brdf.albedo(material, viewer) * ahead.radiance)
+        image = where_clear(passes, brdf.albedo(material, viewer) * ahead.radiance)
         radiance = plus(radiance, apart(image, bands))
     # angles say themselves where the surface is seen from behind
     radiance = tuple(jnp.where(viewer.z > 0, band, 0) for band in radiance)
@@ -228,7 +214,7 @@ def light_angles(
     of_family = brdf.family(material).angles
     if of_family is None:
         return None
-    frame, viewer = _frame(normal, wo, None)
+    frame, viewer = in_frame(normal, wo, None)
     found: list[Any | None] = [None] * len(lights)
     for members, _ in group_by_structure(lights):
         for member in members if _in_one_pass(lights, members) else ():
@@ -244,150 +230,11 @@ def _in_one_pass(lights: Sequence[Light], members: Sequence[int]) -> bool:
     return not can_be_seen(lights[members[0]]) and len(members) <= _UNROLLED
 
 
-def hemisphere_radiance(
-    material: Material,
-    incident_radiance: Callable[[Vector], Colour],
-    normal: Vector,
-    wo: Vector,
-    *,
-    tangent: Vector | None = None,
-    polar: int = 32,
-    azimuths: int = 64,
-) -> Estimate:
-    """The integral over the hemisphere by Gauss-Legendre in cos(theta) times the trapezium rule.
-
-    `incident_radiance(wi)`: (bands,) W m^-2 sr^-1 that arrives from the unit direction `wi`.
-    `normal`, `wo`: (3,) unit. `polar`, `azimuths`: static node counts, at least 2 each, else
-    `ValueError`. The error is the difference to the rule of half as many nodes each way: far above
-    the truth for smooth light and surface, about it for light with edges, and blind to a lobe or a
-    light that falls between all nodes (a mirror among them).
-    """
-    if polar < 2 or azimuths < 2:
-        raise ValueError(f"polar and azimuths must be at least 2, got {polar} and {azimuths}.")
-    frame, viewer = _frame(normal, wo, tangent)
-
-    def integral(polar: int, azimuths: int) -> Colour:
-        directions, weights = (
-            jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths)
-        )
-
-        def at(wi: Vec) -> Colour:
-            return incident_radiance(_world(frame, wi, wo)) * brdf.shading(material, wi, viewer)
-
-        return (weights[:, None] * jax.vmap(at)(as_vec(directions))).sum(axis=0)
-
-    value = integral(polar, azimuths)
-    return Estimate(value, jnp.abs(value - integral(polar // 2, azimuths // 2)))
-
-
-def sampled_radiance(
-    key: Key,
-    material: Material,
-    incident_radiance: Callable[[Vector], Colour],
-    normal: Vector,
-    wo: Vector,
-    *,
-    samples: int,
-    tangent: Vector | None = None,
-) -> Estimate:
-    """The integral over the hemisphere by directions drawn as the material reflects them.
-
-    `incident_radiance(wi)`: (bands,) W m^-2 sr^-1 that arrives from the unit direction `wi`.
-    `normal`, `wo`: (3,) unit. `samples`: static, at least 2, else `ValueError`. The error is the
-    standard error of the mean: unbiased, but low whenever a rare bright light was not met.
-    """
-    _check_samples(samples)
-    frame, viewer = _frame(normal, wo, tangent)
-    if isinstance(material, Mirror):
-        arriving = incident_radiance(mirror_direction(normal, wo))
-        return Estimate(brdf.albedo(material, viewer) * arriving, jnp.zeros_like(arriving))
-
-    def draw(u: Float[Array, "3"]) -> Colour:
-        wi = as_vec(brdf.sample(material, viewer, u))
-        density = brdf.pdf(material, wi, viewer)
-        arriving = incident_radiance(_world(frame, wi, wo))
-        return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
-
-    return _mean(jax.vmap(draw)(jax.random.uniform(key, (samples, 3), viewer.z.dtype)))
-
-
-def lit_radiance(
-    key: Key,
-    material: Material,
-    light: Light,
-    point: Vector,
-    normal: Vector,
-    wo: Vector,
-    *,
-    samples: int,
-    tangent: Vector | None = None,
-    occluders: Shapes | None = None,
-) -> Estimate:
-    """Radiance from `point` under one extended light, each sample a direction drawn from the light
-    and one from the material, joined by the balance heuristic (Veach and Guibas, "Optimally
-    Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995): near the better of
-    both, whether the lobe or the light is the smaller one.
-
-    `point`: (3,) m. `normal`, `wo`: (3,) unit. `samples`: static, at least 2, else `ValueError`, as
-    for a light at one place. `occluders`: as `outgoing_radiance` takes them. (bands,) in
-    W m^-2 sr^-1; the error is the standard error of the mean, 0 for a mirror, which shows what lies
-    along its one ray. For several lights, and inside a `render`, `outgoing_radiance` does the same
-    by the rule `Balanced`.
-    """
-    _check_samples(samples)
-    frame, viewer = _frame(normal, wo, tangent)
-    place = None if occluders is None else Place(point, Leaving(normal), sorted_shapes(occluders))
-    if isinstance(material, Mirror):
-        arriving = _arriving(light, point, mirror_direction(normal, wo), place)
-        return Estimate(brdf.albedo(material, viewer) * arriving, jnp.zeros_like(arriving))
-
-    def draw(u: Float[Array, "5"]) -> Colour:
-        return _balanced(material, light, point, frame, viewer, u[:2], u[2:], place)
-
-    return _mean(jax.vmap(draw)(jax.random.uniform(key, (samples, 5), viewer.z.dtype)))
-
-
-def _balanced(
-    material: Material,
-    light: Light,
-    point: Vector,
-    frame: Frame,
-    viewer: Vec,
-    of_light: Float[Array, "2"],
-    of_material: Float[Array, "3"],
-    place: Place | None,
-) -> Colour:
-    """One direction from the light and one from the material, each weighed by the density of both
-    samplers together: the mean over uniform numbers is the radiance, W m^-2 sr^-1."""
-
-    def weighed(wi: Vec) -> Colour:
-        world = _world(frame, wi, point)
-        density = direction_pdf(light, point, world) + brdf.pdf(material, wi, viewer)
-        arriving = _arriving(light, point, world, place)
-        return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
-
-    from_light = to_local(frame, direction_sample(light, point, of_light).direction)
-    from_material = brdf.sample(material, viewer, of_material)
-    return weighed(as_vec(from_light)) + weighed(as_vec(from_material))
-
-
-def _arriving(light: Light, point: Vector, wi: Vector, place: Place | None) -> Colour:
-    """Radiance, W m^-2 sr^-1, that reaches the point from `wi`, 0 where something is between."""
-    ahead = seen(light, Ray(point, wi))
-    passes = None if place is None else clear(place, wi, ahead.distance)
-    return _where(passes, ahead.radiance)
-
-
-def _where(condition: Bool[Array, ""] | None, value: Array) -> Array:
-    """The value where the condition holds, else 0; without a condition the value."""
-    return value if condition is None else jnp.where(condition, value, 0)
-
-
 def _in_numbers(material: Material) -> Callable[[], Material]:
     """The material, put together anew for each that reads it, of numbers whose cotangents all
     lights share: those of arrays would be put side by side for each light, and added then."""
     leaves, tree = jax.tree.flatten(material)
-    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= _FEW]
+    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
     numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
     numbers = derived_together(numbers)
 
@@ -398,27 +245,6 @@ def _in_numbers(material: Material) -> Callable[[], Material]:
         return jax.tree.unflatten(tree, again)
 
     return assembled
-
-
-def _frame(normal: Vector, wo: Vector, tangent: Vector | None) -> tuple[Frame, Vec]:
-    frame = local_frame(normal, tangent=tangent)
-    return frame, as_vec(to_local(frame, wo))
-
-
-def _world(frame: Frame, wi: Vec, like: Vector) -> Vector:
-    """In the world, and of the kind, array or `Vec`, of `like`."""
-    world = to_world(frame, wi)
-    return as_array(world) if isinstance(like, Array) else world
-
-
-def _mean(values: Float[Array, "samples bands"]) -> Estimate:
-    count = values.shape[0]
-    return Estimate(values.mean(axis=0), safe_sqrt(values.var(axis=0, ddof=1) / count))
-
-
-def _check_samples(samples: int) -> None:
-    if samples < 2:
-        raise ValueError(f"samples must be at least 2, got {samples}.")
 
 
 def _check_bands(material: Material, spectra: Sequence[tuple[int, ...]]) -> tuple[int, ...]:

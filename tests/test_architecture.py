@@ -20,20 +20,21 @@ FLOORS = [
     {"geometry", "colour_data"},
     {"lights", "brdf", "filters"},
     {"shadows"},
-    {"shading", "point_ops"},
+    {"_directions"},
+    {"shading", "hemisphere_integral", "point_ops"},
     {"colour_spaces"},
     {"histogram", "compositing", "optics", "sensor"},
     {"matting", "transport", "develop"},
     {"rendering"},
     {"capture", "effects", "accuracy", "scene_checks"},
-    {"io", "_toml"},
+    {"io", "_toml", "_command"},
     {"measured_files", "mesh_files", "camera_files", "plots", "_partial_image"},
     {"scene_files"},
     {"_integrators"},
     {"render_job"},
     {"cli"},
 ]
-PHYSICS = set.union(*FLOORS[1:13])
+PHYSICS = set.union(*FLOORS[1:14])
 SOLVERS = {
     "parameters",
     "least_squares",

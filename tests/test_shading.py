@@ -29,15 +29,11 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+from jaxvision.hemisphere_integral import hemisphere_radiance, lit_radiance, sampled_radiance
 from jaxvision.lights import Balanced, Incident, incident_samples, radiance_from, register
 from jaxvision.lights.polygon import rectangle_irradiance
 from jaxvision.scene import Light, Material
-from jaxvision.shading import (
-    hemisphere_radiance,
-    lit_radiance,
-    outgoing_radiance,
-    sampled_radiance,
-)
+from jaxvision.shading import outgoing_radiance
 
 # Correctness needs no optimised code: this compiles three times faster.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})

@@ -60,7 +60,7 @@ def merl_bytes(reflectance, shape=(90, 90, 180), *, order="<"):
 
 
 def tensor_bytes(fields):
-    """A tensor file: the layout written down in `measured_files`, data after all heads."""
+    """A tensor file in the layout of `measured_files._tensor_file`, data after all heads."""
     kinds = {"uint8": 1, "float32": 10, "float64": 11}
     arrays = {name: np.ascontiguousarray(x) for name, x in fields.items()}
     start = 14 + 4 + sum(2 + len(n) + 2 + 1 + 8 + 8 * x.ndim for n, x in arrays.items())

@@ -22,10 +22,11 @@ from jaxvision import (
     as_dtype,
     environment_map,
 )
+from jaxvision.hemisphere_integral import lit_radiance
 from jaxvision.lights import direction_pdf, direction_sample, seen
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
-from jaxvision.shading import lit_radiance, outgoing_radiance
+from jaxvision.shading import outgoing_radiance
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 # float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.

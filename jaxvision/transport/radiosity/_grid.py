@@ -70,6 +70,12 @@ def refined(plan: Plan, split: int) -> Plan:
     return Plan(tuple(faces), split)
 
 
+def surfaces_of(plan: Plan, *, split: int = 1) -> np.ndarray:
+    """The surface of each cell when every patch is split^2 cells: (cells,) whole numbers, no
+    unit."""
+    return np.repeat([face.surface for face in plan.faces], np.diff(offsets_of(plan, split=split)))
+
+
 def borders(count: int, graded: bool) -> np.ndarray:
     """The borders of `count` cells of [0, 1]; graded ones narrow toward both ends."""
     t = np.linspace(0, 1, count + 1)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ._grid import Plan, parents_of
+from ._grid import Plan, parents_of, surfaces_of
 
 # Of a closed room the mean of the rows of form factors is 1 within what quadrature and shadow rays
 # of single elements are off, divided by the root of their number.
@@ -11,17 +11,17 @@ _CLOSED = 2e-3
 _BESIDE = 0.5  # an element that sees less than that of the scene stands outside of any room
 
 
-def trapping_patch(
+def trapping_surface(
     table: Float[np.ndarray, "elements patches"],
-    albedo: Float[np.ndarray, "patches bands"],
+    albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """The number of the first patch, no unit, whose light meets only white patches in some band,
+    """The number of the first surface, no unit, whose light meets only white ones in some band,
     again and again, in a room that lets less than 2e-3 of it out; None if there is none."""
-    own = parents_of(plan)
+    own, surface = parents_of(plan), surfaces_of(plan)
     inside = table.sum(axis=1) > _BESIDE
     count = table.shape[1]
-    for band in albedo.T:
+    for band in albedo[surface].T:
         loses = band < 1 - 16 * np.finfo(band.dtype).eps
         while True:  # whoever sees a patch that loses light loses light
             meets = (table @ loses.astype(table.dtype) > 0) & inside
@@ -31,5 +31,5 @@ def trapping_patch(
             loses = more
         kept = ~loses[own] & inside
         if kept.any() and table[kept].sum(axis=1).mean() > 1 - _CLOSED:
-            return int(own[kept][0])
+            return int(surface[own[kept][0]])
     return None

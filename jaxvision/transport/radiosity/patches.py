@@ -22,7 +22,7 @@ from ...brdf.lambert import Lambert
 from ...hemisphere import cross
 from ...scene import Box, Disc, Quad, Scene, Shape, Sphere, Surface, TriangleMesh
 from ._faces import face_point, lengths, side
-from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of
+from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of, surfaces_of
 
 
 class Patches(eqx.Module):
@@ -99,7 +99,6 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
     third = jnp.full_like(share, 1 / 3)
     centre = third * (a + c + share * b + (1 - share) * d)
     counts = np.diff(offsets_of(plan, split=split))
-    surface = np.repeat([face.surface for face in plan.faces], counts)
     sides: dict[tuple[int, int], int] = {}
     spheres: dict[int, int] = {}  # both sides of a patch lie in one plane
     planes = []
@@ -115,7 +114,7 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
         as_vec(normalize(vector)),
         norm(vector) / 2,
         bulge,
-        jnp.asarray(surface, jnp.int32),
+        jnp.asarray(surfaces_of(plan, split=split), jnp.int32),
         jnp.asarray(np.concatenate(planes), jnp.int32),
     )
 

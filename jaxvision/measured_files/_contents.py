@@ -1,0 +1,18 @@
+"""What the readers share: the bytes of a file, and the units that files hold."""
+
+import os
+from pathlib import Path
+
+from ..errors import InputError
+
+NANOMETRE = 1e-9
+TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
+
+
+def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder; name the file in it.")
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; check the name and the folder.")
+    return file, file.read_bytes()
