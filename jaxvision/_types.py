@@ -86,7 +86,7 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...]) -> None:
             isinstance(size, str) or size == got for size, got in zip(wanted, shape, strict=True)
         ):
             return
-    allowed = " or ".join("(" + ", ".join(map(str, e)) + ")" for e in expected)
+    allowed = " or ".join(f"({', '.join(map(str, e))}{',' * (len(e) == 1)})" for e in expected)
     raise ValueError(f"{name} must have shape {allowed}, got {shape}.")
 
 

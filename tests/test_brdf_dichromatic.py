@@ -180,9 +180,9 @@ def test_two_bands_and_single_precision(red):
 
 
 def test_wrong_shapes_are_named(red):
-    with pytest.raises(ValueError, match=r"illuminant must have shape \(3\), got \(2,\)"):
+    with pytest.raises(ValueError, match=r"illuminant must have shape \(3,\), got \(2,\)"):
         separate(red[0], jnp.ones(2))
-    with pytest.raises(ValueError, match=r"one pixel must have shape \(3\)"):
+    with pytest.raises(ValueError, match=r"one pixel must have shape \(3,\)"):
         plane_normal(red[0][..., :2])
     with pytest.raises(ValueError, match="body must reflect in one band, got 2"):
         photograph(RED, body=Lambert([0.1, 0.2]))

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import TypeCheckError
 from oracles import brdfs
 from scipy import integrate, stats
 
@@ -30,7 +29,6 @@ from jaxvision import (
     render,
 )
 from jaxvision._numerics import dot
-from jaxvision._vector import as_vec
 from jaxvision.brdf import microfacet
 from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
@@ -165,34 +163,6 @@ def test_dark_where_either_side_lies_below(name):
 def test_nothing_is_seen_from_below(name):
     material, _ = FAMILIES[name]
     assert (ALBEDO(material, VIEWS * jnp.asarray([[1.0, 1.0, -1.0]])) == 0).all()
-
-
-def test_directions_of_another_shape_are_named():
-    """By whichever function, by the check of types of this suite or the library's own; components
-    pass."""
-    material, _ = FAMILIES["lambert"]
-    one, many, flat = PAIRS[0][0], PAIRS[0], PAIRS[0][0][:2]
-    calls = {
-        "wi": [
-            lambda w: brdf.evaluate(material, w, one),
-            lambda w: brdf.shading(material, w, one),
-            lambda w: brdf.pdf(material, w, one),
-        ],
-        "wo": [
-            lambda w: brdf.evaluate(material, one, w),
-            lambda w: brdf.shading(material, one, w),
-            lambda w: brdf.pdf(material, one, w),
-            lambda w: brdf.sample(material, w, one),
-            lambda w: brdf.albedo(material, w),
-        ],
-    }
-    for name, wrong in product(calls, [many, flat]):
-        for call in calls[name]:
-            with pytest.raises((ValueError, TypeCheckError), match=name):
-                jax.eval_shape(call, wrong)
-    np.testing.assert_array_equal(
-        brdf.evaluate(material, as_vec(one), as_vec(one)), brdf.evaluate(material, one, one)
-    )
 
 
 def test_bands_that_do_not_fit_are_named():

@@ -151,7 +151,7 @@ def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
 def test_wrong_shapes_are_named():
     with pytest.raises(ValueError, match=r"must have shape \(s, t, u, v, bands\), got \(2, 2, 3\)"):
         LightFieldLight(np.ones((2, 2, 3)), APERTURE, FOCAL)
-    with pytest.raises(ValueError, match=r"Window.edge_u must have shape \(3\)"):
+    with pytest.raises(ValueError, match=r"Window.edge_u must have shape \(3,\)"):
         Window([0, 0, 0], [1, 0], [0, 1, 0])
 
 

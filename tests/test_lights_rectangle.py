@@ -255,7 +255,7 @@ def test_a_ray_sees_the_front_only():
 def test_one_place_only_is_asked_of_lights_at_one_place():
     with pytest.raises(ValueError, match=r"light at one place, got RectangleLight"):
         incident(LAMP, UP)
-    with pytest.raises(ValueError, match=r"edge_u must have shape \(3\), got \(2,"):
+    with pytest.raises(ValueError, match=r"edge_u must have shape \(3,\), got \(2,"):
         RectangleLight([0, 0, 0], [1, 0], [0, 1, 0], [1.0])
     with pytest.raises(ValueError, match=r"Quadrature.order must be a whole number .* got 0"):
         Quadrature(0)

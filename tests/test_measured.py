@@ -443,7 +443,7 @@ def test_wrong_shapes_and_options_are_named(unchecked_types):
         AnisotropicTable([0.0], [0.0], [0.0], [0.0], jnp.ones((1, 1, 1, 1, 2)), outside="wrap")  # pyright: ignore
     with pytest.raises(ValueError, match=r"interpolation must be 'linear' or 'nearest'"):
         HalfDifferenceTable(jnp.ones((2, 2, 2, 1)), interpolation="cubic")  # pyright: ignore
-    with pytest.raises(ValueError, match=r"BRDFSamples.phi_o must have shape \(3\), got \(2,\)"):
+    with pytest.raises(ValueError, match=r"BRDFSamples.phi_o must have shape \(3,\), got \(2,\)"):
         BRDFSamples(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((3, 1)))
     with pytest.raises(ValueError, match=r"symmetry must be 1, 2 or 4, got 3"):
         rgl_of(oracle.rgl_fields(np.random.default_rng(3)), symmetry=3)

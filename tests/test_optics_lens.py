@@ -268,7 +268,7 @@ def test_bad_records_are_refused():
     with pytest.raises(ValueError, match=r"Rim\.diameter must be finite, above 0"):
         s.Rim(0.1, 0.0)
     with pytest.raises(
-        ValueError, match=r"Distortion\.tangential must have shape \(2\), got \(1,\)"
+        ValueError, match=r"Distortion\.tangential must have shape \(2,\), got \(1,\)"
     ):
         s.Distortion([0.1], [0.1])
     with pytest.raises(ValueError, match=r"Distortion\.radial must be finite, .* got nan"):

@@ -53,7 +53,7 @@ def test_a_record_in_float32_stays_in_float32():
 def test_shape_checks_name_got_and_expected():
     check_shape("x", jnp.zeros((2, 5)), (), (2, "bands"))
     check_shape("x", None, (3,))
-    with pytest.raises(ValueError, match=r"x must have shape \(\) or \(bands\), got \(2, 3\)"):
+    with pytest.raises(ValueError, match=r"x must have shape \(\) or \(bands,\), got \(2, 3\)"):
         check_shape("x", jnp.zeros((2, 3)), (), ("bands",))
 
 

@@ -1,8 +1,11 @@
 """Shapes with materials, and the scene they make with lights."""
 
+from collections.abc import Iterable
+from typing import Any
+
 import equinox as eqx
 
-from .._types import Colour, as_optional_float, check_shape
+from .._types import Colour, as_optional_float, check_kind, check_shape
 from .light import AmbientLight, Light
 from .shapes import Shape
 
@@ -26,20 +29,31 @@ class Surface(eqx.Module):
     two_sided: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
+        check_kind("Surface.shape", self.shape, Shape)
+        check_kind("Surface.material", self.material, Material)
         check_shape("Surface.emission", self.emission, ("bands",))
 
 
-class Scene(eqx.Module):
-    """Surfaces and the lights on them. All spectra share one number of bands, which is checked
-    here for the k_d of materials, for emissions and for lights."""
+def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:
+    return (records,) if isinstance(records, eqx.Module) else tuple(records)
 
-    surfaces: tuple[Surface, ...] = eqx.field(converter=tuple)
-    lights: tuple[Light, ...] = eqx.field(converter=tuple)
+
+class Scene(eqx.Module):
+    """Surfaces and the lights on them, or one alone. All spectra share one number of bands, which
+    is checked here for the k_d of materials, for emissions and for lights."""
+
+    surfaces: tuple[Surface, ...] = eqx.field(converter=_as_tuple)
+    lights: tuple[Light, ...] = eqx.field(converter=_as_tuple)
     ambient: AmbientLight | None = None
 
     def __check_init__(self) -> None:
         if not self.surfaces:
             raise ValueError("Scene.surfaces must hold at least one surface, got none.")
+        for i, surface in enumerate(self.surfaces):
+            check_kind(f"Scene.surfaces[{i}]", surface, Surface)
+        for i, light in enumerate(self.lights):
+            check_kind(f"Scene.lights[{i}]", light, Light)
+        check_kind("Scene.ambient", self.ambient, AmbientLight)
         spectra = {
             f"Scene.surfaces[{i}].material.diffuse": getattr(surface.material, "diffuse", None)
             for i, surface in enumerate(self.surfaces)
