@@ -344,6 +344,59 @@ def test_what_an_integrator_refuses_is_named_as_in_the_file(rendered, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.toml", "b.toml", "c.toml"]
 
 
+WALLS = [
+    ([0, 0, 0], [1, 0, 0], [0, 1, 0]),
+    ([0, 0, 1], [0, 1, 0], [1, 0, 0]),
+    ([0, 0, 0], [0, 1, 0], [0, 0, 1]),
+    ([1, 0, 0], [0, 0, 1], [0, 1, 0]),
+    ([0, 0, 0], [0, 0, 1], [1, 0, 0]),
+    ([0, 1, 0], [1, 0, 0], [0, 0, 1]),
+]
+ROOM = SCENE[: SCENE.index("[[surface]]")].replace("[18, 26]", "[4, 5]")
+ROOM = ROOM.replace("[0, -4, 0.5]", "[0.5, 0.5, 0.1]").replace("[0, 0, 0]", "[0.5, 0.6, 1]")
+ROOM = ROOM.replace("tile = 100", 'tile = 20\nintegrator = "radiosity"\npatches = 24')
+ROOM += "".join(
+    f'[[surface]]\nname = "wall {i}"\nshape = "quad"\ncorner = {corner}\nedge_u = {u}\n'
+    f'edge_v = {v}\nmaterial = "grey"\n'
+    for i, (corner, u, v) in enumerate(WALLS)
+)
+ROOM += '[[light]]\nkind = "point"\nposition = [0.4, 0.5, 0.6]\nintensity = [1, 1, 1]\n'
+
+
+def test_the_final_gather_of_radiosity(tmp_path):
+    """It knows no tiles, follows the seed, and errs around what it gathers: light that no patch
+    resolves varies over a wall, so that pixels differ, but their mean does not."""
+    (tmp_path / "a.toml").write_text(ROOM)
+    pictures = {}
+    for name, options in {
+        "none": (),
+        "gather": ("--gather", 16),
+        "tiles": ("--gather", 16, "--tile", 7),
+        "seed": ("--gather", 16, "--seed", 1),
+    }.items():
+        out = tmp_path / f"{name}.exr"
+        assert run(tmp_path / "a.toml", "--out", out, "--no-preview", *options)[0] == 0
+        pictures[name] = read_image(out)
+    np.testing.assert_array_equal(pictures["gather"], pictures["tiles"])
+    assert (pictures["gather"] != pictures["seed"]).any()
+    for name in ("gather", "seed"):
+        np.testing.assert_allclose(
+            pictures[name].mean((0, 1)), pictures["none"].mean((0, 1)), rtol=0.05
+        )
+    status, _, error = run(tmp_path / "a.toml", "--out", tmp_path / "b.exr", "--gather", -1)
+    assert (status, error.count("\n")) == (2, 1)
+    assert "gather = -1: must be greater than or equal to 0" in error
+
+
+def test_light_that_grows_without_end_is_named(tmp_path):
+    """In a closed room that is white in one band; one wall of another colour lets it end."""
+    (tmp_path / "a.toml").write_text(ROOM.replace("0.5, 0.7]", "1, 0.7]", 1))
+    status, _, error = run(tmp_path / "a.toml", "--out", tmp_path / "a.exr")
+    assert (status, error.count("\n")) == (2, 1)
+    assert 'a.toml: surface "wall 0".material has albedo 1 in a closed room' in error
+    assert [file.name for file in tmp_path.iterdir()] == ["a.toml"]
+
+
 def test_missing_folders_are_made_and_others_named(rendered, tmp_path):
     scene = rendered / "ball.toml"
     options = "--out", tmp_path / "a" / "b" / "c.exr", "--preview", tmp_path / "d" / "e.tif"
