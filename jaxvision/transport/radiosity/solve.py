@@ -38,10 +38,9 @@ def solve_radiosity(
     rounding counts 1 / (1 - rho) times. In float32, at albedo .999, "direct" and "iterative" are
     within 3e-4 of the brightest patch; "progressive" is not meant for it: of 294 patches it reaches
     the limit there, 1e-3 off in float64 and, with the rounding of as many shots, 4e-3 in float32.
-    Where none is lost, all albedos 1 in a closed room, there is
-    no solution, and each method returns some large numbers of any sign. Gradients of all three are
-    those of the exact solution, by solving the transposed equation. `ValueError` for an unknown
-    method.
+    Where none is lost, all albedos 1 in a closed room, there is no solution, and each method
+    returns some large numbers of any sign. Gradients of all three are those of the exact solution,
+    by solving the transposed equation. `ValueError` for an unknown method.
     """
     import lineax
 
