@@ -54,26 +54,28 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
         at_x, at_y = distort(distortion, u, v)
         return at_x - x, at_y - y
 
-    def goes_on(state):
-        number, u, v, _ = state
-        off_x, off_y = residual(u, v)
-        return (number < _MOST_STEPS) & (jnp.maximum(jnp.abs(off_x), jnp.abs(off_y)) > accuracy)
-
     def step(state):
-        number, u, v, share = state
-        by_u, by_v = _solve(distortion, u, v, *residual(u, v))
+        # whether to go on is kept, not asked again: rounded differently, a loop over many points
+        # would wait for one that it no longer moves
+        number, u, v, share, _ = state
+        off_x, off_y = residual(u, v)
+        by_u, by_v = _solve(distortion, u, v, off_x, off_y)
         next_u, next_v = u - share * by_u, v - share * by_v
         before_fold = _is_before_fold(distortion, next_u, next_v)
+        off = jnp.maximum(jnp.abs(off_x), jnp.abs(off_y)) > accuracy
+        moved = off & before_fold
         return (
             number + 1,
-            jnp.where(before_fold, next_u, u),
-            jnp.where(before_fold, next_v, v),
+            jnp.where(moved, next_u, u),
+            jnp.where(moved, next_v, v),
             jnp.where(before_fold, jnp.minimum(2 * share, 1), share / 2),
+            off & (number + 1 < _MOST_STEPS),
         )
 
     starts_well = _is_before_fold(distortion, x, y)
     start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
-    _, u, v, _ = lax.while_loop(goes_on, step, (0, *start, jnp.ones_like(x)))
+    begin = (0, *start, jnp.ones_like(x), jnp.ones((), bool))
+    _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)
     lost = jnp.isnan(x) | jnp.isnan(y)
     return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)
 

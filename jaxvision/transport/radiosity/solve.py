@@ -9,13 +9,14 @@ Greenberg and Battaile, "Modeling the Interaction of Light Between Diffuse Surfa
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import Scalar
 
 PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
-State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""]]  # radiosity, unshot, shots
+# radiosity, unshot, shots, and whether to go on
+State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
 
 def solve_radiosity(
@@ -99,20 +100,19 @@ def shoot(
     """
     most = _most_added(table, albedo)
 
-    def unfinished(state: State) -> Array:
-        radiosity, unshot, shots = state
+    def state_of(radiosity: PatchSpectra, unshot: PatchSpectra, shots: Array) -> State:
         rest = most * jnp.abs(unshot).max()
-        return (rest > tolerance * jnp.abs(radiosity).max()) & (shots < limit)
+        unfinished = (rest > tolerance * jnp.abs(radiosity).max()) & (shots < limit)
+        return radiosity, unshot, shots, unfinished
 
     def shot(state: State) -> State:
-        radiosity, unshot, shots = state
+        radiosity, unshot, shots, _ = state
         sender = jnp.argmax(jnp.abs(unshot).max(axis=1))
         arrived = albedo * (table[:, sender, None] * unshot[sender][None, :])
-        return radiosity + arrived, unshot.at[sender].set(0) + arrived, shots + 1
+        return state_of(radiosity + arrived, unshot.at[sender].set(0) + arrived, shots + 1)
 
-    radiosity, unshot, _ = jax.lax.while_loop(
-        unfinished, shot, (sent, sent, jnp.zeros((), jnp.int32))
-    )
+    begin = state_of(sent, sent, jnp.zeros((), jnp.int32))
+    radiosity, unshot, *_ = jax.lax.while_loop(lambda state: state[-1], shot, begin)
     return radiosity, unshot
 
 
