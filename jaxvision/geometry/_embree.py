@@ -7,7 +7,12 @@ rounding of the mesh's size is not met.
 """
 
 import importlib.util
+import os
 from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
 from threading import Lock
 from typing import Any
 
@@ -21,6 +26,7 @@ from .._vector import as_array
 from ..scene import TriangleMesh
 from .rays import Ray
 
+_SHARE = 2048  # rays that are worth a core of their own
 _KEPT = 8  # built scenes: each holds a search tree as large as its mesh
 _built: OrderedDict[int, tuple[np.ndarray, np.ndarray, Any, np.float32]] = OrderedDict()
 _building = Lock()
@@ -107,19 +113,36 @@ def _ask(vertices: Any, faces: Any, rays: tuple[Any, ...], query: Any) -> np.nda
     batch = np.broadcast_shapes(meshes, *leading)
     full = [np.broadcast_to(x, batch + end) for x, end in zip(numbers, ends, strict=False)]
     if all(size == 1 for size in meshes):
-        # copies: Embree refuses what it may not write to
-        flat = [np.array(x.reshape(-1, *end)) for x, end in zip(full, ends, strict=False)]
+        flat = [x.reshape(-1, *end) for x, end in zip(full, ends, strict=False)]
         scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
-        origin, direction, *far = flat
-        start = scale * origin + _START * direction
-        found = query(scene, start, direction, *(scale * x - _START for x in far))
-        return found.reshape(batch)
+
+        def found(part: slice) -> np.ndarray:
+            # a copy of directions, as Embree refuses what it may not write to
+            origin, direction, *far = (x[part] for x in flat)
+            start = scale * origin + _START * direction
+            return query(scene, start, np.array(direction), *(scale * x - _START for x in far))
+
+        return np.concatenate(list(_by_cores(found, len(flat[0])))).reshape(batch)
     vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
     faces = np.broadcast_to(faces, batch + faces.shape[-2:])
     one_by_one = [
         _ask(vertices[at], faces[at], tuple(x[at] for x in full), query) for at in np.ndindex(batch)
     ]
     return np.asarray(one_by_one).reshape(batch)
+
+
+def _by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
+    """What is found of `count` rays, part by part, a core each: Embree lets go of Python."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    parts = max(min(cores or 1, count // _SHARE), 1)
+    ends = [count * k // parts for k in range(parts + 1)]
+    slices = [slice(*pair) for pair in pairwise(ends)]
+    return map(found, slices) if parts == 1 else _threads().map(found, slices)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="embree")
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:

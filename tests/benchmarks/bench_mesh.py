@@ -1,8 +1,9 @@
 r"""Rays against triangle meshes: Embree through a callback with the hit recomputed here, beside
 Mitsuba 3 (llvm_ad_rgb), whose `ray_intersect_preliminary` gives distance and triangle alike.
 
-embreex asks Embree for one ray after another on one core, and what it found is copied back and
-forth and computed again here, so that gradients reach it: about a tenth of the speed on two cores.
+embreex asks Embree for one ray after another, a part of them on each core, and what it found is
+copied back and forth and computed again here, so that gradients reach it: on two cores a tenth of
+the speed for a thousand triangles, a fifth for ten thousand and more.
 
     DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s tests/benchmarks/bench_mesh.py
 """
