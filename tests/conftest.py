@@ -1,6 +1,7 @@
 """Strict JAX for the whole suite: no silent promotion, warnings are errors, both dtypes at hand;
 and quick compiles, which are most of its time."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -11,6 +12,7 @@ os.environ.setdefault("JAX_ENABLE_X64", "1")
 import jax
 import pytest
 
+gc.set_threshold(20_000, 20, 100)  # what has been traced is much, and seldom garbage
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

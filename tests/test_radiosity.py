@@ -42,6 +42,7 @@ from jaxvision.transport.radiosity import (
     solve_radiosity,
 )
 from jaxvision.transport.radiosity._receivers import receivers_of
+from jaxvision.transport.radiosity._sources import shapes_of
 from jaxvision.transport.radiosity._trapped import trapping_surface
 
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
@@ -152,7 +153,9 @@ def test_what_stands_on_an_element_leaves_the_rest():
         box = Surface(Box([side, side, 0.3], [side, side, 0.3]), GREY)
         scene = Scene([floor, box], [])
         plan = plan_patches(scene, size=2.0, split=1)
-        elements = quick_jit(lambda scene, plan=plan: receivers_of(scene, plan).elements)(scene)
+        elements = quick_jit(
+            lambda scene, plan=plan: receivers_of(scene, plan, shapes_of(scene)).elements
+        )(scene)
         np.testing.assert_allclose(elements.area[0], area, rtol=1e-12)
         np.testing.assert_allclose([elements.centre.x[0], elements.centre.y[0]], place, rtol=1e-12)
 
@@ -163,7 +166,7 @@ def test_what_lies_under_a_box_is_covered_in_single_precision():
     box = Surface(Box([0.7, 0.6, 0.1], [0.1, 0.1, 0.1]), GREY)
     scene = as_dtype(Scene([floor, box], []), jnp.float32)
     plan = plan_patches(scene, size=0.15, split=2)
-    elements = quick_jit(lambda scene: receivers_of(scene, plan).elements)(scene)
+    elements = quick_jit(lambda scene: receivers_of(scene, plan, shapes_of(scene)).elements)(scene)
     x, y, area = (
         np.asarray(v)[:196] for v in (elements.centre.x, elements.centre.y, elements.area)
     )

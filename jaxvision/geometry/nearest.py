@@ -16,12 +16,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from .._numerics import dot
-from .._staging import stored
+from .._staging import stored, together
 from .._types import Scalar, group_by_structure, take
 from .._vector import Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
-from ._size import largest_component, largest_size, offset_length
+from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
 from .box import intersect_box
 from .flat import (
@@ -63,10 +63,12 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
     simple = [i for i, shape in enumerate(shapes) if not isinstance(shape, TriangleMesh)]
     meshes = {i: shape for i, shape in enumerate(shapes) if isinstance(shape, TriangleMesh)}
     groups = group_by_structure([shapes[i] for i in simple])
+    sizes = [jax.vmap(size_of)(group).max() for _, group in groups]
+    sizes += [size_of(mesh) for mesh in meshes.values()]
     return Sorted(
-        tuple(jax.vmap(flat_quad)(g) if isinstance(g, Quad) else g for _, g in groups),
+        tuple(together(jax.vmap(flat_quad)(g)) if isinstance(g, Quad) else g for _, g in groups),
         tuple(meshes.values()),
-        largest_size(shapes) if shapes else None,
+        reduce(jnp.maximum, sizes) if sizes else None,
         tuple(tuple(simple[place] for place in places) for places, _ in groups),
         tuple(meshes),
     )
@@ -239,6 +241,7 @@ def blocked(
 # ---------------------------------------------------------------- one shape of a kind
 
 
+@jax.jit  # traced once for all shapes of a kind
 def _distance(ray: Ray, shape: Shape | FlatQuad) -> Scalar:
     match shape:
         case Sphere():
@@ -249,6 +252,7 @@ def _distance(ray: Ray, shape: Shape | FlatQuad) -> Scalar:
             return intersect(ray, shape).distance
 
 
+@jax.jit
 def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, ""]:
     match shape:
         case Sphere():
@@ -290,8 +294,8 @@ def _over_chunks(
 
 
 def _each(chunk: Any) -> list[Any]:
-    count = len(jax.tree.leaves(chunk)[0])
-    return [jax.tree.map(lambda x, i=i: x[i], chunk) for i in range(count)]
+    leaves, tree = jax.tree.flatten(chunk)
+    return [tree.unflatten(one) for one in zip(*map(list, leaves), strict=True)]
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:

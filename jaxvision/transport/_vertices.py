@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .. import brdf
 from .._bands import Bands, apart
 from .._numerics import dot, reciprocal, select, smallest_divisor
-from .._staging import stored, together
+from .._staging import together
 from .._types import Colour, Scalar, group_by_structure, take
 from .._vector import Vec, as_vec, where
 from ..brdf.glass import Glass, Split, interface
@@ -43,6 +43,7 @@ from ..geometry import (
 from ..hemisphere import Frame, local_frame, to_local, to_world
 from ..scene import Material, Scene
 from ._emitters import LARGEST
+from ._search import searched
 
 Carries = Literal["radiance", "light"]
 SEARCHED = "searched"  # what a search among all shapes found: a gradient keeps it, see `paths`
@@ -121,14 +122,15 @@ def is_delta(material: Material) -> bool:
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
     """What a ray meets first, in m; gradients reach the shape that is met."""
-    encounter = checkpoint_name(stored(nearest_shape, ray, surfaces.shapes), SEARCHED)
+    encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
     return Met(encounter.shape, together(hit_shape(ray, surfaces.shapes, encounter)))
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
     """Whether a surface blocks the way from a met one along a unit direction, for m."""
     hit = met.hit
-    blocked = occluded(hit.point, hit.normal, direction, distance, surfaces.shapes, size=hit.size)
+    way = hit.point, hit.normal, direction, distance
+    blocked = searched(occluded, *way, surfaces.shapes, size=hit.size)
     return checkpoint_name(blocked, SEARCHED)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from .._numerics import dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
-from .._staging import TILE, stored, together
+from .._staging import TILE, together
 from .._types import Key, Scalar
 from .._vector import Vec, as_vec
 from ..geometry import Ray, offset_origin
@@ -130,7 +130,7 @@ def _light_path(
             bands=world.bands,
         )
         at = together(at)
-        dark = stored(hidden, world.surfaces, met, arrival.toward, arrival.distance)
+        dark = hidden(world.surfaces, met, arrival.toward, arrival.distance)
         reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
         if world.emitters.lights:  # the camera sees the light before what lies behind it
             camera = Ray(met.hit.point + arrival.distance * arrival.toward, -arrival.toward)

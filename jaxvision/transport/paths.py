@@ -29,7 +29,7 @@ from .._bands import Bands, apart, plus, times
 from .._numerics import dot, safe_sqrt
 from .._random import Stream, seed_of, uniforms
 from .._staging import LANES, stored
-from .._types import Colour, Key, Scalar, Spectrum
+from .._types import Colour, Key, Scalar, Scalars, Spectrum
 from ..geometry import Ray
 from ..optics import view_ray
 from ..scene import Scene, View
@@ -52,6 +52,8 @@ from ._vertices import (
     vertex,
 )
 from ._world import World, world_of
+
+Samples = tuple[Scalars, ...]  # of many rays, one array a band
 
 # Pieces of a path of which a gradient keeps all that it needs, up to 400 bytes a ray and piece: of
 # more, it computes them again.
@@ -120,15 +122,15 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
 
 
 def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
-    dtype = ray.origin.x.dtype
-    dark = (jnp.zeros((), dtype),) * world.bands
+    # a zero of its own for each path: a loop that has to find that out batches its body twice
+    zero = (0 * stream.pixel).astype(ray.origin.x.dtype)
     path = _Path(
         ray,
-        (jnp.ones((), dtype),) * world.bands,
-        dark,
-        jnp.full((), jnp.inf, dtype),
+        (zero + 1,) * world.bands,
+        (zero,) * world.bands,
+        zero + jnp.inf,
         absorption_around(world.surfaces, ray, bands=world.bands),
-        jnp.ones((), bool),
+        zero == 0,
     )
 
     def step(path: _Path, k: Array) -> _Path:
@@ -203,7 +205,7 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
     )
     radiance = path.radiance
     if light is not None:
-        blocked = stored(hidden, world.surfaces, met, light.direction, light.clear)
+        blocked = hidden(world.surfaces, met, light.direction, light.clear)
         counts = purpose_weight(method.strategy, light.density, at.density)
         arriving = light.irradiance * transmitted(path.absorption, light.distance) * counts
         shown = times(times(path.weight, at.shaded), apart(arriving, world.bands))
@@ -232,7 +234,8 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
     def sample(number: UInt32[Array, ""]) -> Bands:
         return _walk(world, ray, Stream(jnp.zeros((), jnp.uint32), number, seed), method)
 
-    return _mean(sample, 0, method.samples, world.bands, ray.origin.x.dtype)
+    dark = (jnp.zeros((), ray.origin.x.dtype),) * world.bands
+    return _mean(sample, 0, method.samples, dark)
 
 
 def path_traced_pixels(
@@ -254,22 +257,23 @@ def path_traced_pixels(
     world, seed = world_of(scene), seed_of(key)
     dtype = view.pixel_pitch.dtype
 
-    def pixel(row: Array, column: Array) -> Traced:
-        number = (row * view.resolution[1] + column).astype(jnp.uint32)
+    def of_pixel(row: Array, column: Array, count: UInt32[Array, ""]) -> Bands:
+        stream = Stream((row * view.resolution[1] + column).astype(jnp.uint32), count, seed)
+        u = uniforms(stream, 0, dtype)
+        down, right = row.astype(dtype) + u[0] - 0.5, column.astype(dtype) + u[1] - 0.5
+        return _walk(world, view_ray(view, down, right, u=u[2:]), stream, method)
 
-        def sample(count: UInt32[Array, ""]) -> Bands:
-            stream = Stream(number, count, seed)
-            u = uniforms(stream, 0, dtype)
-            down, right = row.astype(dtype) + u[0] - 0.5, column.astype(dtype) + u[1] - 0.5
-            ray = view_ray(view, down, right, u=u[2:])
-            return _walk(world, ray, stream, method)
+    def of_block(rows: Array, columns: Array) -> Traced:
+        def sample(count: UInt32[Array, ""]) -> Samples:
+            return jax.vmap(of_pixel, in_axes=(0, 0, None))(rows, columns, count)
 
-        return _mean(sample, first_sample, method.samples, world.bands, dtype)
+        dark = jnp.zeros(rows.shape, dtype)
+        return _mean(sample, first_sample, method.samples, (dark,) * world.bands)
 
-    return _in_blocks(pixel, rows, columns)
+    return _in_blocks(of_block, rows, columns)
 
 
-def _in_blocks(pixel: Callable[[Array, Array], Traced], rows: Array, columns: Array) -> Traced:
+def _in_blocks(of_block: Callable[[Array, Array], Traced], rows: Array, columns: Array) -> Traced:
     """All pixels, a block at a time. Blocks are full, if need be with pixels
     that are thrown away: where vector code ends and leaves a rest to plain code, the last bit of a
     pixel would tell how the picture was cut."""
@@ -280,7 +284,10 @@ def _in_blocks(pixel: Callable[[Array, Array], Traced], rows: Array, columns: Ar
         jnp.pad(jnp.asarray(x), (0, blocks * size - count), mode="edge").reshape(blocks, size)
         for x in (rows, columns)
     ]
-    traced = jax.lax.map(lambda block: jax.vmap(pixel)(*block), tuple(padded))
+    if blocks == 1:  # each loop around a loop takes a gradient about as long again to compile
+        traced = of_block(*(x[0] for x in padded))
+    else:
+        traced = jax.lax.map(lambda block: of_block(*block), tuple(padded))
     return jax.tree.map(lambda x: x.reshape(blocks * size, -1)[:count], traced)
 
 
@@ -292,16 +299,13 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     return jax.tree.map(lambda x: x.reshape(*view.resolution, -1), pixels)
 
 
-def _mean(
-    sample: Callable[[Array], Bands], first: int, count: int, bands: int, dtype: jnp.dtype
-) -> Traced:
+def _mean(sample: Callable[[Array], Samples], first: int, count: int, dark: Samples) -> Traced:
     """The mean of samples, one after another, and its standard error (Welford, Technometrics 4(3)
-    (1962)): no sum of squares cancels."""
-    dark = (jnp.zeros((), dtype),) * bands
+    (1962)): no sum of squares cancels. `dark`: zeros of the shape of a sample."""
 
     @jax.checkpoint
-    def add(state: tuple[Bands, Bands], k: Array) -> tuple[tuple[Bands, Bands], None]:
-        value, number = sample(k + jnp.uint32(first)), (k + 1).astype(dtype)
+    def add(state: tuple[Samples, Samples], k: Array) -> tuple[tuple[Samples, Samples], None]:
+        value, number = sample(k + jnp.uint32(first)), (k + 1).astype(dark[0].dtype)
         means, squares = [], []
         for x, mean, square in zip(value, *state, strict=True):
             means.append(mean + (x - mean) / number)
@@ -309,7 +313,7 @@ def _mean(
         return (tuple(means), tuple(squares)), None
 
     state, _ = jax.lax.scan(add, (dark, dark), jnp.arange(count, dtype=jnp.uint32))
-    mean, squares = (jnp.stack(x) for x in state)
+    mean, squares = (jnp.stack(x, axis=-1) for x in state)
     if count == 1:
         return Traced(mean, jnp.full_like(mean, jnp.inf))
     return Traced(mean, safe_sqrt(squares / (float(count) * (count - 1))))

@@ -1,12 +1,14 @@
 """The form factor from a point to a polygon, near and far. For ONE pair; lengths in m."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool
 
 from ..._numerics import dot
+from ..._staging import together
 from ..._types import Scalar
 from ..._vector import Vec
 from ...geometry._size import reach_of
@@ -15,6 +17,7 @@ from ...lights import square_nodes
 from ...lights.polygon import contour_integral
 
 Polygon = tuple[Vec, Vec, Vec, Vec]
+Value = TypeVar("Value", Vec, Scalar)
 FAR = 5.0
 
 
@@ -30,7 +33,7 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """`point_to_polygon` by the contour integral alone, m."""
     around = [corner - point for corner in corners]
     scale = 1 / reach_of(around)
-    around = [corner * scale for corner in around]
+    around = together([corner * scale for corner in around])
     # seen from the front the corners turn counterclockwise: the light's own sense is the other
     area = cross(around[2] - around[0], around[3] - around[1])
     front = dot(area, around[0] + around[2]) < 0
@@ -57,7 +60,13 @@ def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
     a, b, c, d = corners
     twist = (c - d) - (b - a)
     along, across = (b - a) + t * twist, (d - a) + s * twist
-    return a + s * (b - a) + t * across, cross(along, across)
+    return bilinear(corners, s, t), cross(along, across)
+
+
+def bilinear(corners: Sequence[Value], s: Scalar, t: Scalar) -> Value:
+    """What four corners have, in its unit, at a place of the unit square between them."""
+    a, b, c, d = corners
+    return a + s * (b - a) + t * ((d - a) + s * ((c - d) - (b - a)))
 
 
 def square_places(order: int, dtype: DTypeLike) -> Iterable[tuple[Scalar, Scalar, Scalar]]:

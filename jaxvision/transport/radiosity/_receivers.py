@@ -4,38 +4,38 @@ Each is cut into parts once more, and what comes straight from a lamp is the mea
 the edge of a shadow runs through an element, as much of it is lit as is. Lengths in m.
 """
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._numerics import dot
-from ..._staging import TILE, in_tiles, stored
+from ..._staging import TILE, in_tiles
 from ..._vector import Vec, as_array, as_vec, where
-from ...geometry import Ray, hit_shape, nearest_shape, offset_origin, sorted_shapes
+from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
 from ...scene import Scene
 from ._grid import Plan, refined
-from .patches import Patches, by_patch, patches_of
+from .patches import Patches, by_patch, patches_at
 
 _PARTS = 2  # of an element, along each side
 _LEAST = 1e-3  # of an element, far less than a part is
 
 
 class Receivers(eqx.Module):
-    """`elements`, `parts`: those that are covered have no area; an element that is covered in part
-    has the area of the rest, and its centre lies in the open."""
+    """`patches`: all of the plan's. `elements`, `parts`: those that are covered have no area; an
+    element that is covered in part has the area of the rest, and its centre lies in the open."""
 
+    patches: Patches
     elements: Patches
     parts: Patches
 
 
-def receivers_of(scene: Scene, plan: Plan) -> Receivers:
-    """The elements of a plan and their parts; lengths in m."""
-    elements = stored(partial(patches_of, plan=plan, split=plan.split), scene)
-    parts = stored(partial(patches_of, plan=plan, split=plan.split * _PARTS), scene)
-    covered = _covered(scene, parts)
+def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
+    """The patches of a plan, their elements and the parts of these; lengths in m. `shapes`: of the
+    scene's surfaces."""
+    splits = (1, plan.split, plan.split * _PARTS)
+    patches, elements, parts = patches_at(scene, plan, splits)
+    covered = _covered(scene, parts, shapes)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
     # a mean of ones is 1 but for rounding, and then nothing is left to have a middle
     uncovered = jnp.where(uncovered > _LEAST, uncovered, 0)
@@ -52,7 +52,7 @@ def receivers_of(scene: Scene, plan: Plan) -> Receivers:
         elements,
         (where(partly, in_the_open, elements.centre), elements.area * uncovered),
     )
-    return Receivers(elements, parts)
+    return Receivers(patches, elements, parts)
 
 
 def mean_of_parts(
@@ -62,9 +62,8 @@ def mean_of_parts(
     return by_patch(values, parts, refined(plan, _PARTS))
 
 
-def _covered(scene: Scene, patches: Patches) -> Bool[Array, " patches"]:
+def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
     """Whether what lies ahead of a patch turns its back, as the inside of a body does."""
-    shapes = stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:

@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 
 from ..._numerics import dot, normalize
 from ..._staging import stored
-from ..._types import Colour, group_by_structure
+from ..._types import Colour, Scalar, group_by_structure
 from ..._vector import Vec, as_array, as_vec
 from ...brdf.lambert import Lambert
-from ...geometry import Shapes, largest_size, occluded, offset_origin
+from ...geometry import Shapes, Sorted, occluded, offset_origin, sorted_shapes
 from ...hemisphere import cross
 from ...lights import RectangleLight, Rule, incident_sample, light_nodes
 from ...lights.polygon import rectangle_irradiance
@@ -43,9 +43,21 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
     return jnp.stack([jnp.broadcast_to(value, bands) for value in values])
 
 
-def sources_of(scene: Scene) -> list[Light]:
-    """The lights and, as rectangles just above themselves, the quads that emit."""
-    size = stored(largest_size, [surface.shape for surface in scene.surfaces])
+def shapes_of(scene: Scene) -> Sorted:
+    """All shapes, m, made ready for many rays."""
+    return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
+
+
+def largest_of(shapes: Sorted) -> Scalar:
+    """The largest coordinate of all shapes, m; `ValueError` if there are none."""
+    if shapes.size is None:
+        raise ValueError("radiosity needs at least one surface, got none.")
+    return shapes.size
+
+
+def sources_of(scene: Scene, size: Scalar) -> list[Light]:
+    """The lights and, as rectangles just above themselves, the quads that emit. `size`: m, the
+    largest coordinate of all shapes."""
     lights = list(scene.lights)
     for surface in scene.surfaces:
         if surface.emission is None or not isinstance(surface.shape, Quad):

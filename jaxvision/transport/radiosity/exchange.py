@@ -7,37 +7,34 @@ shadow rays find in sight. Fixed geometry needs the table once, whatever the col
 
 from collections.abc import Callable
 from functools import partial, reduce
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int
 
 from ..._numerics import dot, norm
 from ..._random import Stream, uniforms
-from ..._staging import stored
 from ..._types import Scalar
-from ..._vector import Vec, where
+from ..._vector import Vec
 from ...geometry import (
     Sorted,
-    largest_size,
     occluded,
     offset_length,
     offset_origin,
-    sorted_shapes,
 )
 from ...scene import Scene
 from ._grid import Plan
-from ._polygons import far_factor, is_far, near_factor, on_polygon
+from ._polygons import bilinear, far_factor, is_far, near_factor
 from ._receivers import receivers_of
-from .patches import Patches, patches_of
+from ._sources import largest_of, shapes_of
+from .patches import Patches
 
 TILE = 128  # elements by patches at once: what is not needed for any of them is skipped
 # steps of the Kronecker sequence of the plastic number (Roberts, 2018)
-Number = UInt32[Array, ""]
-Numbers = UInt32[Array, "*tiles n"]
 _STEPS = (0.7548776662466927, 0.5698402909980532)
+Tile = tuple[Float[Array, "*tiles lengths n"], Int[Array, "*tiles numbers n"]]
+Numbered = tuple[Patches, Int[Array, "..."]]
 
 
 def form_factor_table(
@@ -56,57 +53,68 @@ def form_factor_table(
     """
     if rays < 1:
         raise ValueError(f"rays must be at least 1, got {rays}.")
-    patches = stored(partial(patches_of, plan=plan), scene)
-    elements = receivers_of(scene, plan).elements
-    shapes = [surface.shape for surface in scene.surfaces]
-    size, ready = stored(largest_size, shapes), stored(sorted_shapes, shapes)
+    shapes = shapes_of(scene)
+    rounding = offset_length(largest_of(shapes))
+    receivers = receivers_of(scene, plan, shapes)
+    patches, elements = receivers.patches, receivers.elements
     counts = len(elements.area), len(patches.area)
 
-    def seen(element: Patches, receiver: Number, patch: Patches, sender: Number) -> Scalar:
-        stream = Stream(receiver, sender, jnp.asarray(_SEED))
-        return _visible_part(element, patch, stream, rays, ready, size)
+    def seen(receiver: Numbered, sender: Numbered) -> Scalar:
+        (element, row), (patch, column) = receiver, sender
+        stream = Stream(row.astype(jnp.uint32), column.astype(jnp.uint32), jnp.asarray(_SEED))
+        return _visible_part(element, patch, stream, rays, shapes)
 
-    def tile(receivers: tuple[Patches, Numbers], senders: tuple[Patches, Numbers]) -> Array:
-        pair = receivers[0], senders[0]
-        factors = _every(partial(_far_factor, offset_length(size)), *pair)
+    def tile(receivers: Tile, senders: Tile) -> Array:
+        def every(pair: Callable[[Numbered, Numbered], Scalar]) -> Array:
+            first, second = (_unpacked(part, patches) for part in (receivers, senders))
+            return jax.vmap(lambda e: jax.vmap(lambda p: pair(e, p))(second))(first)
+
+        factors = every(partial(_far_factor, rounding))
         factors = jax.lax.cond(
             (factors < 0).any(),
-            lambda: jnp.where(factors < 0, _every(_near_factor, *pair), factors),
+            lambda: jnp.where(factors < 0, every(_near_factor), factors),
             lambda: factors,
         )
-        return jax.lax.cond(
-            (factors > 0).any(),
-            lambda: factors * _every(lambda e, p: seen(*e, *p), receivers, senders),
-            lambda: factors,
-        )
+        return jax.lax.cond((factors > 0).any(), lambda: factors * every(seen), lambda: factors)
 
-    def rows(receivers: tuple[Patches, Numbers]) -> Array:
-        return jax.lax.map(jax.checkpoint(partial(tile, receivers)), _in_tiles(patches))
+    senders = _in_tiles(patches)
+
+    def rows(receivers: Tile) -> Array:
+        return jax.lax.map(jax.checkpoint(partial(tile, receivers)), senders)
 
     table = jax.lax.map(rows, _in_tiles(elements))  # (tiles, tiles, TILE, TILE)
     table = table.swapaxes(1, 2).reshape(table.shape[0] * TILE, -1)
     return table[: counts[0], : counts[1]]
 
 
-def _in_tiles(patches: Patches) -> tuple[Patches, Numbers]:
-    """Patches and their numbers by the tile, (tiles, TILE); the last one is repeated to fill up."""
+def _in_tiles(patches: Patches) -> Tile:
+    """Patches and their numbers by the tile, the last one repeated to fill up. All that is measured
+    is one array, and all that is counted: each array that is cut costs code of its own."""
     count = len(patches.area)
-    numbers = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
-    return jax.tree.map(lambda x: x[numbers], patches), jnp.asarray(numbers, jnp.uint32)
+    tiles = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
+    leaves = jax.tree.leaves(patches)
+    measured = jnp.stack([x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)])
+    counted = [x for x in leaves if not jnp.issubdtype(x.dtype, jnp.floating)]
+    counted = jnp.stack([*counted, jnp.arange(count, dtype=jnp.int32)])
+    return measured[:, tiles].swapaxes(0, 1), counted[:, tiles].swapaxes(0, 1)
 
 
-def _every(pair: Callable[[Any, Any], Any], first: Any, second: Any) -> Any:
-    """`pair` of each of the first with each of the second."""
-    return jax.vmap(lambda e: jax.vmap(lambda p: pair(e, p))(second))(first)
+def _unpacked(tile: Tile, like: Patches) -> Numbered:
+    """A tile's patches, of the same structure as others, and their numbers."""
+    rows = [iter(array) for array in tile]
+    leaves, structure = jax.tree.flatten(like)
+    of_kind = [next(rows[not jnp.issubdtype(leaf.dtype, jnp.floating)]) for leaf in leaves]
+    return jax.tree.unflatten(structure, of_kind), next(rows[1])
 
 
-def _far_factor(rounding: Scalar, element: Patches, patch: Patches) -> Scalar:
+def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scalar:
     """The factor as from far away; -1 where the patch is too near for that, and 0 where the element
     is less than `rounding`, m, in front of it: there the contour is noise.
 
     One number, not a number and a flag: XLA may compute the two in different places with different
     rounding, and what then is neither near nor far is lost, or taken for far when it touches.
     """
+    element, patch = receiver[0], sender[0]
     above = [dot(element.normal, corner - element.centre) > 0 for corner in patch.corners]
     front = dot(patch.normal, element.centre - patch.centre) > rounding
     faces = (element.plane != patch.plane) & front & reduce(jnp.logical_or, above)
@@ -114,7 +122,8 @@ def _far_factor(rounding: Scalar, element: Patches, patch: Patches) -> Scalar:
     return jnp.where(faces, jnp.where(is_far(element.centre, patch.corners), factor, -1), 0)
 
 
-def _near_factor(element: Patches, patch: Patches) -> Scalar:
+def _near_factor(receiver: Numbered, sender: Numbered) -> Scalar:
+    element, patch = receiver[0], sender[0]
     return near_factor(element.centre, element.normal, patch.corners)
 
 
@@ -123,16 +132,17 @@ _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 
 
 def _visible_part(
-    element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted, size: Scalar
+    element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted
 ) -> Scalar:
     """The fraction of rays from an element's centre to places of a patch, m, that nothing stops."""
     start = element.centre + element.bulge * element.normal
+    size = 4 * largest_of(shapes)
     shift = uniforms(stream, 0, element.area.dtype)[:2]
 
     def ray(k: Int[Array, ""], seen: Scalar) -> Scalar:
         target = _place_above(element, patch, shift, k)
         # aimed above the patch, or it would itself be met by a ray whose start has been moved
-        toward = offset_origin(target, patch.normal, patch.normal, size=4 * size) - start
+        toward = offset_origin(target, patch.normal, patch.normal, size=size) - start
         distance = norm(toward)
         direction = toward * (1 / jnp.where(distance > 0, distance, 1))
         blocked = occluded(start, element.normal, direction, distance, shapes)
@@ -146,17 +156,19 @@ def _place_above(
 ) -> Vec:
     """A place of a patch for the ray of that number, m, above the element's horizon if one of
     `_TRIES` is: the factor is that of the part above alone, and so must be its visible fraction."""
+    above = [dot(element.normal, corner - element.centre) for corner in patch.corners]
+    rise = patch.bulge * dot(element.normal, patch.normal)
 
-    def place(k: int) -> Vec:
+    def place(k: int) -> tuple[Scalar, Scalar]:
         number = (ray * _TRIES + k).astype(shift.dtype)
-        s, t = ((u + number * step) % 1 for u, step in zip(shift, _STEPS, strict=True))
-        return on_polygon(patch.corners, s, t)[0] + patch.bulge * patch.normal
+        s, t = (u + number * step for u, step in zip(shift, _STEPS, strict=True))
+        return s - jnp.floor(s), t - jnp.floor(t)
 
-    chosen = place(0)
+    s, t = place(0)
     for k in range(1, _TRIES):
-        below = dot(element.normal, chosen - element.centre) <= 0
-        chosen = where(below, place(k), chosen)
-    return chosen
+        height = bilinear(above, s, t) + rise
+        s, t = (jnp.where(height > 0, *pair) for pair in zip((s, t), place(k), strict=True))
+    return bilinear(patch.corners, s, t) + patch.bulge * patch.normal
 
 
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:

@@ -5,7 +5,9 @@ computed for each point anew, with shadows. What other surfaces send is interpol
 elements, or gathered: a final gather sends rays from the point and looks up where they arrive.
 """
 
+from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,15 +28,21 @@ from ...geometry import (
     hit_shape,
     nearest_shape,
     offset_origin,
-    sorted_shapes,
 )
 from ...hemisphere import cosine_direction, local_frame, to_world
 from ...lights import MonteCarlo, Rule, can_be_seen, nearest_seen, rule_for, shifted_lattice
 from ...optics import pixel_grid, view_ray
-from ...scene import Scene, View
+from ...scene import Light, Scene, Shape, View
 from ._faces import face_place
 from ._grid import Plan, around_place
-from ._sources import diffuse_of, emission_of, irradiance_at, sources_of
+from ._sources import (
+    diffuse_of,
+    emission_of,
+    irradiance_at,
+    largest_of,
+    shapes_of,
+    sources_of,
+)
 from .solution import DEFAULT_RULE, Solution
 
 _LARGEST = 256  # numbers in an array of a shape that are gathered by each pixel
@@ -57,21 +65,7 @@ def radiosity_along(
     point as noise allows: about .7 / sqrt(rays) of the light that is not direct. For another point
     other numbers are wanted: `lights.rule_for` draws both `rule` and `gather` anew.
     """
-    lights, shapes = sources_of(scene), _ready(scene)
-    diffuse = diffuse_of(scene, solution.irradiance)
-    met = _meet(scene, plan, solution, ray)
-    direct = irradiance_at(lights, shapes, met.point, met.normal, rule)
-    if gather is None:
-        exchanged = _interpolated(solution.irradiance, met)
-    else:
-        exchanged = _gathered(scene, plan, solution, met, gather)
-    emission = emission_of(scene, solution.irradiance)[met.surface]
-    own = jnp.where(met.seen, diffuse[met.surface] * (direct + exchanged) + emission, 0)
-    if not any(can_be_seen(light) for light in scene.lights):
-        return own
-    light = nearest_seen(scene.lights, ray)
-    missed = jnp.isinf(met.distance)
-    return jnp.where((light.distance < met.distance) | missed, light.radiance, own)
+    return _along(_world_of(scene, solution), plan, solution, ray, rule, gather)
 
 
 def radiosity_image(
@@ -94,6 +88,7 @@ def radiosity_image(
     rows, columns = pixel_grid(view)
     height, width = view.resolution
     dtype = view.pixel_pitch.dtype
+    world = _world_of(scene, solution)
 
     def sample(row: Scalar, column: Scalar, number: Int[Array, ""], k: Int[Array, ""]) -> Colour:
         if samples == 1:
@@ -107,7 +102,7 @@ def radiosity_image(
         own_rule, own_gather = rule_for(rule, own), gather
         if gather is not None:
             own_gather = MonteCarlo(jax.random.fold_in(gather.key, own), gather.samples)
-        return radiosity_along(scene, plan, solution, ray, rule=own_rule, gather=own_gather)
+        return _along(world, plan, solution, ray, own_rule, own_gather)
 
     def pixel(number: Int[Array, ""]) -> Colour:
         place = rows[number // width], columns[number % width]
@@ -129,6 +124,33 @@ _SEED = np.array([0x2545F491, 0x4F6CDD1D], np.uint32)
 _STEPS = np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101])
 
 
+class _World(NamedTuple):
+    """What rays ask of a scene, computed once for all of them. `groups`: its shapes by structure.
+    `sources`: its lights and the quads that emit. `diffuse` sr^-1, `emission` W m^-2 sr^-1 and
+    `two_sided`: by the surface."""
+
+    shapes: Sorted
+    groups: Sequence[tuple[tuple[int, ...], Shape]]
+    lights: Sequence[Light]
+    sources: Sequence[Light]
+    diffuse: Float[Array, "surfaces bands"]
+    emission: Float[Array, "surfaces bands"]
+    two_sided: Bool[Array, " surfaces"]
+
+
+def _world_of(scene: Scene, solution: Solution) -> _World:
+    shapes = shapes_of(scene)
+    return _World(
+        shapes,
+        group_by_structure([surface.shape for surface in scene.surfaces], largest=_LARGEST),
+        scene.lights,
+        sources_of(scene, largest_of(shapes)),
+        diffuse_of(scene, solution.irradiance),
+        emission_of(scene, solution.irradiance),
+        jnp.asarray([surface.two_sided for surface in scene.surfaces]),
+    )
+
+
 class _Met(eqx.Module):
     """What a ray meets: where, the normal on the side it came from, the number of the surface,
     whether that side is a front, and the elements around with their weights."""
@@ -142,42 +164,59 @@ class _Met(eqx.Module):
     weights: Float[Array, " 4"]
 
 
-def _ready(scene: Scene) -> Sorted:
-    return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
+def _along(
+    world: _World,
+    plan: Plan,
+    solution: Solution,
+    ray: Ray,
+    rule: Rule,
+    gather: MonteCarlo | None,
+) -> Colour:
+    met = _meet(world, plan, solution, ray)
+    direct = irradiance_at(world.sources, world.shapes, met.point, met.normal, rule)
+    if gather is None:
+        exchanged = _interpolated(solution.irradiance, met)
+    else:
+        exchanged = _gathered(world, plan, solution, met, gather)
+    reflected = world.diffuse[met.surface] * (direct + exchanged)
+    own = jnp.where(met.seen, reflected + world.emission[met.surface], 0)
+    if not any(can_be_seen(light) for light in world.lights):
+        return own
+    light = nearest_seen(world.lights, ray)
+    missed = jnp.isinf(met.distance)
+    return jnp.where((light.distance < met.distance) | missed, light.radiance, own)
 
 
-def _meet(scene: Scene, plan: Plan, solution: Solution, ray: Ray) -> _Met:
-    shapes = _ready(scene)
-    two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
-    encounter = stored(nearest_shape, ray, shapes)
-    hit = stored(hit_shape, ray, shapes, encounter)
+def _meet(world: _World, plan: Plan, solution: Solution, ray: Ray) -> _Met:
+    encounter = stored(nearest_shape, ray, world.shapes)
+    hit = stored(hit_shape, ray, world.shapes, encounter)
     surface = jnp.maximum(encounter.shape, 0)
     behind = dot(hit.normal, ray.direction) > 0
     around, weights = stored(
-        partial(_around, scene, plan), solution.covered, hit, encounter, behind
+        partial(_around, world, plan), solution.covered, hit, encounter, behind
     )
     return _Met(
         hit.distance,
         hit.point,
         where(behind, -hit.normal, hit.normal),
         surface,
-        (encounter.shape >= 0) & (two_sided[surface] | ~behind),
+        (encounter.shape >= 0) & (world.two_sided[surface] | ~behind),
         around,
         weights,
     )
 
 
 def _gathered(
-    scene: Scene, plan: Plan, solution: Solution, met: _Met, gather: MonteCarlo
+    world: _World, plan: Plan, solution: Solution, met: _Met, gather: MonteCarlo
 ) -> Colour:
     """The irradiance by rays that are as dense as the cosine: the mean of what is sent where they
     arrive."""
-    frame, size = local_frame(met.normal), _ready(scene).size
+    frame, size = local_frame(met.normal), world.shapes.size
 
     def add(total: Colour, u: Float[Array, "2"]) -> tuple[Colour, None]:
         wi = to_world(frame, cosine_direction(u))
         onward = Ray(offset_origin(met.point, met.normal, wi, size=size), wi)
-        there = _meet(scene, plan, solution, onward)
+        there = _meet(world, plan, solution, onward)
         arriving = _interpolated(solution.sent, there)
         return total + jnp.where(there.seen, arriving, 0), None
 
@@ -187,7 +226,7 @@ def _gathered(
 
 
 def _around(
-    scene: Scene,
+    world: _World,
     plan: Plan,
     covered: Bool[Array, " elements"],
     hit: Hit,
@@ -195,15 +234,14 @@ def _around(
     behind: Bool[Array, ""],
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
     """The elements around a hit and their weights."""
-    shapes = [surface.shape for surface in scene.surfaces]
     zero = jnp.zeros((), jnp.int32)
     place = zero, jnp.zeros_like(hit.distance), jnp.zeros_like(hit.distance)
-    for members, group in group_by_structure(shapes, largest=_LARGEST):
+    for members, group in world.groups:
         shape, among = take(members, group, encounter.shape)
         found = face_place(shape, hit.point, encounter.primitive)
         place = jax.tree.map(lambda new, old, here=among: jnp.where(here, new, old), found, place)
     part, u, v = place
-    of_surface = [[f for f in plan.faces if f.surface == i] for i in range(len(shapes))]
+    of_surface = [[f for f in plan.faces if f.surface == i] for i in range(len(world.two_sided))]
     firsts = np.cumsum([0, *(len(faces) for faces in of_surface)])[:-1]
     fronts = [sum(f.front for f in faces) for faces in of_surface]
     surface = jnp.maximum(encounter.shape, 0)

@@ -8,7 +8,7 @@ they are, under `jit` and with gradients. Lengths in m, areas in m^2.
 """
 
 from collections.abc import Sequence
-from functools import reduce
+from functools import partial, reduce
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._numerics import norm, normalize
+from ..._staging import stored, together
 from ..._vector import Vec, as_vec
 from ...brdf.lambert import Lambert
 from ...hemisphere import cross
@@ -89,7 +90,27 @@ def _check_surface(number: int, surface: Surface) -> None:
 
 def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
     """The patches of a plan, or with `split` its cells cut split by split: lengths in m."""
-    corners, bulge = _cut(scene, plan, split)
+    return patches_at(scene, plan, (split,))[0]
+
+
+def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]:
+    """`patches_of` for several splits, m: as one piece of code."""
+    measured = stored(partial(_measured, plan=plan, splits=tuple(splits)), scene)
+    start, results = 0, []
+    for split in splits:
+        surfaces = surfaces_of(plan, split=split)
+        end = start + len(surfaces)
+        rows = list(measured[:, start:end])
+        a, b, c, d, centre, normal = (Vec(*rows[k : k + 3]) for k in range(0, 18, 3))
+        numbers = (jnp.asarray(x, jnp.int32) for x in (surfaces, _planes(scene, plan, split)))
+        results.append(Patches((a, b, c, d), centre, normal, *rows[18:], *numbers))
+        start = end
+    return results
+
+
+def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
+    """What `Patches` hold that has a length, in their order, for all splits."""
+    corners, bulge = _cut(scene, plan, splits)
     a, b, c, d = corners
     halves = [cross(b - a, c - a), cross(c - a, d - a)]
     vector = halves[0] + halves[1]
@@ -98,6 +119,11 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
     share = sizes[0] / jnp.where(both > 0, both, 1)
     third = jnp.full_like(share, 1 / 3)
     centre = third * (a + c + share * b + (1 - share) * d)
+    fields = (*corners, centre, as_vec(normalize(vector)), norm(vector) / 2, bulge)
+    return jnp.stack(together(jax.tree.leaves(fields)))
+
+
+def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
     counts = np.diff(offsets_of(plan, split=split))
     sides: dict[tuple[int, int], int] = {}
     spheres: dict[int, int] = {}  # both sides of a patch lie in one plane
@@ -108,15 +134,7 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
             planes.append(start + parents_in(face, split))
         else:
             planes.append(np.full(count, sides.setdefault(face[:2], len(sides))))
-    return Patches(
-        corners,
-        centre,
-        as_vec(normalize(vector)),
-        norm(vector) / 2,
-        bulge,
-        jnp.asarray(surfaces_of(plan, split=split), jnp.int32),
-        jnp.asarray(np.concatenate(planes), jnp.int32),
-    )
+    return np.concatenate(planes)
 
 
 def by_patch(
@@ -125,32 +143,29 @@ def by_patch(
     """The mean over each patch of what its elements have, by their areas in m^2. A patch without
     any area is 0."""
     of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
-    total = jax.ops.segment_sum(values * elements.area[:, None], of_patch, count)
-    areas = jax.ops.segment_sum(elements.area, of_patch, count)[:, None]
-    return total * jnp.where(areas > 0, 1 / jnp.where(areas > 0, areas, 1), 0)
+    weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
+    sums = jax.ops.segment_sum(weighted * elements.area[:, None], of_patch, count)
+    total, area = sums[:, :-1], sums[:, -1:]
+    return total * jnp.where(area > 0, 1 / jnp.where(area > 0, area, 1), 0)
 
 
 Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge
 
 
-def _cut(scene: Scene, plan: Plan, split: int) -> Cells:
-    """The cells of all faces: parallelograms at once, as one piece of code, others each by
-    itself."""
+def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
+    """The cells of all faces, split by split: parallelograms at once, as one piece of code, others
+    each by itself."""
     shapes = [scene.surfaces[face.surface].shape for face in plan.faces]
-    straight = np.array([isinstance(shape, Quad | Box) for shape in shapes])
-    firsts = offsets_of(plan, split=split)
-    numbers = np.split(np.arange(firsts[-1]), firsts[1:-1])
-    parts = []
-    if straight.any():
-        faces = [
-            (face, shape)
-            for face, shape in zip(plan.faces, shapes, strict=True)
-            if isinstance(shape, Quad | Box)
-        ]
-        parts.append(_straight_cells(faces, split))
+    straight = np.array([isinstance(shape, Quad | Box) for shape in shapes] * len(splits))
+    counts = np.concatenate([np.diff(offsets_of(plan, split=split)) for split in splits])
+    numbers = np.split(np.arange(counts.sum()), np.cumsum(counts)[:-1])
+    pairs = list(zip(plan.faces, shapes, strict=True))
+    flat = [(face, shape) for face, shape in pairs if isinstance(shape, Quad | Box)]
+    parts = [_straight_cells(flat, splits)] if flat else []
     parts += [
         _cells(shape, face, split)
-        for face, shape in zip(plan.faces, shapes, strict=True)
+        for split in splits
+        for face, shape in pairs
         if not isinstance(shape, Quad | Box)
     ]
     if len(parts) == 1:
@@ -160,20 +175,22 @@ def _cut(scene: Scene, plan: Plan, split: int) -> Cells:
     return jax.tree.map(lambda *all_parts: jnp.concatenate(all_parts)[back], *parts)
 
 
-def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], split: int) -> Cells:
+def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[int]) -> Cells:
     """Corners and bulge, which is 0, of the cells of quads and sides of boxes."""
-    sides = [side(shape, face.part) for face, shape in faces]
-    corner, edge_u, edge_v = (jnp.stack(of_sides) for of_sides in zip(*sides, strict=True))
+    sides = jnp.stack([row for face, shape in faces for row in side(shape, face.part)])
+    sides = sides.reshape(len(faces), 9)
     places, owner = [], []
-    for number, (face, _) in enumerate(faces):
-        u, v = (borders(count * split, face.graded) for count in (face.rows, face.columns))
-        low_u, low_v = (x.reshape(-1) for x in np.meshgrid(u[:-1], v[:-1], indexing="ij"))
-        high_u, high_v = (x.reshape(-1) for x in np.meshgrid(u[1:], v[1:], indexing="ij"))
-        turn = [(low_u, low_v), (high_u, low_v), (high_u, high_v), (low_u, high_v)]
-        places.append(np.array(turn if face.front else [turn[k] for k in (0, 3, 2, 1)]))
-        owner.append(np.full(len(low_u), number))
-    place = jnp.asarray(np.concatenate(places, axis=-1), corner.dtype)  # (4, 2, cells)
-    corner, edge_u, edge_v = (as_vec(x[np.concatenate(owner)]) for x in (corner, edge_u, edge_v))
+    for split in splits:
+        for number, (face, _) in enumerate(faces):
+            u, v = (borders(count * split, face.graded) for count in (face.rows, face.columns))
+            low_u, low_v = (x.reshape(-1) for x in np.meshgrid(u[:-1], v[:-1], indexing="ij"))
+            high_u, high_v = (x.reshape(-1) for x in np.meshgrid(u[1:], v[1:], indexing="ij"))
+            turn = [(low_u, low_v), (high_u, low_v), (high_u, high_v), (low_u, high_v)]
+            places.append(np.array(turn if face.front else [turn[k] for k in (0, 3, 2, 1)]))
+            owner.append(np.full(len(low_u), number))
+    place = jnp.asarray(np.concatenate(places, axis=-1), sides.dtype)  # (4, 2, cells)
+    of_cells = sides[np.concatenate(owner)]
+    corner, edge_u, edge_v = (as_vec(of_cells[:, k : k + 3]) for k in (0, 3, 6))
     a, b, c, d = (corner + u * edge_u + v * edge_v for u, v in place)
     return (a, b, c, d), jnp.zeros_like(a.x)
 

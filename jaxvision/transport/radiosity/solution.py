@@ -4,23 +4,28 @@ Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads 
 the elements directly, with shadows; what then leaves them, patches exchange.
 """
 
-from functools import partial
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._staging import TILE, in_tiles, stored
+from ..._staging import TILE, in_tiles
 from ..._types import Colour
 from ..._vector import Vec
-from ...geometry import sorted_shapes
+from ...geometry import Sorted
 from ...lights import Quadrature, Rule, rule_for
 from ...scene import Quad, Scene
 from ._grid import Plan, parents_of
 from ._receivers import mean_of_parts, receivers_of
-from ._sources import diffuse_of, emission_of, irradiance_at, sources_of
+from ._sources import (
+    diffuse_of,
+    emission_of,
+    irradiance_at,
+    largest_of,
+    shapes_of,
+    sources_of,
+)
 from .exchange import form_factor_table
-from .patches import Patches, by_patch, patches_of
+from .patches import Patches, by_patch
 from .solve import solve_radiosity
 
 DEFAULT_RULE = Quadrature(4)
@@ -55,17 +60,18 @@ def radiosity(
     quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
     term stands for what is computed here, and is left out.
     """
-    patches = stored(partial(patches_of, plan=plan), scene)
-    receivers = receivers_of(scene, plan)
+    shapes = shapes_of(scene)
+    receivers = receivers_of(scene, plan, shapes)
     if table is None:
         table = form_factor_table(scene, plan, rays=rays)
-    parts = direct_irradiance(scene, receivers.parts, rule=rule)
+    parts = _lit(scene, receivers.parts, rule, shapes)
     direct = mean_of_parts(parts, receivers.parts, plan)
-    albedo = jnp.pi * diffuse_of(scene, direct)[patches.surface]
+    surface = receivers.patches.surface
+    albedo = jnp.pi * diffuse_of(scene, direct)[surface]
     emitted = jnp.pi * emission_of(scene, direct)
     flat = jnp.asarray([isinstance(surface.shape, Quad) for surface in scene.surfaces])
-    by_patches = jnp.where(flat[:, None], 0, emitted)[patches.surface]
-    by_lights = jnp.where(flat[:, None], emitted, 0)[patches.surface]
+    by_patches = jnp.where(flat[:, None], 0, emitted)[surface]
+    by_lights = jnp.where(flat[:, None], emitted, 0)[surface]
     first = by_patches + albedo * by_patch(direct, receivers.elements, plan)
     mean_table = by_patch(table, receivers.elements, plan)
     solved = solve_radiosity(mean_table, albedo, first, method=method)
@@ -80,8 +86,13 @@ def direct_irradiance(
     """Irradiance of each element straight from lights and quads that emit, with shadows:
     (elements, bands) in W m^-2. Of rectangles it is exact where nothing stands between; `rule` says
     by how many rays half shadows are found."""
-    lights = sources_of(scene)
-    shapes = stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
+    return _lit(scene, elements, rule, shapes_of(scene))
+
+
+def _lit(
+    scene: Scene, elements: Patches, rule: Rule, shapes: Sorted
+) -> Float[Array, "elements bands"]:
+    lights = sources_of(scene, largest_of(shapes))
 
     def at(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
         return irradiance_at(lights, shapes, point, normal, rule_for(rule, number))
