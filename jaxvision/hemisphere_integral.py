@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from . import brdf
 from ._directions import arriving_from, balanced, in_frame, in_world
 from ._numerics import reciprocal, safe_sqrt
-from ._types import Colour, Key
+from ._types import Colour, Key, check_count
 from ._vector import Vec, Vector, as_vec
 from .brdf.mirror import Mirror
 from .geometry import Shapes, mirror_direction, sorted_shapes
@@ -51,8 +51,8 @@ def hemisphere_radiance(
     the truth for smooth light and surface, about it for light with edges, and blind to a lobe or a
     light that falls between all nodes (a mirror among them).
     """
-    if polar < 2 or azimuths < 2:
-        raise ValueError(f"polar and azimuths must be at least 2, got {polar} and {azimuths}.")
+    check_count("polar", polar, 2)
+    check_count("azimuths", azimuths, 2)
     frame, viewer = in_frame(normal, wo, tangent)
 
     def integral(polar: int, azimuths: int) -> Colour:
@@ -85,7 +85,7 @@ def sampled_radiance(
     `normal`, `wo`: (3,) unit. `samples`: static, at least 2, else `ValueError`. The error is the
     standard error of the mean: unbiased, but low whenever a rare bright light was not met.
     """
-    _check_samples(samples)
+    check_count("samples", samples, 2)
     frame, viewer = in_frame(normal, wo, tangent)
     if isinstance(material, Mirror):
         arriving = incident_radiance(mirror_direction(normal, wo))
@@ -123,7 +123,7 @@ def lit_radiance(
     along its one ray. For several lights, and inside a `render`, `outgoing_radiance` does the same
     by the rule `Balanced`.
     """
-    _check_samples(samples)
+    check_count("samples", samples, 2)
     frame, viewer = in_frame(normal, wo, tangent)
     place = None if occluders is None else Place(point, Leaving(normal), sorted_shapes(occluders))
     if isinstance(material, Mirror):
@@ -139,8 +139,3 @@ def lit_radiance(
 def _mean(values: Float[Array, "samples bands"]) -> Estimate:
     count = values.shape[0]
     return Estimate(values.mean(axis=0), safe_sqrt(values.var(axis=0, ddof=1) / count))
-
-
-def _check_samples(samples: int) -> None:
-    if samples < 2:
-        raise ValueError(f"samples must be at least 2, got {samples}.")

@@ -9,6 +9,7 @@ whole picture.
 
 import dataclasses
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -59,6 +60,7 @@ def render_to_file(
     check_writable(out)
     if preview is not None:
         check_writable(preview, kind=np.uint8)
+    _check_room(out, source)
     unfinished = out.with_name(out.name + ".partial")
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
     try:
@@ -76,6 +78,20 @@ def render_to_file(
         raise KeyboardInterrupt(
             f"{out}: interrupted; the same command goes on from there."
         ) from None
+
+
+def _check_room(out: Path, source: SceneFile) -> None:
+    """`InputError` for a picture larger than what the disk has left."""
+    height, width = source.view.resolution
+    wanted = 2 * 4 * height * width * source.bands  # what is done, and the picture made of it
+    folder = next(folder for folder in out.resolve().parents if folder.exists())
+    free = shutil.disk_usage(folder).free
+    if wanted > free:
+        raise InputError(
+            f"{out}: {height} x {width} pixels of {source.bands} bands take {wanted / 1e9:.3g} GB "
+            f"while they are computed, and {free / 1e9:.3g} GB are free; lower the resolution, or "
+            "write to another disk."
+        )
 
 
 @contextmanager

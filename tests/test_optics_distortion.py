@@ -89,6 +89,8 @@ def test_beyond_the_fold_of_a_barrel_is_finite_and_constant():
     np.testing.assert_allclose([x * (1 - x * x / 3), y], [0.66, 0], atol=1e-12)
     x, y = optics.undistort(lens, a(0.9), a(0.0))
     np.testing.assert_allclose([x, y], [1, 0], atol=0.05)
+    for far in (1e3, 1e10, 1e30):
+        np.testing.assert_allclose(optics.undistort(lens, a(far), a(0.0)), [1, 0], atol=0.05)
     gradient = jax.grad(lambda t: optics.undistort(lens, t, a(0.1))[0])(a(2.0))
     assert gradient == 0
 

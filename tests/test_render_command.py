@@ -435,6 +435,8 @@ def test_bands_that_are_wavelengths_have_names(tmp_path):
         (["cornell_box", "--out", "a.exr", "--preview", "b.exr"], "uint8 pixels do not fit .exr"),
         (["cornell_box", "--out", "a.exr", "--samples", "0"], "samples = 0: must be greater than"),
         (["cornell_box", "--out", "a.exr", "--integrator", "pth"], "the nearest is 'path'"),
+        (["cornell_box", "--out", "a.exr", "--gather", "4"], "gather = 4 is of radiosity alone"),
+        (["cornell_box", "--out", "a.exr", "--resolution", "1000000,1000000"], "lower the resol"),
     ],
 )
 def test_mistakes_are_one_sentence(tmp_path, monkeypatch, arguments, sentence):

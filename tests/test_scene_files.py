@@ -325,6 +325,8 @@ REFUSED = {
         r"material\.grey\.albedo\.illuminent is not a key .* nearest is 'illuminant'",
     ),
     "missing": (SCENE.replace("radius = 1", ""), r'surface "ball"\.radius is missing; add it'),
+    "true": (SCENE.replace("radius = 1", "radius = true"), r'surface "ball"\.radius = True'),
+    "word": (SCENE.replace("radius = 1", 'radius = "1"'), r'surface "ball"\.radius = \'1\''),
     "no shape": (SCENE.replace('shape = "sphere"', ""), r'surface "ball": shape is missing'),
     "shape": (SCENE.replace('"sphere"', '"spere"'), "shape = 'spere' is unknown.* is 'sphere'"),
     "family": (SCENE.replace('"lambert"', '"lambertian"'), "family = 'lambertian' .*'lambert'"),

@@ -34,6 +34,10 @@ UNCHECKED = {
     "Quadrature(2.5)": "Quadrature.order must be a whole number of at least 1, got 2.5.",
     "Surface(GREY, GREY)": "Surface.shape must be a record, Sphere or",
     "Surface(BALL, BALL)": "Surface.material must be a record, Material, got a Sphere.",
+    "hemisphere_radiance(GREY, one, UP, UP, azimuths=2.5)": "azimuths must be a whole number of at "
+    "least 2, got 2.5.",
+    "Scene([Surface(BALL, Mirror([0.5, 0.5]))], [SUN])": "Scene.surfaces[0].material.reflectance "
+    "must have 1 or 3 bands, got 2.",
     "Scene([BALL], [])": "Scene.surfaces[0] must be a record, Surface, got a Sphere.",
     "Scene(Surface(BALL, GREY), [3.0])": "Scene.lights[0] must be a record, Light, got 3.0.",
     "Scene(Surface(BALL, GREY), [], [1.0])": "Scene.ambient must be a record, AmbientLight, got a "
@@ -41,13 +45,21 @@ UNCHECKED = {
 }
 PROGRAM = """
 import numpy as np
-from jaxvision import Quadrature, brdf
+from jaxvision import DirectionalLight, Quadrature, brdf, hemisphere_radiance
 from jaxvision.brdf.lambert import Lambert
+from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
 from jaxvision.scene import *
 from jaxvision.sensor import pixel_means
 EYE = np.zeros(3), np.eye(3), 0.01, 1e-5
 UP, MANY, GREY, BALL = np.eye(3)[2], np.ones((4, 3)), Lambert([0.2]), Sphere([0, 0, 0], 1)
+SUN = DirectionalLight([0, 0, 1], [1.0, 1.0, 1.0])
+
+
+def one(wi):
+    return np.ones(3)
+
+
 for call in CALLS:
     try:
         eval(call)

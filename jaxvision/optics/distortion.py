@@ -74,7 +74,9 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
     starts_well = _is_before_fold(distortion, x, y)
     start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
-    begin = (0, *start, jnp.ones_like(x), jnp.ones((), bool))
+    # far out, beyond any rim, a whole step would overshoot by more than halves can mend
+    share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
+    begin = (0, *start, share, jnp.ones((), bool))
     _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)
     lost = jnp.isnan(x) | jnp.isnan(y)
     return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)

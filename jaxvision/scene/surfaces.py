@@ -40,7 +40,8 @@ def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:
 
 class Scene(eqx.Module):
     """Surfaces and the lights on them, or one alone. All spectra share one number of bands, which
-    is checked here for the k_d of materials, for emissions and for lights."""
+    is checked here for the k_d of materials, for emissions and for lights, and for mirrors, which
+    may be neutral."""
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=_as_tuple)
     lights: tuple[Light, ...] = eqx.field(converter=_as_tuple)
@@ -65,7 +66,14 @@ class Scene(eqx.Module):
                 spectra[f"Scene.lights[{i}].{field}: its spectrum"] = getattr(light, field, None)
         spectra["Scene.ambient.radiance"] = getattr(self.ambient, "radiance", None)
         bands = {name: x.shape[-1:] for name, x in spectra.items() if x is not None}
+        first = next(iter(bands.values()), (1,))
         for name, got in bands.items():
-            first = next(iter(bands.values()))
             if got != first:
                 raise ValueError(f"{name} must have {first[0]} bands, got {got[0]}.")
+        for i, surface in enumerate(self.surfaces):
+            reflectance = getattr(surface.material, "reflectance", None)
+            if bands and reflectance is not None and reflectance.shape[-1] not in (1, first[0]):
+                raise ValueError(
+                    f"Scene.surfaces[{i}].material.reflectance must have 1 or {first[0]} bands, "
+                    f"got {reflectance.shape[-1]}."
+                )

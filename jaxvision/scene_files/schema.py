@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from .._toml import Entry, checked
+from ..errors import InputError
 from .material_schema import Material
 from .spectrum_schema import (
     Axes,
@@ -255,8 +256,8 @@ class RenderEntry(Entry):
     order: Count = 8
     shadows: bool = True
     patches: Count = 1000
-    gather: Annotated[int, Field(ge=0)] = 0
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    gather: Annotated[int, Field(strict=True, ge=0)] = 0
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
     tile: Count = 65536
     dtype: Literal["float32", "float64"] = "float32"
 
@@ -273,11 +274,16 @@ class RenderEntry(Entry):
 def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
     """The settings with those `given`, None apart. Samples and depth are meant for the integrator
     that they were written beside: another one begins with its usual ones. `InputError` for the
-    first that is out of range."""
+    first that is out of range, or of another integrator."""
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
     if given.get("integrator", settings.integrator) != settings.integrator:
         del kept["samples"], kept["depth"]
+    if given.get("gather") and given.get("integrator", settings.integrator) != "radiosity":
+        raise InputError(
+            f"gather = {given['gather']} is of radiosity alone; leave it out, or set the "
+            "integrator to 'radiosity'."
+        )
     return checked("render", {**kept, **given}, RenderEntry, "scene")
 
 

@@ -7,12 +7,13 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from .._toml import Entry
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+# strict: neither words nor true and false are numbers
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Axes = tuple[Vector, Vector, Vector]
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(strict=True, ge=1)]
 
 
 class Tabulated(Entry):
