@@ -50,6 +50,7 @@ EXAMPLES = {
     f"{ROOM}.form_factors.point_to_polygon": ((POINT, UP, ABOVE), {}),
     f"{ROOM}.form_factors.polygon_to_polygon": ((BELOW, ABOVE), {"order": 2}),
     f"{ROOM}.patches.patches_of": ((SCENE,), {"plan": PLAN}),
+    f"{ROOM}.patches.patches_at": ((SCENE,), {"plan": PLAN, "splits": (1, 2)}),
     f"{ROOM}.exchange.form_factor_table": ((SCENE,), {"plan": PLAN}),
     f"{ROOM}.patches.by_patch": ((SENT, ELEMENTS), {"plan": PLAN}),
     f"{ROOM}.exchange.closure_error": ((TABLE,), {}),
