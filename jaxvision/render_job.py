@@ -60,8 +60,8 @@ def render_to_file(
     check_writable(out)
     if preview is not None:
         check_writable(preview, kind=np.uint8)
-    _check_room(out, source)
     unfinished = out.with_name(out.name + ".partial")
+    _check_room(out, unfinished, source)
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
     try:
         with whole(source, settings, unfinished, fresh, advance) as rows:
@@ -80,12 +80,14 @@ def render_to_file(
         ) from None
 
 
-def _check_room(out: Path, source: SceneFile) -> None:
-    """`InputError` for a picture larger than what the disk has left."""
+def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
+    """`InputError` for a picture larger than what the disk has left, and an earlier part has
+    taken."""
     height, width = source.view.resolution
     wanted = 2 * 4 * height * width * source.bands  # what is done, and the picture made of it
     folder = next(folder for folder in out.resolve().parents if folder.exists())
     free = shutil.disk_usage(folder).free
+    free += unfinished.stat().st_size if unfinished.exists() else 0
     if wanted > free:
         raise InputError(
             f"{out}: {height} x {width} pixels of {source.bands} bands take {wanted / 1e9:.3g} GB "

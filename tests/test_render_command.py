@@ -364,8 +364,8 @@ ROOM += '[[light]]\nkind = "point"\nposition = [0.4, 0.5, 0.6]\nintensity = [1, 
 
 
 def test_the_final_gather_of_radiosity(tmp_path):
-    """It knows no tiles, follows the seed, and errs around what it gathers: light that no patch
-    resolves varies over a wall, so that pixels differ, but their mean does not."""
+    """It knows no tiles and follows the seed, and in the mean over the picture it finds the light
+    that is otherwise interpolated."""
     (tmp_path / "a.toml").write_text(ROOM)
     pictures = {}
     for name, options in {
@@ -389,7 +389,7 @@ def test_the_final_gather_of_radiosity(tmp_path):
 
 
 def test_light_that_grows_without_end_is_named(tmp_path):
-    """In a closed room that is white in one band; one wall of another colour lets it end."""
+    """In a closed room that is white in one band; in the grey one of the test above it ends."""
     (tmp_path / "a.toml").write_text(ROOM.replace("0.5, 0.7]", "1, 0.7]", 1))
     status, _, error = run(tmp_path / "a.toml", "--out", tmp_path / "a.exr")
     assert (status, error.count("\n")) == (2, 1)
