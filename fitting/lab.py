@@ -19,8 +19,7 @@ import tomli_w
 
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.phong import Phong
-from jaxvision.capture import capture
-from jaxvision.develop import to_integers
+from jaxvision.development import to_integers
 from jaxvision.io import replaced_on_success, write_image
 from jaxvision.lights import DirectionalLight, PointLight
 from jaxvision.optics import look_at
@@ -39,6 +38,7 @@ from jaxvision.scene import (
     Surface,
 )
 from jaxvision.sensor import raw_image
+from jaxvision.shot import capture
 
 from .posterior import Progress
 from .rig import RIG_FILE

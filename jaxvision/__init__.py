@@ -92,15 +92,11 @@ from .camera_files import (
     read_camera,
     shipped_cameras,
 )
-from .capture import (
-    Capture,
-    capture,
-)
 from .colour_filters import (
     bayer,
     mosaic,
 )
-from .develop import (
+from .development import (
     camera_colour,
     demosaic,
     develop,
@@ -258,6 +254,10 @@ from .sensor import (
 )
 from .shading import outgoing_radiance
 from .shadows import Leaving, visibility
+from .shot import (
+    Capture,
+    capture,
+)
 from .transport import (
     Paths,
     Traced,

@@ -24,9 +24,9 @@ FLOORS = [
     {"shading", "hemisphere_integral", "point_ops"},
     {"colour_spaces"},
     {"histogram", "compositing", "optics", "sensor"},
-    {"matting", "transport", "develop"},
+    {"matting", "transport", "development"},
     {"rendering"},
-    {"capture", "effects", "accuracy", "scene_checks"},
+    {"shot", "effects", "accuracy", "scene_checks"},
     {"io", "_toml", "_command"},
     {"measured_files", "mesh_files", "camera_files", "plots", "_partial_image"},
     {"scene_files"},
@@ -120,7 +120,7 @@ def test_the_reader_of_imports_reads():
     """A check that cannot fail is a defect: three imports that are known to be there."""
     plan = neighbours("jaxvision")
     assert {"geometry", "scene", "_numerics"} <= plan["brdf"]
-    assert {"sensor", "optics", "shading"} <= plan["capture"]
+    assert {"sensor", "optics", "shading"} <= plan["shot"]
     assert "jax" in outside(rooms("jaxvision")["sensor"])
 
 
@@ -180,6 +180,6 @@ def test_import_jaxvision_is_light():
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
     cost, *modules = done.stdout.split()
-    assert "jaxvision.capture" in modules
+    assert "jaxvision.shot" in modules
     assert float(cost) < 1
     assert not {name.split(".")[0] for name in modules} & set(NEVER_ON_IMPORT)

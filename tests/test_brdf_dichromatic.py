@@ -33,9 +33,7 @@ RED, GREEN = np.array([0.8, 0.2, 0.15]), np.array([0.2, 0.7, 0.3])
 BODY, LOBE = Lambert([1 / np.pi]), NormalisedPhong([0.0], [0.3], 30.0)
 FLAT = np.ones(3)
 VIEW = Orthographic([0, 0, 0], np.eye(3), 2 / 44, resolution=(48, 48))
-RENDER = jax.jit(
-    lambda scene: render(scene, VIEW), compiler_options={"xla_backend_optimization_level": 0}
-)
+RENDER = jax.jit(lambda scene: render(scene, VIEW))
 
 
 def photograph(spectrum, *, body=BODY, interface=LOBE, light=LIGHT):

@@ -112,13 +112,12 @@ FAMILIES = {
 }
 NOT_RECIPROCAL = {"phong shading", "gaussian shading", "blinn shading"}
 every_family = pytest.mark.parametrize("name", FAMILIES)
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 # One compiled function of each kind for all materials of one structure.
-EVALUATE = quick_jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))
-PDF = quick_jit(jax.vmap(brdf.pdf, in_axes=(None, 0, None)))
-SAMPLE = quick_jit(jax.vmap(brdf.sample, in_axes=(None, None, 0)))
-ALBEDO = quick_jit(jax.vmap(brdf.albedo, in_axes=(None, 0)))
+EVALUATE = jax.jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))
+PDF = jax.jit(jax.vmap(brdf.pdf, in_axes=(None, 0, None)))
+SAMPLE = jax.jit(jax.vmap(brdf.sample, in_axes=(None, None, 0)))
+ALBEDO = jax.jit(jax.vmap(brdf.albedo, in_axes=(None, 0)))
 
 
 def towards(theta, phi):
@@ -388,7 +387,7 @@ def test_what_a_bright_body_under_glass_reflects():
 )
 def test_a_blunt_lobe_about_the_normal(n, plain, cosine):
     """2 pi / (n + 1) and 2 pi / (n + 2), to what the docstring says where n is not whole."""
-    got = quick_jit(power_integrals)(jnp.asarray(1.0), jnp.asarray(n))
+    got = jax.jit(power_integrals)(jnp.asarray(1.0), jnp.asarray(n))
     np.testing.assert_allclose(got[0], 2 * np.pi / (n + 1), rtol=plain)
     np.testing.assert_allclose(got[1], 2 * np.pi / (n + 2), rtol=cosine)
 
@@ -457,7 +456,7 @@ def test_a_family_registered_by_a_script_works_everywhere():
     ball = Surface(Sphere([0, 0, 3], 1.0), material)
     light = DirectionalLight([0, 0, -1], [1.0, 2.0])
     view = Orthographic([0, 0, 0], np.eye(3), 0.5, resolution=(3, 3))
-    picture = quick_jit(lambda scene: render(scene, view))(Scene([ball], [light]))
+    picture = jax.jit(lambda scene: render(scene, view))(Scene([ball], [light]))
     # Seen along the light, wi = wo: f_r = k, times the irradiance and its cosine.
     np.testing.assert_allclose(picture[1, 1], [0.2, 0.6], rtol=1e-12)
     offset = float(picture[0, 1, 0])
@@ -496,7 +495,7 @@ def test_facets_cover_the_surface_once_and_all_that_is_seen_is_seen(distribution
     weights = np.repeat(np.pi / 4 * dt * np.sin(theta) * 2 * np.pi / 128, 128)
     h = jnp.asarray(towards(theta[:, None], 2 * np.pi * np.arange(128) / 128).reshape(-1, 3))
     alpha = jnp.asarray([0.3, 0.5])
-    d = quick_jit(
+    d = jax.jit(
         jax.vmap(partial(microfacet.normal_distribution, alpha=alpha, distribution=distribution))
     )(h)
     np.testing.assert_allclose(weights @ (d * h[:, 2]), 1, rtol=1e-9)

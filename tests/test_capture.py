@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +20,9 @@ from jaxvision import (
     as_dtype,
 )
 from jaxvision import scene as s
-from jaxvision.capture import capture
 from jaxvision.optics import look_at, sensor_irradiance
 from jaxvision.rendering import PixelSamples, render
+from jaxvision.shot import capture
 
 BANDS = 3
 ROTATION = look_at(
@@ -83,9 +82,7 @@ def plain_rays(view):
     return rays
 
 
-# Correctness needs no optimised code: this compiles three times faster.
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-draw = quick_jit(render)
+draw = jax.jit(render)
 
 
 @pytest.mark.parametrize("view", [PINHOLE, PARALLEL], ids=["pinhole", "orthographic"])
@@ -109,7 +106,7 @@ def test_stages_fit_together():
     view = s.Pinhole([0, 0, 0], np.eye(3), 1, 1e-9, resolution=(1, 1), f_number=2)
     sensor = s.Sensor(exposure_time=10.0, gain=800.0, offset=64.0, bits=12)
     development = s.Development(black_level=64, white_level=64 + 4 * 785, tone=s.SRGB())
-    shot = quick_jit(capture)(None, scene, s.Camera(view, sensor, development))
+    shot = jax.jit(capture)(None, scene, s.Camera(view, sensor, development))
     np.testing.assert_allclose(shot.radiance, [[[1.0]]], rtol=1e-15)
     np.testing.assert_allclose(shot.irradiance, [[[np.pi / 16]]], rtol=1e-15)
     assert float(shot.raw[0, 0, 0]) == round(np.pi / 16 * 8000 + 64)  # 1635
@@ -123,7 +120,7 @@ def test_keys_draw_what_they_should():
     sensor = s.Sensor(exposure_time=100.0, prnu=0.1, read_noise=1.0)
     camera = s.Camera(PINHOLE, sensor)
     a, b = jax.random.split(jax.random.key(0))
-    take = quick_jit(lambda key, die: capture(key, SCENE, camera, die_key=die).raw)
+    take = jax.jit(lambda key, die: capture(key, SCENE, camera, die_key=die).raw)
     first, again, other_frame, other_die = take(a, b), take(a, b), take(b, b), take(a, a)
     np.testing.assert_array_equal(first, again)
     assert (first != other_frame).all()
@@ -140,12 +137,12 @@ def test_sweep_over_exposure_batches_with_a_leading_axis():
         sensor = replace(camera.sensor, exposure_time=t)
         return capture(None, SCENE, replace(camera, sensor=sensor)).raw
 
-    raws = quick_jit(jax.vmap(shoot))(times)
+    raws = jax.jit(jax.vmap(shoot))(times)
     np.testing.assert_allclose(raws, times[:, None, None, None] * raws[1:2], rtol=1e-15)
 
 
 def test_gradients_of_the_picture_are_finite_and_right():
-    gradient = quick_jit(jax.grad(lambda scene: render(scene, PINHOLE).sum()))(SCENE)
+    gradient = jax.jit(jax.grad(lambda scene: render(scene, PINHOLE).sum()))(SCENE)
     assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     # the picture is linear in the ground's kd: the gradient is the finite difference
     kd = jnp.asarray(KD)
@@ -237,7 +234,7 @@ def moved(scene, view, time):
 def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
     sensor = s.Sensor(exposure_time=0.4)
     view = replace(PARALLEL, resolution=(4, 5))
-    take = quick_jit(lambda camera: capture(None, LAMBERT_ONLY, camera, motion=moved, moments=2))
+    take = jax.jit(lambda camera: capture(None, LAMBERT_ONLY, camera, motion=moved, moments=2))
     shot = take(s.Camera(view, sensor))
     still = [draw(*moved(LAMBERT_ONLY, view, time)) for time in (0.1, 0.3)]
     np.testing.assert_allclose(shot.radiance, (still[0] + still[1]) / 2, rtol=1e-12)
@@ -253,7 +250,7 @@ def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
 def test_oversampled_pixels_are_means_over_their_apertures():
     view = replace(PINHOLE, resolution=(4, 5), f_number=2.0)
     aperture = s.PixelAperture(0.25, oversampling=2)
-    shot = quick_jit(capture)(None, LAMBERT_ONLY, s.Camera(view, s.Sensor(pixel_aperture=aperture)))
+    shot = jax.jit(capture)(None, LAMBERT_ONLY, s.Camera(view, s.Sensor(pixel_aperture=aperture)))
     fine = replace(view, resolution=(8, 10), pixel_pitch=view.pixel_pitch / 2)
     samples = np.asarray(sensor_irradiance(fine, draw(LAMBERT_ONLY, fine)))
     means = samples.reshape(4, 2, 5, 2, 3).mean(axis=(1, 3))
@@ -263,7 +260,7 @@ def test_oversampled_pixels_are_means_over_their_apertures():
 
 def test_a_mosaic_is_captured_as_one_number_a_pixel():
     colours = s.ColourFilter(np.eye(3), pattern=((0, 1), (1, 2)))
-    shot = quick_jit(capture)(None, SCENE, s.Camera(PINHOLE, s.Sensor(colour_filter=colours)))
+    shot = jax.jit(capture)(None, SCENE, s.Camera(PINHOLE, s.Sensor(colour_filter=colours)))
     assert shot.irradiance.shape == (10, 12, 3)
     np.testing.assert_array_equal(shot.raw[1::2, 1::2, 0], shot.irradiance[1::2, 1::2, 2])
 
@@ -283,7 +280,7 @@ def test_a_captured_edge_is_as_wide_as_the_circle_of_confusion():
     """A shining half-plane out of focus is the integral of a disc, 1/2 + (t sqrt(1 - t^2) +
     arcsin t) / pi, over each pixel; in focus it is a step."""
     samples = PixelSamples(jax.random.key(2), 500)
-    shoot = quick_jit(lambda camera: capture(None, HALF_WALL, camera, samples=samples))
+    shoot = jax.jit(lambda camera: capture(None, HALF_WALL, camera, samples=samples))
 
     def lit(view):
         shot = shoot(s.Camera(view, s.Sensor(gain=3.0)))
@@ -311,7 +308,7 @@ def test_a_captured_picture_is_spread_by_diffraction():
     view = replace(LENS, focus_distance=None, f_number=jnp.asarray(8.0), pixel_pitch=1.5e-6)
     wave, size, n = 5e-7, 21, 96
     bent = replace(view, diffraction=s.Diffraction(wave, size=size))
-    shoot = quick_jit(lambda view: capture(None, HALF_WALL, s.Camera(view, s.Sensor())))
+    shoot = jax.jit(lambda view: capture(None, HALF_WALL, s.Camera(view, s.Sensor())))
     plain, spread = shoot(view), shoot(bent)
     np.testing.assert_array_equal(plain.radiance, spread.radiance)
     places = (np.arange(size * n) + 0.5) / n - size / 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxvision.colour_filters import BAYER_PHASES, band_at, bayer, mosaic
-from jaxvision.develop import (
+from jaxvision.development import (
     demosaic,
     demosaic_bilinear,
     demosaic_malvar,
@@ -17,7 +17,6 @@ from jaxvision.develop import (
 )
 
 peers = pytest.importorskip("colour_demosaicing")
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 RNG = np.random.default_rng(8)
 # whole codes: sums are exact, so that Menon's decisions do not hang on a rounding
@@ -50,7 +49,7 @@ def test_malvar_is_colour_demosaicings(phase):
 )
 def test_menon_is_colour_demosaicings(phase, refine):
     peer = peers.demosaicing_CFA_Bayer_Menon2007(CODES, phase, refine)
-    ours = quick_jit(partial(demosaic_menon, pattern=bayer(phase), refine=refine))(CODES)
+    ours = jax.jit(partial(demosaic_menon, pattern=bayer(phase), refine=refine))(CODES)
     np.testing.assert_allclose(ours, peer, rtol=0, atol=1e-12 * 1024)
 
 

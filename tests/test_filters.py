@@ -21,14 +21,6 @@ SMALL = PLANE[:4, :3]  # smaller than the largest kernel
 LINEAR = sorted(set(BORDERS) - {"constant"})
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def by_hand(plane, kernel, anchor, border, fill=0.0):
     """The definition, one product at a time."""
     (h, w), (kh, kw) = plane.shape, kernel.shape

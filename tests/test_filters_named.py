@@ -18,14 +18,6 @@ PLANE = RNG.normal(size=(12, 11))
 YY, XX = np.mgrid[:31, :31] - 15.0
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def value(x):
     return jnp.asarray(float(x))
 

@@ -25,14 +25,6 @@ NUMPY = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def by_hand(plane, stack, anchor, border):
     kh, kw, h, w = stack.shape
     reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])

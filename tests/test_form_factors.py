@@ -17,7 +17,6 @@ from jaxvision.transport.radiosity import (
     polygon_to_polygon,
 )
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 UNIT_SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 CEILING = UNIT_SQUARE[::-1] + np.array([0, 0, 1])
 WALL = np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], float)
@@ -78,7 +77,7 @@ RECTANGLES = {
     "beside": ([[0, 0.2], [0, 0.1]], [[0.5, 0.7], [0.6, 0.7]], 0.5),
     "far": ([[0, 0.1], [0, 0.1]], [[3, 3.1], [0.2, 0.3]], 2.0),
 }
-exchanges = quick_jit(
+exchanges = jax.jit(
     lambda a, b, gap: (parallel_exchange(a, b, gap), perpendicular_exchange(a, b + 0.3))
 )
 
@@ -110,7 +109,7 @@ def test_exchange_is_that_of_the_closed_forms():
     assert perpendicular < touching
 
 
-to_polygon = quick_jit(point_to_polygon)
+to_polygon = jax.jit(point_to_polygon)
 
 
 def test_a_point_sees_a_closed_room():
@@ -140,7 +139,7 @@ def test_a_point_below_a_corner_of_a_square(height):
 
 @cache
 def quadrature(order):
-    return quick_jit(partial(polygon_to_polygon, order=order))
+    return jax.jit(partial(polygon_to_polygon, order=order))
 
 
 @pytest.mark.parametrize("other", ["lid", "wall"])

@@ -32,14 +32,6 @@ VALUES = RNG.normal(0.5, 0.3, size=(64, 48))
 COLOUR = np.stack([CODES, 255 - CODES, np.roll(CODES, 5, axis=0) // 2], axis=-1)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 # ------------------------------------------------ counts
 
 

@@ -12,14 +12,6 @@ COLOUR = RNG.random((7, 9, 3))
 CODES = RNG.integers(0, 256, size=(12, 10), dtype=np.uint8)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def test_entries_are_exclusive_sums_as_in_opencv():
     import cv2
 

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.develop import jpeg, quantisation_tables
+from jaxvision.development import jpeg, quantisation_tables
 
 files = pytest.importorskip("PIL.Image")
-QUICK = {"xla_backend_optimization_level": 0}
 RNG = np.random.default_rng(4)
 
 
@@ -38,7 +37,7 @@ def levels(picture):
 @pytest.fixture(scope="module")
 def compressed():
     """`jpeg`, compiled once for each shape and subsampling."""
-    return jax.jit(jpeg, static_argnames=("subsampling", "rounding"), compiler_options=QUICK)
+    return jax.jit(jpeg, static_argnames=("subsampling", "rounding"))
 
 
 def test_tables_are_libjpegs_at_every_quality():

@@ -29,7 +29,6 @@ from jaxvision.lights import incident_samples, seen
 from jaxvision.lights.light_field import light_field_radiance, light_field_ray, refocus
 from jaxvision.rendering import render_light_field
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 # A window of 0.4 x 0.4 m in z = 0 that shines toward -z, where the viewer is; the scene is behind,
 # and its focal window at z = 1 m.
 APERTURE = Window([-0.2, 0.2, 0], [0.4, 0, 0], [0, -0.4, 0])
@@ -95,7 +94,7 @@ def behind():
 @pytest.fixture(scope="module")
 def recorded():
     record = partial(render_light_field, resolution=(3, 3, 49, 49))
-    return quick_jit(record)(behind(), APERTURE, FOCAL)
+    return jax.jit(record)(behind(), APERTURE, FOCAL)
 
 
 def camera(z):
@@ -105,7 +104,7 @@ def camera(z):
 def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
     """Pixel by pixel what it sees with the window away."""
     elsewhere = Surface(Plane([0, 5, 0], [0, -1, 0]), Lambert([0.0, 0.0]))
-    draw = quick_jit(render)
+    draw = jax.jit(render)
     through = draw(Scene([elsewhere], [recorded]), camera(-0.6))
     direct = draw(behind(), camera(-0.6))
     assert direct.std() > 0.1 * direct.mean()
@@ -122,7 +121,7 @@ def test_the_window_lights_what_is_before_it(recorded):
     def look(direction):
         return radiance_along(behind(), Ray(point, direction))
 
-    expected = quick_jit(jax.vmap(look))(even.direction) * even.irradiance
+    expected = jax.jit(jax.vmap(look))(even.direction) * even.irradiance
     np.testing.assert_allclose(arriving.irradiance, expected, rtol=2e-3)
 
 
@@ -140,7 +139,7 @@ def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
                 field, jnp.stack([x, 0 * x, 0 * x + depth]), opening=opening, order=24
             )[0]
         )
-        values = quick_jit(line)(x)
+        values = jax.jit(line)(x)
         return float((values.max() - values.min()) / 2)
 
     assert contrast(1.0, 1.0) > 0.97

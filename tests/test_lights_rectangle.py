@@ -32,11 +32,10 @@ from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.orders import ORDERS, order_for
 from jaxvision.lights.polygon import rectangle_irradiance
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 # 1 x 1 m above the origin, shining down
 LAMP = RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1.0, 2.0])
 UP = jnp.asarray([0.0, 0, 1])
-exact = quick_jit(rectangle_irradiance)
+exact = jax.jit(rectangle_irradiance)
 
 
 def below(height, x=0.0, y=0.0):
@@ -108,7 +107,7 @@ def test_quadrature_and_random_samples_find_the_exact_irradiance(kind):
 def test_random_samples_are_unbiased():
     point = below(0.3, 0.2)
     rules = jax.vmap(lambda key: irradiance(LAMP, point, UP, rule=MonteCarlo(key, 8))[0])
-    means = quick_jit(rules)(jax.random.split(jax.random.key(3), 2000))
+    means = jax.jit(rules)(jax.random.split(jax.random.key(3), 2000))
     error = means.std() / np.sqrt(2000)
     assert abs(means.mean() - exact(LAMP, point, UP)[0]) < 4 * error
     assert error < 2e-3 * means.mean()
@@ -121,11 +120,11 @@ def test_the_order_follows_distance_over_size(height, tolerance):
     twice a side what is needed."""
     points = jnp.asarray([[x, y, -height] for x in (0.0, 0.3, 0.5) for y in (0.0, 0.45)])
     order = order_for(LAMP, points, tolerance=tolerance)
-    truth = quick_jit(jax.vmap(lambda p: rectangle_irradiance(LAMP, p, UP)[0]))(points)
+    truth = jax.jit(jax.vmap(lambda p: rectangle_irradiance(LAMP, p, UP)[0]))(points)
 
     def worst(order):
         rule = Quadrature(order)
-        got = quick_jit(jax.vmap(lambda p: irradiance(LAMP, p, UP, rule=rule)[0]))(points)
+        got = jax.jit(jax.vmap(lambda p: irradiance(LAMP, p, UP, rule=rule)[0]))(points)
         return float(jnp.abs(got / truth - 1).max())
 
     assert worst(order) <= tolerance
@@ -171,7 +170,7 @@ def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
         nodes = adaptive_irradiance(LONG_LAMP, point[None], normal[None], tolerance=tolerance)
         return nodes[0, 0], rectangle_irradiance(LONG_LAMP, point, normal)[0]
 
-    got, truth = quick_jit(jax.vmap(alone))(*map(jnp.asarray, (places, normals)))
+    got, truth = jax.jit(jax.vmap(alone))(*map(jnp.asarray, (places, normals)))
     lit = truth > 0
     facing = 0.2 * -places[:, 2] / (places**2).sum(axis=1) ** 1.5
     error = np.abs(got - truth)[lit]
@@ -184,7 +183,7 @@ def test_receivers_together_take_the_rule_of_the_neediest():
     """Far ones alone by four nodes, wrong before the tenth digit; with one that is near, or one
     whose horizon cuts the light, all by the closed form."""
     far = np.array([[x, 0.3, -9.0] for x in (-1.0, 0.0, 2.0)])
-    loose = quick_jit(partial(adaptive_irradiance, tolerance=1e-2))
+    loose = jax.jit(partial(adaptive_irradiance, tolerance=1e-2))
 
     def error(places, normals):
         places, normals = jnp.asarray(places), jnp.asarray(normals, float)
@@ -211,7 +210,7 @@ def test_nodes_have_the_gradient_of_the_closed_form():
     nodes = partial(adaptive_irradiance, tolerance=1e-7)
     closed = jax.vmap(rectangle_irradiance, in_axes=(None, 0, None))
     pulled, truth = (
-        quick_jit(jax.grad(partial(total, irradiance=f), argnums=(0, 1)))(LAMP, places)
+        jax.jit(jax.grad(partial(total, irradiance=f), argnums=(0, 1)))(LAMP, places)
         for f in (nodes, closed)
     )
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-7), pulled, truth)
@@ -232,7 +231,7 @@ def test_density_is_that_of_the_samples(height):
         wi = drawn.direction
         return drawn, direction_pdf(LAMP, point, wi), radiance_from(LAMP, point, wi)
 
-    drawn, density, arriving = quick_jit(jax.vmap(weigh))(u)
+    drawn, density, arriving = jax.jit(jax.vmap(weigh))(u)
     np.testing.assert_allclose(arriving / density[:, None], drawn.irradiance, rtol=1e-9)
     # the integral of wi over the light, which has a closed form too
     arriving = incident_samples(LAMP, point, Quadrature(32))
@@ -285,7 +284,7 @@ def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
     def drawn(key):
         return jax.vmap(lambda wo: shaded(wo, Balanced(key, 32)))(jnp.asarray(viewers))
 
-    draws = np.asarray(quick_jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 256)))
+    draws = np.asarray(jax.jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 256)))
     assert (np.abs(draws.mean(axis=0) - truth) < 4 * draws.std(axis=0) / 16).all()
 
 
@@ -298,7 +297,7 @@ def test_near_light_in_float32():
     up = UP.astype(jnp.float32)
     truth = jax.vmap(exact, in_axes=(None, 0, None))(LAMP, points.astype(jnp.float64), UP)
     closed = jax.vmap(exact, in_axes=(None, 0, None))(lamp, points, up)
-    nodes = quick_jit(jax.vmap(lambda p: irradiance(lamp, p, up, rule=Quadrature(8))))(points)
+    nodes = jax.jit(jax.vmap(lambda p: irradiance(lamp, p, up, rule=Quadrature(8))))(points)
     assert closed.dtype == nodes.dtype == jnp.float32
     np.testing.assert_allclose(closed, truth, rtol=1e-6)
     np.testing.assert_allclose(nodes, truth, rtol=1e-4)

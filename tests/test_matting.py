@@ -16,12 +16,6 @@ from jaxvision.matting._laplacian import apply_stencil, matting_laplacian
 from jaxvision.matting._multigrid import coarsened, interpolated, restricted, v_cycle
 
 RNG = np.random.default_rng(13)
-# Correctness needs no optimised code: this compiles three times faster.
-QUICK = {"xla_backend_optimization_level": 0}
-
-
-def quick(function):
-    return jax.jit(function, compiler_options=QUICK)
 
 
 def picture(rows, columns, bands=3):
@@ -119,11 +113,11 @@ def test_backgrounds_that_tell_nothing_give_the_picture(dtype):
         "screen": lambda x: matting.blue_screen_matte(x, jnp.zeros(3, dtype), foreground="none"),
     }
     for name, key in keyed.items():
-        alpha, slope = quick(jax.value_and_grad(lambda x, k=key: k(x).sum()))(seen)
+        alpha, slope = jax.jit(jax.value_and_grad(lambda x, k=key: k(x).sum()))(seen)
         assert alpha.dtype == dtype
         assert alpha == 24 * 24, name
         assert jnp.isfinite(slope).all(), name
-    same = quick(jax.grad(lambda x: matting.difference_matte(x, behind, 0.0, 1.0).sum()))(behind)
+    same = jax.jit(jax.grad(lambda x: matting.difference_matte(x, behind, 0.0, 1.0).sum()))(behind)
     assert (same == 0).all()
 
 
@@ -161,7 +155,7 @@ def levin(image, epsilon):
 @pytest.mark.parametrize("bands", [1, 3])
 def test_laplacian_is_the_paper_s(bands):
     image = picture(6, 7, bands)
-    ours = dense(np.asarray(quick(matting_laplacian)(jnp.asarray(image))))
+    ours = dense(np.asarray(jax.jit(matting_laplacian)(jnp.asarray(image))))
     np.testing.assert_allclose(ours, levin(image, 1e-7), atol=1e-9)
     np.testing.assert_allclose(ours, ours.T, atol=1e-12)
     np.testing.assert_allclose(ours.sum(axis=1), 0, atol=1e-12)
@@ -170,7 +164,7 @@ def test_laplacian_is_the_paper_s(bands):
 
 def test_affine_in_the_colours_costs_nothing():
     image = picture(8, 9)
-    stencil = quick(lambda x: matting_laplacian(x, epsilon=1e-12))(jnp.asarray(image))
+    stencil = jax.jit(lambda x: matting_laplacian(x, epsilon=1e-12))(jnp.asarray(image))
     affine = jnp.asarray(image @ [0.3, -0.7, 0.2] + 0.4)
     assert jnp.abs(apply_stencil(stencil, affine)).max() < 1e-8
     noise = jnp.asarray(RNG.normal(size=(8, 9)))
@@ -182,7 +176,7 @@ def test_affine_in_the_colours_costs_nothing():
 def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
     flat = jnp.stack([jnp.zeros((3, 4, bands), dtype), jnp.full((3, 4, bands), 0.7, dtype)])
     square = jax.value_and_grad(lambda x: jnp.square(matting_laplacian(x)).sum())
-    value, slope = quick(jax.vmap(square))(flat)
+    value, slope = jax.jit(jax.vmap(square))(flat)
     assert jnp.isfinite(value).all()
     assert jnp.isfinite(slope).all()
 
@@ -194,11 +188,11 @@ def test_coarse_grids_are_galerkin_s():
     """P^T A P and the cycle's symmetry, with P written as a matrix."""
     rows, columns = 9, 12
     image = jnp.asarray(picture(rows, columns))
-    stencil = quick(lambda x: matting_laplacian(x).at[2, 2].add(0.5))(image)
-    grids = quick(coarsened)(stencil)
+    stencil = jax.jit(lambda x: matting_laplacian(x).at[2, 2].add(0.5))(image)
+    grids = jax.jit(coarsened)(stencil)
     assert len(grids.stencils) == 1
     units = jnp.eye(30).reshape(30, 5, 6)
-    p = np.asarray(quick(jax.vmap(lambda x: interpolated(x, (rows, columns))))(units))
+    p = np.asarray(jax.jit(jax.vmap(lambda x: interpolated(x, (rows, columns))))(units))
     p = p.reshape(30, -1).T
     np.testing.assert_array_equal(p.sum(axis=1), 1)  # a constant stays itself
     coarse = p.T @ dense(np.asarray(stencil)) @ p
@@ -206,9 +200,9 @@ def test_coarse_grids_are_galerkin_s():
     np.testing.assert_allclose(factor @ factor.T, coarse, atol=1e-12)
     r, s = RNG.normal(size=(2, rows, columns))
     np.testing.assert_allclose(
-        np.ravel(quick(restricted)(jnp.asarray(r))), p.T @ r.ravel(), atol=1e-13
+        np.ravel(jax.jit(restricted)(jnp.asarray(r))), p.T @ r.ravel(), atol=1e-13
     )
-    cycle = quick(lambda x: v_cycle(grids, x))
+    cycle = jax.jit(lambda x: v_cycle(grids, x))
     of_r, of_s = (np.asarray(cycle(jnp.asarray(x))) for x in (r, s))
     np.testing.assert_allclose(np.vdot(s, of_r), np.vdot(of_s, r), rtol=1e-12)
     assert np.vdot(r, of_r) > 0
@@ -220,7 +214,7 @@ def band_of_unknown(columns, bands):
     return picture(8, columns, bands), rows[:, None] * np.ones((1, columns))
 
 
-SOLVE = quick(lambda image, trimap: matting.closed_form_matte(image, trimap, tolerance=1e-11))
+SOLVE = jax.jit(lambda image, trimap: matting.closed_form_matte(image, trimap, tolerance=1e-11))
 
 
 def test_closed_form_is_the_direct_solution():
@@ -238,7 +232,7 @@ def test_closed_form_is_the_direct_solution():
 
 def test_confidence_is_the_paper_s():
     image, trimap = band_of_unknown(8, 3)
-    soft = quick(lambda i, t: matting.closed_form_matte(i, t, confidence=0.01, tolerance=1e-12))
+    soft = jax.jit(lambda i, t: matting.closed_form_matte(i, t, confidence=0.01, tolerance=1e-12))
     known = np.diag(0.01 * (trimap != 0.5).ravel())
     direct = np.linalg.solve(levin(image, 1e-7) + known, known @ trimap.ravel())
     found = soft(*arrays(image, trimap)).alpha.ravel()
@@ -256,7 +250,7 @@ def test_closed_form_finds_the_matte():
 
 def test_too_few_steps_are_said():
     scene = arrays(*band_of_unknown(9, 1))
-    rushed = quick(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
+    rushed = jax.jit(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
     assert not rushed.converged
     assert jnp.isfinite(rushed.alpha).all()
 
@@ -272,7 +266,7 @@ def test_gradient_is_that_of_the_solution(columns, bands):
         matte = matting.closed_form_matte(x, trimap, epsilon=1e-3, tolerance=1e-13)
         return jnp.sum(weights * matte.alpha)
 
-    value_and_slope = quick(jax.value_and_grad(loss))
+    value_and_slope = jax.jit(jax.value_and_grad(loss))
     move = jnp.asarray(RNG.normal(size=image.shape))
     slope = jnp.vdot(value_and_slope(image)[1], move)
     h = 1e-5
@@ -319,7 +313,7 @@ def least_energy(image, alpha, regularisation=1e-5):
 
 def test_foreground_is_the_least_energy():
     image, alpha = SEEN[6:14, 3:12], ALPHA[6:14, 3:12]
-    found = quick(
+    found = jax.jit(
         lambda i, a: matting.estimate_foreground(i, a, regularisation=1e-2, coarse_steps=3000)
     )(*arrays(image, alpha))
     for ours, direct in zip(found, least_energy(image, alpha[..., 0], 1e-2), strict=True):
@@ -338,7 +332,7 @@ def energy(foreground, background, image, alpha, regularisation=1e-5):
 
 def test_foreground_in_few_steps():
     """Near the least energy, and hidden colours are close to the true ones."""
-    found = quick(matting.estimate_foreground)(*arrays(SEEN, ALPHA))
+    found = jax.jit(matting.estimate_foreground)(*arrays(SEEN, ALPHA))
     foreground, background = map(np.asarray, found)
     least = energy(*least_energy(SEEN, ALPHA[..., 0]), SEEN, ALPHA)
     assert least < energy(foreground, background, SEEN, ALPHA) < 1.5 * least
@@ -350,7 +344,7 @@ def test_foreground_in_few_steps():
 
 def test_foreground_of_the_smallest_pictures():
     one = jnp.full((1, 1, 3), 0.4)
-    estimate = quick(matting.estimate_foreground)
+    estimate = jax.jit(matting.estimate_foreground)
     for alpha in (0.0, 0.3, 1.0):
         for found in estimate(one, jnp.full((1, 1, 1), alpha)):
             np.testing.assert_allclose(found, one, rtol=1e-12)

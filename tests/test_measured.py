@@ -28,13 +28,12 @@ from jaxvision.brdf.measured import (
 )
 from jaxvision.hemisphere import product_nodes
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-evaluate = quick_jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
-pdf = quick_jit(jax.vmap(brdf.pdf, (None, 0, None)))
-shading = quick_jit(jax.vmap(brdf.shading, (None, 0, None)))
-sample = quick_jit(jax.vmap(brdf.sample, (None, None, 0)))
-albedo = quick_jit(brdf.albedo)
-taken = quick_jit(samples_of)
+evaluate = jax.jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
+pdf = jax.jit(jax.vmap(brdf.pdf, (None, 0, None)))
+shading = jax.jit(jax.vmap(brdf.shading, (None, 0, None)))
+sample = jax.jit(jax.vmap(brdf.sample, (None, None, 0)))
+albedo = jax.jit(brdf.albedo)
+taken = jax.jit(samples_of)
 
 THETA_I, THETA_O = np.array([0.1, 0.3, 0.7, 1.2]), np.array([0.05, 0.5, 1.1, 1.4])
 HALF_TURN, TURN = np.array([0.0, 0.8, 2.0, np.pi]), np.array([-3.0, -1.0, 0.4, 2.2])
@@ -197,7 +196,7 @@ def test_between_bins_is_linear():
 def test_rgl_against_the_published_construction():
     """Naive integrals of the interpolated densities, one pair of directions at a time."""
 
-    @quick_jit
+    @jax.jit
     @partial(jax.vmap, in_axes=(None, 0, 0))
     def both(material, wi, wo):
         return brdf.shading(material, wi, wo), brdf.pdf(material, wi, wo)
@@ -414,7 +413,7 @@ def test_samples_of_an_rgl_material_hold_no_cosine():
     theta_i, theta_o, phi = jnp.asarray([0.5, 1.1]), jnp.asarray([0.3]), jnp.asarray([2.0])
     samples = taken(material, theta_i, theta_o, phi)
     wi, wo = sample_directions(samples)
-    stored = quick_jit(jax.vmap(brdf.shading, (None, 0, 0)))(material, wi, wo)
+    stored = jax.jit(jax.vmap(brdf.shading, (None, 0, 0)))(material, wi, wo)
     np.testing.assert_allclose(samples.values * jnp.cos(theta_i)[:, None], stored, rtol=1e-12)
 
 

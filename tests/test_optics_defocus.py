@@ -24,8 +24,6 @@ def lens(aperture=None, focus=2.0):
     )  # fmt: skip
 
 
-# Correctness needs no optimised code: this compiles three times faster.
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 ROUND, TRIANGLE = lens(), lens(s.PolygonalAperture(3, angle=0.4))
 
 
@@ -78,9 +76,9 @@ def rms(got, expected):
 
 
 FORMS = {
-    "gather": quick_jit(partial(optics.gather_defocus, radius=R, members=3)),
-    "scatter": quick_jit(partial(optics.scatter_defocus, radius=R, members=3)),
-    "layers": quick_jit(partial(optics.layered_defocus, radius=R, layers=2)),
+    "gather": jax.jit(partial(optics.gather_defocus, radius=R, members=3)),
+    "scatter": jax.jit(partial(optics.scatter_defocus, radius=R, members=3)),
+    "layers": jax.jit(partial(optics.layered_defocus, radius=R, layers=2)),
 }
 
 
@@ -128,7 +126,7 @@ def test_a_post_thinner_than_its_blur_lets_the_background_through(layers):
     blur = float(optics.defocus_radius(focus, jnp.asarray(near)))
     picture = jnp.where(post, 0.0, 1.0)[..., None]
     form = partial(optics.layered_defocus, radius=12, layers=layers)
-    found = quick_jit(form)(focus, picture, depth)[20, 23:25, 0]
+    found = jax.jit(form)(focus, picture, depth)[20, 23:25, 0]
     q = half / blur
     hidden = 2 / np.pi * (np.arcsin(q) + q * np.sqrt(1 - q * q))
     np.testing.assert_allclose(found, 1 - hidden, atol=0.03)
@@ -186,7 +184,7 @@ def test_each_band_of_a_chromatic_lens_has_its_own_focus():
         [0, 0, 0], EYE, focal, 3e-5, resolution=SHAPE, f_number=2 * focal / 0.05,
         focus_distance=focus,
     )  # fmt: skip
-    chromatic = quick_jit(partial(optics.chromatic_defocus, radius=R))
+    chromatic = jax.jit(partial(optics.chromatic_defocus, radius=R))
     got = chromatic(ROUND, picture, depth, jnp.asarray([0.05, focal]))
     plain, moved = (FORMS["gather"](view, picture, depth) for view in (ROUND, other))
     np.testing.assert_allclose(got[..., 0], plain[..., 0], rtol=1e-12)

@@ -12,8 +12,6 @@ import pytest
 from jaxvision import as_array, optics
 from jaxvision import scene as s
 
-# Correctness needs no optimised code: this compiles three times faster.
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 EYE = np.eye(3)
 BARREL = s.Distortion([-0.28, 0.07], [1e-3, -2e-3])
 LENSES = {
@@ -31,7 +29,7 @@ def a(x):
 
 
 def both(function, lens, points):
-    there = quick_jit(jax.vmap(lambda p: jnp.stack(function(lens, p[0], p[1]))))
+    there = jax.jit(jax.vmap(lambda p: jnp.stack(function(lens, p[0], p[1]))))
     return np.asarray(there(a(points)))
 
 
@@ -65,7 +63,7 @@ def test_derivatives_are_those_of_the_inverse():
     def of_coefficients(k):
         return jnp.stack(optics.undistort(s.Distortion(k[:2], k[2:]), place[0], place[1]))
 
-    @quick_jit
+    @jax.jit
     def derivatives(k):
         ideal = back(place)
         area = optics.distortion_area(BARREL, ideal[0], ideal[1])
@@ -76,7 +74,7 @@ def test_derivatives_are_those_of_the_inverse():
     forward, backward, area, got = derivatives(k)
     np.testing.assert_allclose(forward @ backward, np.eye(2), atol=1e-12)
     np.testing.assert_allclose(area, np.linalg.det(forward), rtol=1e-12)
-    at = quick_jit(of_coefficients)
+    at = jax.jit(of_coefficients)
     for i, unit in enumerate(np.eye(4)):
         slope = (at(k + 1e-5 * unit) - at(k - 1e-5 * unit)) / 2e-5
         np.testing.assert_allclose(got[:, i], slope, atol=1e-9)
@@ -143,16 +141,16 @@ def test_pictures_are_bent_as_the_rays_are():
         x, y = optics.chief_slope(view, row, column)
         return smooth(y * 100 + 30, x * 100 + 40)
 
-    over = quick_jit(jax.vmap(jax.vmap(shown, in_axes=(None, 0, 0)), in_axes=(None, 0, 0)))
+    over = jax.jit(jax.vmap(jax.vmap(shown, in_axes=(None, 0, 0)), in_axes=(None, 0, 0)))
     ideal = over(s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80)), *GRID)
     bent = over(VIEW, *GRID)
     inner = (slice(8, -8), slice(8, -8))
-    got = quick_jit(optics.undistort_image)(VIEW, bent)
+    got = jax.jit(optics.undistort_image)(VIEW, bent)
     np.testing.assert_allclose(got[inner], ideal[inner], atol=2e-3)
     middle = (slice(20, -20), slice(25, -25))  # a barrel shows more than the ideal picture has
-    again = quick_jit(optics.distort_image)(VIEW, ideal)
+    again = jax.jit(optics.distort_image)(VIEW, ideal)
     np.testing.assert_allclose(again[middle], bent[middle], atol=2e-3)
-    linear = quick_jit(partial(optics.distort_image, interpolation="linear"))(VIEW, ideal)
+    linear = jax.jit(partial(optics.distort_image, interpolation="linear"))(VIEW, ideal)
     assert jnp.abs(linear - bent)[middle].max() > jnp.abs(again - bent)[middle].max()
 
 
@@ -173,7 +171,7 @@ def test_lateral_colour_magnifies_each_band_about_the_middle():
     blob = jnp.exp(-((GRID[0] - 40) ** 2 + (GRID[1] - 59.5) ** 2) / 18)[..., None].repeat(
         2, axis=-1
     )
-    aberration = quick_jit(optics.lateral_aberration)
+    aberration = jax.jit(optics.lateral_aberration)
     got = np.asarray(aberration(blob, a([1.0, 1.05])))
     np.testing.assert_allclose(got[..., 0], blob[..., 0], atol=1e-15)
     rows, columns = GRID

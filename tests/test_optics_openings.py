@@ -20,8 +20,6 @@ APERTURES = {
     "square": s.PolygonalAperture(4, angle=np.pi / 4),
     "slit": s.RectangularAperture(0.8, 0.3),
 }
-# Correctness needs no optimised code: this compiles three times faster.
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 each_aperture = pytest.mark.parametrize("aperture", APERTURES.values(), ids=APERTURES)
 
 
@@ -73,7 +71,7 @@ def test_points_fill_the_opening_evenly(aperture):
     np.testing.assert_allclose(area, keep.mean() * 4 * 1.5**2, rtol=2e-3)
 
 
-kernel_of = quick_jit(partial(optics.aperture_kernel, size=9))
+kernel_of = jax.jit(partial(optics.aperture_kernel, size=9))
 
 
 @each_aperture
@@ -136,7 +134,7 @@ def test_overlap_of_disc_and_polygon_against_counting(name, centre, radius):
     np.testing.assert_allclose(got, 4 * both.mean(), atol=2e-3)
 
 
-@quick_jit
+@jax.jit
 def seen_through_rim(view, row, column, u):
     """(where rays of a pixel cross the plane of the rim, share of them that it lets through)."""
     rays = jax.vmap(lambda v: optics.lens_ray(view, row, column, v))(u)

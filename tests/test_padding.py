@@ -22,14 +22,6 @@ NUMPY = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("size", [(4, 5), (1, 3), (1, 1), (2, 1)])
 def test_equal_to_numpy_also_far_beyond_the_picture(border, size):

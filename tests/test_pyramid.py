@@ -23,14 +23,6 @@ TAPS = np.array([1, 4, 6, 4, 1]) / 16
 GREY = RNG.random((13, 18))
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.mark.parametrize("border", SCIPY)
 def test_reduction_is_the_blur_at_even_pixels(border):
     blurred = GREY

@@ -45,7 +45,6 @@ from jaxvision.transport.radiosity._receivers import receivers_of
 from jaxvision.transport.radiosity._sources import shapes_of
 from jaxvision.transport.radiosity._trapped import trapping_surface
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 GREY = Lambert([0.5 / np.pi])
 
 
@@ -65,7 +64,7 @@ def room(materials, *, emission=None, furniture=(), lights=()):
 
 
 def solved(scene, plan, **options):
-    return quick_jit(lambda scene: radiosity(scene, plan, **options))(scene)
+    return jax.jit(lambda scene: radiosity(scene, plan, **options))(scene)
 
 
 # ------------------------------------------------ patches
@@ -86,8 +85,8 @@ def test_patches_cover_their_shape(name):
     shape, area, missing = SHAPES[name]
     scene = Scene([Surface(shape, GREY)], [])
     plan = plan_patches(scene, size=0.5, split=2, graded=True)
-    patches = quick_jit(lambda scene: patches_of(scene, plan))(scene)
-    elements = quick_jit(lambda scene: patches_of(scene, plan, split=2))(scene)
+    patches = jax.jit(lambda scene: patches_of(scene, plan))(scene)
+    elements = jax.jit(lambda scene: patches_of(scene, plan, split=2))(scene)
     np.testing.assert_allclose(patches.area.sum(), area, rtol=missing)
     assert patches.area.sum() <= area * (1 + 1e-12)
     np.testing.assert_allclose(elements.area.sum(), patches.area.sum(), rtol=1e-12)
@@ -106,7 +105,7 @@ def test_two_sided_surfaces_have_two_sides():
     count = len(plan_patches(one, size=0.5).faces)
     plan = plan_patches(both, size=0.5)
     assert len(plan.faces) == 2 * count
-    patches = quick_jit(lambda scene: patches_of(scene, plan))(both)
+    patches = jax.jit(lambda scene: patches_of(scene, plan))(both)
     outward = patches.normal.x * patches.centre.x + patches.normal.y * patches.centre.y
     outward = outward + patches.normal.z * patches.centre.z
     half = len(outward) // 2
@@ -119,8 +118,8 @@ def test_two_sided_surfaces_have_two_sides():
 def test_a_closed_room_closes_and_is_reciprocal():
     scene = room([GREY] * 6)
     plan = plan_patches(scene, size=0.34, split=2)
-    table = quick_jit(lambda scene: form_factor_table(scene, plan))(scene)
-    elements, patches = quick_jit(
+    table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
+    elements, patches = jax.jit(
         lambda scene: (patches_of(scene, plan, split=2), patches_of(scene, plan))
     )(scene)
     assert jnp.abs(closure_error(table)).max() < 2e-5  # far nodes miss .03 / 5^4 of few factors
@@ -134,7 +133,7 @@ def test_a_wall_between_is_seen(width, low, high):
     screen = Surface(Quad([0.5, 0, 0], [0, width, 0], [0, 0, 1]), GREY, two_sided=True)
     scene = room([GREY] * 6, furniture=[screen])
     plan = plan_patches(scene, size=0.5, split=2)
-    table = quick_jit(lambda scene: form_factor_table(scene, plan, rays=4))(scene)
+    table = jax.jit(lambda scene: form_factor_table(scene, plan, rays=4))(scene)
     clear = parallel_rectangles(*(jnp.asarray(1.0) for _ in range(3)))
     through = table[:16, 4:8].sum(axis=1).mean() / clear  # from floor to lid of x
     assert low <= through <= high
@@ -153,7 +152,7 @@ def test_what_stands_on_an_element_leaves_the_rest():
         box = Surface(Box([side, side, 0.3], [side, side, 0.3]), GREY)
         scene = Scene([floor, box], [])
         plan = plan_patches(scene, size=2.0, split=1)
-        elements = quick_jit(
+        elements = jax.jit(
             lambda scene, plan=plan: receivers_of(scene, plan, shapes_of(scene)).elements
         )(scene)
         np.testing.assert_allclose(elements.area[0], area, rtol=1e-12)
@@ -166,7 +165,7 @@ def test_what_lies_under_a_box_is_covered_in_single_precision():
     box = Surface(Box([0.7, 0.6, 0.1], [0.1, 0.1, 0.1]), GREY)
     scene = as_dtype(Scene([floor, box], []), jnp.float32)
     plan = plan_patches(scene, size=0.15, split=2)
-    elements = quick_jit(lambda scene: receivers_of(scene, plan, shapes_of(scene)).elements)(scene)
+    elements = jax.jit(lambda scene: receivers_of(scene, plan, shapes_of(scene)).elements)(scene)
     x, y, area = (
         np.asarray(v)[:196] for v in (elements.centre.x, elements.centre.y, elements.area)
     )
@@ -184,7 +183,7 @@ def test_half_of_an_element_in_the_shadow_is_half_as_bright():
     scene = Scene([floor, screen], [DirectionalLight([0, 0, 1.0], [2.0])])
     plan = plan_patches(scene, size=2.0, split=1)
     black = jnp.zeros((3, 3))  # no light but the lamp's
-    solution = quick_jit(lambda scene: radiosity(scene, plan, table=black))(scene)
+    solution = jax.jit(lambda scene: radiosity(scene, plan, table=black))(scene)
     np.testing.assert_allclose(solution.radiosity[0], 0.5 * 0.5 * 2.0, rtol=1e-12)
 
 
@@ -256,7 +255,7 @@ def test_lamp_in_a_room_of_unlike_walls():
     scene = room([Lambert([rho / np.pi]) for rho in albedos], lights=[lamp])
     plan = plan_patches(scene, size=0.17, split=2, graded=True)
     solution = solved(scene, plan)
-    area = quick_jit(lambda scene: patches_of(scene, plan).area)(scene)
+    area = jax.jit(lambda scene: patches_of(scene, plan).area)(scene)
     means = (solution.radiosity[:, 0] * area).reshape(6, -1).sum(axis=1)
     np.testing.assert_allclose(means, monte_carlo(albedos, 0.5, 400_000, 30), rtol=0.012)
 
@@ -294,11 +293,11 @@ def test_solvers_and_their_gradients(method):
         return (weights * solve_radiosity(*arguments, method=method, tolerance=1e-9)).sum()
 
     arguments = TABLE, ALBEDO, SENT
-    got = quick_jit(partial(solve_radiosity, method=method, tolerance=1e-9))(*arguments)
+    got = jax.jit(partial(solve_radiosity, method=method, tolerance=1e-9))(*arguments)
     np.testing.assert_allclose(got, exact_solution(), rtol=1e-7)
-    pulled = quick_jit(jax.grad(total, argnums=(0, 1, 2)))(*arguments)
+    pulled = jax.jit(jax.grad(total, argnums=(0, 1, 2)))(*arguments)
     step = 1e-5
-    compiled = quick_jit(total)
+    compiled = jax.jit(total)
     for i in range(3):
         way = np.cos(np.arange(arguments[i].size)).reshape(arguments[i].shape)
         ends = [
@@ -315,7 +314,7 @@ def test_single_precision_solves_scenes_of_which_most_is_dark():
     sent = as_dtype(jnp.zeros_like(SENT).at[7].set(3.0), jnp.float32)
     table, albedo = as_dtype((TABLE, ALBEDO), jnp.float32)
     exact = solve_radiosity(TABLE, ALBEDO, jnp.asarray(sent, float))
-    got = quick_jit(partial(solve_radiosity, method="iterative"))(table, albedo, sent)
+    got = jax.jit(partial(solve_radiosity, method="iterative"))(table, albedo, sent)
     assert got.dtype == jnp.float32
     assert np.abs(np.asarray(got) - np.asarray(exact)).max() < 3 * 1e-4
     np.testing.assert_array_equal(
@@ -326,7 +325,7 @@ def test_single_precision_solves_scenes_of_which_most_is_dark():
 @cache
 def cube_table():
     """Between the elements and the patches of `ROOM` as `PLAN` cuts it."""
-    return quick_jit(lambda scene: form_factor_table(scene, PLAN))(ROOM)
+    return jax.jit(lambda scene: form_factor_table(scene, PLAN))(ROOM)
 
 
 def closed_room(rho):
@@ -352,14 +351,14 @@ def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
         np.eye(len(table)) - np.asarray(albedo, float) * np.asarray(table, float),
         np.asarray(sent, float),
     )
-    got = quick_jit(partial(solve_radiosity, method=method))(table, albedo, sent)
+    got = jax.jit(partial(solve_radiosity, method=method))(table, albedo, sent)
     assert got.dtype == dtype
     assert np.abs(np.asarray(got) - truth).max() < bound * truth.max()
 
 
 def test_shots_that_are_too_few_leave_what_they_say():
     table, albedo, sent = closed_room(0.9)
-    rough, unshot = quick_jit(partial(shoot, limit=40))(table, albedo, sent)
+    rough, unshot = jax.jit(partial(shoot, limit=40))(table, albedo, sent)
     rest = solve_radiosity(table, albedo, sent) - rough
     assert 0.1 * rough.max() < rest.max() < unshot.max() * 0.9 / (1 - 0.9) * 1.01
 
@@ -415,7 +414,7 @@ VIEW = Pinhole(
 def test_picture_of_a_glowing_cube_is_even():
     scene = room([GREY] * 6, emission={i: [0.5] for i in range(6)})
     plan = plan_patches(scene, size=0.5, split=2)
-    image = quick_jit(lambda scene: picture(scene, plan, VIEW))(scene)
+    image = jax.jit(lambda scene: picture(scene, plan, VIEW))(scene)
     np.testing.assert_allclose(image, 1, atol=5e-3)
 
 
@@ -438,7 +437,7 @@ def test_the_feet_of_boxes_are_not_dark():
         resolution=(48, 48),
     )
     scene, view = as_dtype((scene, view), jnp.float32)
-    image = quick_jit(lambda scene: picture(scene, plan, view))(scene)
+    image = jax.jit(lambda scene: picture(scene, plan, view))(scene)
     np.testing.assert_allclose(image, 1, atol=0.06)
     np.testing.assert_allclose(image.mean(), 1, atol=3e-3)
 
@@ -454,7 +453,7 @@ def test_gather_and_interpolation_agree_in_a_glowing_cube():
     )
     ray = Ray(jnp.asarray([0.4, 0.3, 0.2]), jnp.asarray([2.0, 3.0, 6.0]) / 7)
 
-    @quick_jit
+    @jax.jit
     def both(scene):
         gather = MonteCarlo(jax.random.key(0), 5)
         return [radiosity_along(scene, PLAN, even, ray, gather=way) for way in (None, gather)]
@@ -474,8 +473,8 @@ def test_gradients_in_albedo_emission_and_place_of_the_lamp():
         return picture(room(walls, lights=[lamp]), PLAN, VIEW).sum()
 
     at = [jnp.asarray(v) for v in (0.6, 2.0, 0.3)]
-    value, pulled = quick_jit(jax.value_and_grad(total, argnums=(0, 1, 2)))(*at)
-    compiled = quick_jit(total)
+    value, pulled = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2)))(*at)
+    compiled = jax.jit(total)
     for i in range(3):
         ends = [compiled(*(v + s * 1e-4 * (j == i) for j, v in enumerate(at))) for s in (-1, 1)]
         np.testing.assert_allclose(pulled[i], (ends[1] - ends[0]) / 2e-4, rtol=1e-4)
@@ -492,7 +491,7 @@ def test_an_environment_is_seen_behind_the_scene():
     plan = plan_patches(scene, size=0.2)
     rotation = look_at(jnp.asarray([0.0, 0, 2]), jnp.zeros(3), jnp.asarray([0, 1.0, 0]))
     view = Pinhole([0, 0, 2.0], rotation, 1.0, 0.15, resolution=(3, 3))
-    picture = quick_jit(lambda scene: radiosity_image(scene, plan, radiosity(scene, plan), view))(
+    picture = jax.jit(lambda scene: radiosity_image(scene, plan, radiosity(scene, plan), view))(
         scene
     )
     np.testing.assert_allclose(picture[0, 0], 1, rtol=1e-12)

@@ -1,7 +1,5 @@
 """Numbers that are named, not drawn: uniform, independent along every index, reproducible."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +9,6 @@ from scipy import stats
 from jaxvision._random import Stream, seed_of, uniforms
 
 SEED = seed_of(jax.random.key(11))
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
@@ -21,7 +18,7 @@ def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
         return uniforms(Stream(p, s, seed), b, dtype)
 
     over = jax.vmap(jax.vmap(jax.vmap(block, (None, None, 0)), (None, 0, None)), (0, None, None))
-    made = quick_jit(over)(*(jnp.asarray(i, jnp.uint32) for i in (pixels, samples, blocks)))
+    made = jax.jit(over)(*(jnp.asarray(i, jnp.uint32) for i in (pixels, samples, blocks)))
     return np.asarray(made).reshape(len(pixels), len(samples), -1)
 
 

@@ -1,7 +1,6 @@
 """Mean and variance without a draw, against integrals and frames of every effect at once."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +20,6 @@ from jaxvision.sensor import (
     signal_variance,
 )
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY, DIE = jax.random.split(jax.random.key(5))
 FULL = replace(OF_PHOTONS, dead_pixels=None, full_well=None, blooming=None)  # nothing is clipped
 
@@ -66,10 +64,10 @@ def test_an_endless_well_clips_nothing(dtype):
     endless = replace(plain, full_well=jnp.asarray(np.inf, dtype))
 
     def values(sensor):
-        return quick_jit(lambda x: jnp.stack(clipped_moments(sensor, x)))
+        return jax.jit(lambda x: jnp.stack(clipped_moments(sensor, x)))
 
     def slopes(sensor):
-        return quick_jit(jax.grad(lambda x: sum(m.sum() for m in clipped_moments(sensor, x))))
+        return jax.jit(jax.grad(lambda x: sum(m.sum() for m in clipped_moments(sensor, x))))
 
     for of in (values, slopes):
         np.testing.assert_allclose(of(endless)(light), of(plain)(light), rtol=1e-6)
@@ -83,7 +81,7 @@ def frames():
         light = jnp.full((24, 32, 1), 40_000.0)
         return raw_image(key, FULL, light, die_key=die)[..., 0]
 
-    @quick_jit
+    @jax.jit
     def afternoon(keys, dies):
         return jax.lax.map(lambda x: jax.vmap(shoot, (0, None))(x[0], x[1]), (keys, dies))
 
@@ -118,7 +116,7 @@ def test_clipping_by_well_and_converter(light):
         bits=7,
     )
     shape = (400, 500, 1)
-    sample = np.asarray(quick_jit(raw_image)(KEY, sensor, jnp.full(shape, light))).ravel()
+    sample = np.asarray(jax.jit(raw_image)(KEY, sensor, jnp.full(shape, light))).ravel()
     mean, variance = (float(x[0]) for x in clipped_moments(sensor, jnp.asarray([light])))
     error = 5 * sample.std() / np.sqrt(sample.size)
     off = 0.07 * np.sqrt(0.25 * 200 / 200)
@@ -144,7 +142,7 @@ def test_expected_pictures_have_right_gradients_from_no_photon_to_saturation():
         mean, variance = clipped_moments(changed, light[None])
         return mean[0] + variance[0]
 
-    slope, total = quick_jit(jax.grad(sum_of_both, argnums=(0, 1, 2, 3))), quick_jit(sum_of_both)
+    slope, total = jax.jit(jax.grad(sum_of_both, argnums=(0, 1, 2, 3))), jax.jit(sum_of_both)
     for light in (0.0, 100.0, 8.5e4, 1e5, 1e7):
         at = [0.01, 0.3, 300.0, light]
         found = slope(*map(jnp.asarray, at))
@@ -155,5 +153,5 @@ def test_expected_pictures_have_right_gradients_from_no_photon_to_saturation():
             wanted = (total(*map(jnp.asarray, ahead)) - total(*map(jnp.asarray, behind))) / (2 * h)
             np.testing.assert_allclose(found[i], wanted, rtol=2e-5, atol=1e-7 * 255 / max(x, 1e-2))
     unlit = replace(sensor, dark_current=None)
-    dark = quick_jit(jax.grad(lambda x: clipped_moments(unlit, x[None])[0][0]))
+    dark = jax.jit(jax.grad(lambda x: clipped_moments(unlit, x[None])[0][0]))
     assert np.isfinite(dark(jnp.asarray(0.0)))

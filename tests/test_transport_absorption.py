@@ -1,8 +1,6 @@
 """Light within bodies that absorb: exp(-a d) on every way, found on purpose or by chance, from the
 eye and from the light. Index 1, so that nothing is bent or mirrored."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +13,8 @@ from jaxvision.optics import look_at
 from jaxvision.scene import Pinhole, Plane, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import Paths, light_traced, path_radiance, path_traced, ray_tree_radiance
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-by_paths = quick_jit(path_radiance, static_argnames="method")
-by_rays = quick_jit(ray_tree_radiance)
+by_paths = jax.jit(path_radiance, static_argnames="method")
+by_rays = jax.jit(ray_tree_radiance)
 KEY = jax.random.key(8)
 SKY = environment_map(np.ones((2, 4, 1)))
 GREY = Lambert([0.5 / np.pi])
@@ -127,10 +124,10 @@ def test_light_and_eye_in_one_body_see_the_same():
     position, target = jnp.asarray([0.0, 0, 1.2]), jnp.asarray([0.0, 0, -0.5])
     rotation = look_at(position, target, jnp.asarray([0, 1.0, 0]))
     view = Pinhole(position, rotation, 1.0, 0.2, resolution=(2, 2))
-    eye = quick_jit(path_traced, static_argnames="method")(
+    eye = jax.jit(path_traced, static_argnames="method")(
         KEY, scene, view, method=Paths(64, 2, strategy="lights")
     )
-    light = quick_jit(light_traced, static_argnames=("paths", "depth", "samples"))(
+    light = jax.jit(light_traced, static_argnames=("paths", "depth", "samples"))(
         KEY, scene, view, paths=100_000, depth=2, samples=1
     )
     error = np.sqrt(np.asarray(eye.error**2 + light.error**2))

@@ -36,10 +36,9 @@ from jaxvision.transport._vertices import hidden, meet
 from jaxvision.transport._world import world_of
 from jaxvision.transport.radiosity import plan_patches, radiosity
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY = jax.random.key(6)
-by_rays = quick_jit(ray_tree_radiance)
-from_lights = quick_jit(light_traced, static_argnames=("paths", "depth", "samples"))
+by_rays = jax.jit(ray_tree_radiance)
+from_lights = jax.jit(light_traced, static_argnames=("paths", "depth", "samples"))
 GREY, BLACK = Lambert([0.5 / np.pi]), Lambert([0.0])
 FLOOR = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), GREY)
 DOWN = np.array([0.0, 0, -1])
@@ -119,7 +118,7 @@ def test_what_shines_never_hides_itself(name, dtype):
         u = jax.random.uniform(KEY, (20000, 3), dtype)
         return jax.vmap(one)(u).sum()
 
-    count = quick_jit(blocked)
+    count = jax.jit(blocked)
     for scale, of_floor in ((1.0, 1.0), (1e3, 1.0), (1e4, 1.0), (1e-3, 1e-3), (1e4, 1e4)):
         assert int(count(jnp.asarray(scale, dtype), jnp.asarray(of_floor, dtype))) == 0
 
@@ -141,7 +140,7 @@ def mean_of_paths(scene, ray, method, count):
         return path_sample(scene, ray, Stream(pixel, jnp.uint32(0), seed), method=method)
 
     numbers = jnp.arange(count, dtype=jnp.uint32)
-    values = np.asarray(quick_jit(jax.vmap(one, in_axes=(None, 0)))(scene, numbers))
+    values = np.asarray(jax.jit(jax.vmap(one, in_axes=(None, 0)))(scene, numbers))
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(count)
 
 
@@ -259,7 +258,7 @@ def test_interpolated_normals_create_no_light():
     seen = np.sum(np.asarray(shades) * toward, axis=1) > 0
     expected = np.where(seen, (1 + cosine) / 2, 0)
     pixels = jnp.arange(len(toward), dtype=jnp.uint32)
-    found = np.asarray(quick_jit(jax.vmap(one))(rays, pixels))
+    found = np.asarray(jax.jit(jax.vmap(one))(rays, pixels))
     assert found.max() < 1 + 1e-12
     apart = (found - expected)[on_ball]
     assert abs(apart.mean()) < 4 * apart.std() / np.sqrt(apart.size)

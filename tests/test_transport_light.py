@@ -33,7 +33,6 @@ from jaxvision.transport import (
 from jaxvision.transport._emission import ball_around, emitted
 from jaxvision.transport._emitters import emitters_of
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY = jax.random.key(2)
 BLACK = Lambert([0.0, 0.0])
 
@@ -126,7 +125,7 @@ def test_glass_and_mirror_ray_by_ray():
     def one(direction):
         return ray_tree_radiance(scene, Ray(jnp.asarray(eye), direction), rays=40)
 
-    seen = np.asarray(quick_jit(jax.vmap(one))(jnp.asarray(directions)))
+    seen = np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(directions)))
     expected = np.array([traced_by_numpy(eye, d) for d in directions])
     assert np.ptp(expected[:, 0]) > 0.2
     np.testing.assert_allclose(seen, expected, rtol=1e-7, atol=1e-7)
@@ -150,7 +149,7 @@ def test_trees_that_are_passed_over_change_nothing():
 
     def value_and_slope(function):
         pull = jax.grad(lambda s: (function(s) * weights).sum(), allow_int=True)
-        return quick_jit(lambda s: (function(s), pull(s)))(scene)
+        return jax.jit(lambda s: (function(s), pull(s)))(scene)
 
     (expected, slope), (seen, same_slope) = map(value_and_slope, (one_by_one, together))
     assert (np.asarray(expected) > 0).mean() > 0.8  # the glass throws a shadow
@@ -169,10 +168,8 @@ def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
     scene = Scene([floor, ball], [lamp])
     down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     view = Orthographic([0.0, 0, 1.5], down, 0.1, resolution=(6, 8))
-    tree = quick_jit(ray_traced)(scene, view)
-    paths = quick_jit(partial(path_traced, method=Paths(400, 2, strategy="lights")))(
-        KEY, scene, view
-    )
+    tree = jax.jit(ray_traced)(scene, view)
+    paths = jax.jit(partial(path_traced, method=Paths(400, 2, strategy="lights")))(KEY, scene, view)
     apart = np.abs(tree - paths.radiance)
     flat = np.asarray(paths.error) < 0.02 * np.asarray(paths.radiance)
     assert flat.mean() > 0.4
@@ -195,7 +192,7 @@ def irradiance_from(light=None, surface=None):
     surfaces = [SMALL] if surface is None else [SMALL, surface]
     scene = Scene(surfaces, [] if light is None else [light])
     emitters, ball = emitters_of(scene), ball_around([s.shape for s in surfaces])
-    rays = quick_jit(jax.vmap(lambda u: emitted(emitters, ball, u)))(jnp.asarray(U))
+    rays = jax.jit(jax.vmap(lambda u: emitted(emitters, ball, u)))(jnp.asarray(U))
     o, d = np.asarray(as_array(rays.ray.origin)), np.asarray(as_array(rays.ray.direction))
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -o[:, 2] / d[:, 2]
@@ -331,8 +328,8 @@ def chi_square(a, b):
 def test_light_traced_is_path_traced():
     """A room with a box and shadows, light from a lamp: pixel by pixel within the errors."""
     scene = Scene(ROOM, [RectangleLight(*CEILING, [3.0, 2.0])])
-    light = quick_jit(partial(light_traced, paths=150000, depth=4))(KEY, scene, EYE)
-    path = quick_jit(partial(path_traced, method=Paths(600, 4, strategy="lights")))(KEY, scene, EYE)
+    light = jax.jit(partial(light_traced, paths=150000, depth=4))(KEY, scene, EYE)
+    path = jax.jit(partial(path_traced, method=Paths(600, 4, strategy="lights")))(KEY, scene, EYE)
     assert float(np.mean(light.error) / np.mean(light.radiance)) < 0.05
     # 36 pixels, of which both bands are lit by the same paths
     assert abs(chi_square(light, path) - 1) < 4 * np.sqrt(2 / 36)

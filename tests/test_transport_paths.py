@@ -34,7 +34,6 @@ from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface
 from jaxvision.transport import Paths, path_radiance, path_sample, path_traced, path_traced_pixels
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
 
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY = jax.random.key(4)
 
 
@@ -49,7 +48,7 @@ def mean_of_paths(scene, ray, method, count, key=KEY):
     def one(pixel):
         return path_sample(scene, ray, Stream(pixel, jnp.uint32(0), seed), method=method)
 
-    values = np.asarray(quick_jit(jax.vmap(one))(jnp.arange(count, dtype=jnp.uint32)))
+    values = np.asarray(jax.jit(jax.vmap(one))(jnp.arange(count, dtype=jnp.uint32)))
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(count)
 
 
@@ -248,7 +247,7 @@ def test_pixels_do_not_depend_on_the_tiles():
     """Every pixel, in pieces of any length and in any order, to the last bit."""
     method = Paths(4, 3)
     scene = corner_scene(lamp_is_surface=True)
-    traced = quick_jit(partial(path_traced_pixels, method=method))
+    traced = jax.jit(partial(path_traced_pixels, method=method))
     rows, columns = (x.ravel() for x in np.indices((5, 7)))
     whole = traced(KEY, scene, VIEW, rows, columns)
     order = np.random.default_rng(0).permutation(35)
@@ -256,7 +255,7 @@ def test_pixels_do_not_depend_on_the_tiles():
         part = traced(KEY, scene, VIEW, rows[piece], columns[piece])
         np.testing.assert_array_equal(part.radiance, whole.radiance[piece])
         np.testing.assert_array_equal(part.error, whole.error[piece])
-    picture = quick_jit(partial(path_traced, method=method))(KEY, scene, VIEW)
+    picture = jax.jit(partial(path_traced, method=method))(KEY, scene, VIEW)
     np.testing.assert_array_equal(picture.radiance.reshape(35, -1), whole.radiance)
     other = traced(jax.random.key(5), scene, VIEW, rows, columns)
     assert np.mean(other.radiance == whole.radiance) < 0.5
@@ -268,7 +267,7 @@ def test_samples_in_parts_are_the_samples():
 
     def part(samples, first):
         traced = partial(path_traced_pixels, method=Paths(samples, 3), first_sample=first)
-        return np.asarray(quick_jit(traced)(KEY, scene, VIEW, *at).radiance)
+        return np.asarray(jax.jit(traced)(KEY, scene, VIEW, *at).radiance)
 
     np.testing.assert_allclose((part(3, 0) + part(3, 3)) / 2, part(6, 0), rtol=1e-13)
 
@@ -279,7 +278,7 @@ def test_error_is_the_standard_error():
     scene = corner_scene(lamp_is_surface=False)
     ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
     keys = jax.random.split(KEY, 100)
-    traced = quick_jit(jax.vmap(lambda key: path_radiance(key, scene, ray, method=Paths(16, 3))))(
+    traced = jax.jit(jax.vmap(lambda key: path_radiance(key, scene, ray, method=Paths(16, 3))))(
         keys
     )
     claimed = np.sqrt(np.mean(np.square(traced.error)))
@@ -306,9 +305,9 @@ def test_gradients_against_finite_differences_of_the_same_paths():
         return path_radiance(KEY, scene, ray, method=Paths(32, 5, strategy="lights")).radiance[0]
 
     at = (jnp.asarray([0.6]), jnp.asarray([3.0]), point)
-    value, gradient = quick_jit(jax.value_and_grad(radiance, argnums=(0, 1, 2)))(*at)
+    value, gradient = jax.jit(jax.value_and_grad(radiance, argnums=(0, 1, 2)))(*at)
     assert float(value) > 0.1
-    plain = quick_jit(radiance)
+    plain = jax.jit(radiance)
     for i, part in enumerate(gradient):
         for j in range(part.size):
             step = 1e-5 * jnp.eye(part.size)[j]
@@ -335,7 +334,7 @@ def test_gradient_in_a_roughness_is_right_on_average():
         return path_sample(scene, GLANCE, stream, method=Paths(1, 2, strategy="surfaces"))[0]
 
     slopes = np.asarray(
-        quick_jit(jax.vmap(jax.grad(one), (None, 0)))(
+        jax.jit(jax.vmap(jax.grad(one), (None, 0)))(
             jnp.asarray(0.5), jnp.arange(20000, dtype=jnp.uint32)
         )
     )

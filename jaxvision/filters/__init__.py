@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .bilateral import bilateral_filter, joint_bilateral_filter
 from .convolution import convolve, correlate, correlate_separable
 from .derivatives import Gradient, derivative, laplacian
-from .gaussian import gaussian, gaussian_kernel, laplacian_of_gaussian
+from .gaussians import gaussian, gaussian_kernel, laplacian_of_gaussian
 from .integral import IntegralImage, box_sum, integral_image, window_sum
 from .kernels import (
     binomial_kernel,
@@ -20,7 +20,7 @@ from .kernels import (
     gaussian_size,
     laplacian_kernel,
 )
-from .low_rank import LowRank, correlate_low_rank, low_rank
+from .low_rank_kernels import LowRank, correlate_low_rank, low_rank
 from .median import median_filter
 from .nonlocal_means import nonlocal_means_filter
 from .operators import adjoint, impulse_response

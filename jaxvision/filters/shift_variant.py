@@ -25,7 +25,7 @@ from .._types import as_float
 from ..padding import Filtered, Picture, Widths, _as_planes, _check_border, _check_picture, pad
 from ._methods import Anchor
 from .convolution import Fill, _anchor, correlate
-from .gaussian import _SMALLEST_SIGMA, gaussian
+from .gaussians import _SMALLEST_SIGMA, gaussian
 from .kernels import gaussian_size
 
 Kernels = Float[Array, "..."]  # (kh, kw, h, w)

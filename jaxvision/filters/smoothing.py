@@ -13,7 +13,7 @@ from .._numerics import smallest_divisor
 from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
 from .convolution import Fill, correlate_separable
-from .gaussian import Sigma, gaussian
+from .gaussians import Sigma, gaussian
 from .kernels import _both_ways, binomial_kernel, box_kernel
 
 

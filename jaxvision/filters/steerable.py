@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
 from .convolution import Fill, _check_weighs, correlate_separable
-from .gaussian import Sigma, gaussian
+from .gaussians import Sigma, gaussian
 
 Angle = Float[Array, ""] | Float[Array, "h w"]
 Basis = tuple[Filtered, ...]

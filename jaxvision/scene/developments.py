@@ -28,7 +28,7 @@ class Demosaicing(eqx.Module):
     """How the bands that a pixel did not see are filled in.
 
     `pattern`: rows of band indices, the tile of the colour filter array, as `colour_filters.bayer`
-    gives it. `method`: one of `DEMOSAICINGS`, which `develop.demosaic` explains.
+    gives it. `method`: one of `DEMOSAICINGS`, which `development.demosaic` explains.
     """
 
     pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True)
@@ -185,7 +185,7 @@ class UnsharpMask(eqx.Module):
 
 class JPEG(eqx.Module):
     """The loss of a JPEG file. `quality`: () 1 to 100, libjpeg's. `subsampling`, `rounding`: of
-    `SUBSAMPLINGS` and `ROUNDINGS`, as in `develop.jpeg`."""
+    `SUBSAMPLINGS` and `ROUNDINGS`, as in `development.jpeg`."""
 
     quality: Scalar = eqx.field(converter=as_float)
     subsampling: str = eqx.field(static=True, default="4:2:0", kw_only=True)

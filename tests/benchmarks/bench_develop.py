@@ -21,7 +21,7 @@ import pytest
 from turns import in_turns
 
 from jaxvision.colour_filters import bayer, mosaic
-from jaxvision.develop import demosaic, jpeg
+from jaxvision.development import demosaic, jpeg
 
 ROUNDS = 9
 PATTERN = bayer("RGGB")

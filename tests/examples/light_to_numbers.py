@@ -48,7 +48,7 @@ INDEX = jnp.asarray(1)
 EXAMPLES = {
     "rendering.radiance_along": ((SCENE, RAY), {}),
     "rendering.render": ((SCENE, PINHOLE), {}),
-    "capture.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),
+    "shot.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),
     "point_ops.gain_bias": ((X, TWO, ONE), {}),
     "point_ops.gamma_encode": ((X, TWO), {}),
     "point_ops.gamma_decode": ((X, TWO), {}),

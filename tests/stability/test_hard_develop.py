@@ -14,7 +14,7 @@ from oracles import exact
 
 from jaxvision import scene as s
 from jaxvision.colour_filters import bayer
-from jaxvision.develop import (
+from jaxvision.development import (
     demosaic,
     demosaic_malvar,
     develop,
@@ -30,7 +30,6 @@ both_precisions = pytest.mark.parametrize(
     "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
 )
 RNG = np.random.default_rng(23)
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def eps(dtype):
@@ -39,7 +38,7 @@ def eps(dtype):
 
 def finite_gradients(f, *cases):
     """Of the sum of f, by each argument, in each case; compiled once."""
-    compiled = quick_jit(jax.grad(lambda arguments: f(*arguments).sum()))
+    compiled = jax.jit(jax.grad(lambda arguments: f(*arguments).sum()))
     for case in cases:
         gradients = compiled(case)
         assert all(jnp.isfinite(g).all() for g in jax.tree.leaves(gradients))
@@ -82,7 +81,7 @@ def test_malvar_in_fractions(dtype, scale):
 def test_flat_mosaics_stay_flat_with_finite_gradients(dtype, method):
     """Menon's decision is a tie at every pixel, and every |difference| is at its kink."""
     method = partial(demosaic, pattern=bayer("GBRG"), method=method)
-    f = quick_jit(method)
+    f = jax.jit(method)
     mosaics = [jnp.full((4, 4), level, dtype) for level in (0.0, 1e-30, 1.0, 1e30)]
     for raw in mosaics:
         picture = f(raw)
@@ -119,9 +118,9 @@ def test_tone_curves_of_steep_and_flat_pieces(dtype):
     outputs = jnp.asarray([0, 1e-3, 0.2, 0.8, 0.8, 1], dtype)
     x = jnp.asarray([1e-6, 1e-3, 0.29, 0.30004, 0.5, 0.899], dtype)  # between the inner points
     points = [[exact.number(v) for v in np.asarray(p)] for p in (inputs, outputs)]
-    ours = quick_jit(tone_curve)(x, inputs, outputs)
+    ours = jax.jit(tone_curve)(x, inputs, outputs)
     # x - inputs is exact up to a rounding of x, which the slope of the curve carries on
-    slope = quick_jit(jax.vmap(jax.grad(lambda v: tone_curve(v, inputs, outputs))))(x)
+    slope = jax.jit(jax.vmap(jax.grad(lambda v: tone_curve(v, inputs, outputs))))(x)
     for got, at, steepness in zip(np.asarray(ours), np.asarray(x), np.asarray(slope), strict=True):
         error = abs(exact.number(got) - hermite(exact.number(at), *points))
         assert error <= 8 * eps(dtype) * (1 + abs(float(steepness)) * float(at))
@@ -191,7 +190,7 @@ def test_matrices_of_nearly_grey_patches(dtype, spread):
 def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):
     picture = jnp.asarray(RNG.uniform(-0.5, 1.5, size=(8, 8, 3)), dtype)
     codec = partial(jpeg, rounding=rounding)
-    f = quick_jit(codec)
+    f = jax.jit(codec)
     cases = [(picture, jnp.asarray(q, dtype)) for q in (-5.0, 1.0, 50.0, 100.0, 1e9)]
     for x, quality in cases:
         compressed = f(x, quality)
@@ -215,7 +214,7 @@ def test_a_whole_development_of_nothing_and_of_too_much(dtype):
         compression=s.JPEG(90.0),
     )
     development = jax.tree.map(lambda leaf: leaf.astype(dtype), development)
-    f = quick_jit(develop)
+    f = jax.jit(develop)
     for level in (0.0, 64.0, 65.0, 1064.0, 1e6):
         picture = f(jnp.full((16, 16), level, dtype), development)
         assert picture.dtype == dtype

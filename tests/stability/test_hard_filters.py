@@ -17,14 +17,6 @@ both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(5)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 def assert_finite(tree):
     for leaf in jax.tree.leaves(tree):
         assert jnp.isfinite(leaf).all(), tree

@@ -1,7 +1,7 @@
 """Rays and shapes where naive formulas break: grazing, tangent and parallel rays, origins on the
 surface and far away, small and large worlds, slivers; both precisions, against 50 digits."""
 
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import jax
@@ -20,7 +20,6 @@ from jaxvision.hemisphere import local_frame, to_world
 from jaxvision.scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def eps(dtype):
@@ -321,7 +320,7 @@ def met(kind):
         others = pull((jnp.zeros_like(distance), ones))
         return kept, rest, slopes, others
 
-    return quick_jit(jax.vmap(one))
+    return jax.jit(jax.vmap(one))
 
 
 # eps allowed, in units of each case's conditioning
@@ -456,7 +455,7 @@ def shadows(kind):
         ]
         return as_array(hit.point), normal, starts, found
 
-    return quick_jit(jax.vmap(one))
+    return jax.jit(jax.vmap(one))
 
 
 @pytest.mark.parametrize("kind", MAKE)

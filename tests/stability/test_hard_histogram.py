@@ -4,8 +4,6 @@ both precisions: millions of equal values, values on edges, one value only, huge
 Values against 50 digits on the very floating-point inputs; gradients are finite everywhere.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -29,16 +27,6 @@ from jaxvision.histogram import (
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(13)
 mp.mp.dps = 50
-# Correctness needs no optimised code: this compiles three times faster.
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Correctness needs no optimised code: this compiles three times faster."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def eps(dtype):
@@ -87,13 +75,13 @@ def test_distribution_in_ulps(dtype):
 def test_pictures_of_one_value(value, dtype):
     image = jnp.full((8, 9), value, dtype)
     for operator in (equalise, equalise_locally):
-        result, slope = quick_jit(
+        result, slope = jax.jit(
             jax.value_and_grad(lambda x, f=operator: f(x, bins=4).sum() / x.size)
         )(image)
         assert 0 <= float(result) <= 1 + eps(dtype)
         assert jnp.isfinite(slope).all()
     if np.isfinite(value):
-        matched = quick_jit(match_histogram)(image, jnp.full((3, 3), 0.5, dtype))
+        matched = jax.jit(match_histogram)(image, jnp.full((3, 3), 0.5, dtype))
         np.testing.assert_array_equal(matched, 0.5)
     histogram = exact_histogram(image, bins=4)
     for q in (0.0, 0.5, 1.0):
@@ -105,7 +93,7 @@ def test_pictures_of_one_value(value, dtype):
 def test_gradients_of_the_soft_histogram_at_edges_and_centres(dtype):
     image = jnp.asarray([[0.0, 0.125, 0.25, 0.5, 1.0, 1.5, -1.0, jnp.nan, jnp.inf, 1e-40]], dtype)
     for kernel in ("linear", "cubic"):
-        of = quick_jit(jax.jacobian(lambda x, k=kernel: soft_histogram(x, bins=4, kernel=k).counts))
+        of = jax.jit(jax.jacobian(lambda x, k=kernel: soft_histogram(x, bins=4, kernel=k).counts))
         assert jnp.isfinite(of(image)).all()
 
 
@@ -137,11 +125,11 @@ def test_neighbourhood_filters_do_not_depend_on_the_unit(scale, dtype):
         lambda x, s: bilateral_filter(x, 1.0, s, radius=1),
         lambda x, s: nonlocal_means_filter(x, s, patch=3, radius=1),
     ):
-        once = quick_jit(filtered)
+        once = jax.jit(filtered)
         expected = once(image, sigma)
         # a relative error eps of the exponent, at most some 25 here, is one of the weight
         np.testing.assert_allclose(
             once(image * factor, sigma * factor) / factor, expected, rtol=100 * eps(dtype)
         )
-        slope = quick_jit(jax.grad(lambda x, s, f=filtered: f(x, s).sum(), argnums=(0, 1)))
+        slope = jax.jit(jax.grad(lambda x, s, f=filtered: f(x, s).sum(), argnums=(0, 1)))
         assert all(jnp.isfinite(g).all() for g in slope(image * factor, sigma * factor))

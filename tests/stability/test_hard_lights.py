@@ -33,7 +33,6 @@ both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 single_first = pytest.mark.parametrize(
     "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
 )
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def eps(dtype):
@@ -49,7 +48,7 @@ def assert_finite(tree):
 # ------------------------------------------------ Lambert's contour
 
 
-angle_with_gradient = quick_jit(jax.value_and_grad(angle_over_sine, argnums=(0, 1)))
+angle_with_gradient = jax.jit(jax.value_and_grad(angle_over_sine, argnums=(0, 1)))
 
 
 @both_precisions
@@ -96,7 +95,7 @@ RECEIVERS = {
 }
 
 
-@quick_jit
+@jax.jit
 def irradiance_with_gradient(*arguments):
     def value(corner, u, v, point, normal):
         light = RectangleLight(corner, u, v, jnp.ones(1, corner.dtype))
@@ -128,7 +127,7 @@ def test_irradiance_and_its_gradient_against_fifty_digits(dtype, name):
     assert error.max() <= 60 * eps(dtype) * max(1.0, 1 / nearest) * max(1.0, np.abs(slopes).max())
 
 
-@quick_jit
+@jax.jit
 def everything(light, point, normal):
     """Closed form, nodes, a sample and its density at one place, and the gradients of their sum."""
 
@@ -175,7 +174,7 @@ def test_awkward_places_are_finite_in_value_and_gradient(dtype, where):
         np.testing.assert_allclose(values[0], np.pi, rtol=1e-4)
 
 
-@quick_jit
+@jax.jit
 def look_up(light, point):
     return seen(light, Ray(point, jnp.asarray([0, 0, 1], point.dtype)))
 
@@ -195,7 +194,7 @@ def test_degenerate_rectangles_shine_nothing(dtype):
 # ------------------------------------------------ environments and light fields
 
 
-look = quick_jit(jax.value_and_grad(lambda s, d: environment_radiance(s, d)[0], (0, 1)))
+look = jax.jit(jax.value_and_grad(lambda s, d: environment_radiance(s, d)[0], (0, 1)))
 
 
 @both_precisions
@@ -210,7 +209,7 @@ def test_looking_at_the_poles_and_the_seam(dtype, direction):
     assert 1 <= value <= 24
 
 
-@quick_jit
+@jax.jit
 def draw(sky, point, u):
     drawn = direction_sample(sky, point, u)
     gradient = jax.grad(lambda s: direction_sample(s, point, u).irradiance[0])(sky)
@@ -255,7 +254,7 @@ def test_all_lights_at_once_on_a_surface_seen_edge_on(dtype):
         return summed + mixed
 
     for rule in (Quadrature(2), MonteCarlo(jax.random.key(1), 4)):
-        value, gradient = quick_jit(jax.value_and_grad(partial(total, rule=rule), argnums=(0, 1)))(
+        value, gradient = jax.jit(jax.value_and_grad(partial(total, rule=rule), argnums=(0, 1)))(
             lights, point
         )
         assert value.dtype == dtype

@@ -22,10 +22,6 @@ both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(5)
 
 
-def quick_jit(function):
-    return jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})
-
-
 def eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
@@ -88,7 +84,7 @@ def test_values_and_gradients_are_finite_at_awkward_pairs(dtype):
             return sum(x.sum() for x in jax.tree.leaves(made)), made
 
         both = jax.value_and_grad(everything, (0, 1, 2), has_aux=True)
-        (_, value), gradient = quick_jit(jax.vmap(both, (None, 0, 0)))(material, wi, wo)
+        (_, value), gradient = jax.jit(jax.vmap(both, (None, 0, 0)))(material, wi, wo)
         for leaf in jax.tree.leaves((value, gradient)):
             assert leaf.dtype == dtype
             assert jnp.isfinite(leaf).all(), name
@@ -119,7 +115,7 @@ def exact_half_difference(wi, wo):
 def test_small_half_and_difference_angles_keep_their_digits(dtype, apart):
     """Where the arccosine of a cosine loses everything: the angles err as the vectors are rounded,
     a few eps absolute, so theta_h = 1e-5 keeps two digits in float32 and eleven in float64."""
-    one = quick_jit(half_difference)
+    one = jax.jit(half_difference)
     for phi in (0.3, 2.0, -1.1):
         wi = jnp.asarray(at(0.7 + apart, phi), dtype)
         wo = jnp.asarray(at(0.7 - apart / 3, phi + np.pi + apart), dtype)
@@ -136,8 +132,8 @@ def test_small_half_and_difference_angles_keep_their_digits(dtype, apart):
 @both_precisions
 def test_difference_angles_go_there_and_back_at_the_edges(dtype):
     """theta_h, theta_d near 0 and near a right angle, in units of eps."""
-    there = quick_jit(from_half_difference)
-    back = quick_jit(half_difference)
+    there = jax.jit(from_half_difference)
+    back = jax.jit(half_difference)
     for wi, wo in AWKWARD.values():
         if np.allclose(wi, -wo):
             continue
@@ -167,8 +163,8 @@ def test_a_density_that_vanishes_in_places_is_still_sampled():
     )
     wo = jnp.asarray(at(0.3, 0.2), dtype)
     u = jnp.asarray(RNG.random((500, 3)), dtype)
-    wi = quick_jit(jax.vmap(brdf.sample, (None, None, 0)))(material, wo, u)
-    density = quick_jit(jax.vmap(brdf.pdf, (None, 0, None)))(material, wi, wo)
+    wi = jax.jit(jax.vmap(brdf.sample, (None, None, 0)))(material, wo, u)
+    density = jax.jit(jax.vmap(brdf.pdf, (None, 0, None)))(material, wi, wo)
     ahead = wi @ wo > -1 + 1e-3  # not drawn through the back of a half vector
     assert ahead.mean() > 0.9
     assert (density[ahead & (wi[:, 2] > 0)] > 0).mean() > 0.999

@@ -6,8 +6,6 @@ problem is well conditioned, else with its conditioning written out. Gradients a
 everywhere, in both precisions.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -19,7 +17,6 @@ from jaxvision import as_dtype, optics
 from jaxvision import scene as s
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 EYE = np.eye(3)
 
 
@@ -31,7 +28,7 @@ def assert_finite(tree):
 def each(function, *columns):
     """(values, gradients by each argument) of a function of scalars, over rows of arguments."""
     count = tuple(range(len(columns)))
-    return quick_jit(jax.vmap(jax.value_and_grad(function, argnums=count)))(*columns)
+    return jax.jit(jax.vmap(jax.value_and_grad(function, argnums=count)))(*columns)
 
 
 # ---------------------------------------------------------------- the lens law
@@ -258,7 +255,7 @@ def test_apertures_at_the_corners_of_the_unit_square(dtype, aperture):
     def point(v):
         return jnp.stack(optics.aperture_point(aperture, v))
 
-    points, slopes = quick_jit(jax.vmap(lambda v: (point(v), jax.jacrev(point)(v))))(u)
+    points, slopes = jax.jit(jax.vmap(lambda v: (point(v), jax.jacrev(point)(v))))(u)
     assert points.dtype == dtype
     assert_finite((points, slopes))
     assert (jnp.hypot(*points.T) <= 1.08).all()  # a slit of full width has its corners outside
@@ -317,7 +314,7 @@ def test_rays_irradiance_and_blur_of_hard_views(dtype):
     def total(*arguments):
         return sum(leaf.sum() for leaf in jax.tree.leaves(everything(*arguments)))
 
-    every, slopes = quick_jit(everything), quick_jit(jax.grad(total, argnums=(0, 1, 2)))
+    every, slopes = jax.jit(everything), jax.jit(jax.grad(total, argnums=(0, 1, 2)))
     for view in hard_views(dtype):
         result = every(view, u, depth[1:])
         assert all(leaf.dtype == dtype for leaf in jax.tree.leaves(result))
@@ -336,7 +333,7 @@ def test_diffraction_of_hard_views(dtype):
     def total(*arguments):
         return spread(*arguments)[1, 2].sum()
 
-    every, slopes = quick_jit(spread), quick_jit(jax.grad(total, argnums=(0, 1, 2)))
+    every, slopes = jax.jit(spread), jax.jit(jax.grad(total, argnums=(0, 1, 2)))
     diffraction = as_dtype(s.Diffraction([4e-7, 7e-7], size=3), dtype)
     light = jnp.zeros((3, 5, 2), dtype).at[1, 2].set(1e3)
     views = [view for view in hard_views(dtype) if view.rim is None and view.distortion is None]

@@ -2,7 +2,6 @@
 closed forms where they cancel. Values against 50 digits; gradients finite everywhere."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +26,6 @@ from jaxvision.sensor import (
 from jaxvision.sensor.shot_noise import _inverse_poisson
 
 both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 KEY = jax.random.key(3)
 IDLE = replace(  # every effect, most of them of no size
     OF_PHOTONS,
@@ -67,12 +65,12 @@ def assert_finite(tree):
 def test_every_effect_from_no_photon_to_far_too_many(dtype):
     sensor = as_dtype(IDLE, dtype)
 
-    @quick_jit
+    @jax.jit
     def shoot(sensor, light):
         raw, pull = jax.vjp(lambda s, x: raw_image(KEY, s, x, die_key=KEY), sensor, light)
         return raw, pull(jnp.ones_like(raw))
 
-    @quick_jit
+    @jax.jit
     def expect(sensor, light):
         moments, pull = jax.vjp(lambda s, x: tuple(clipped_moments(s, x)), sensor, light)
         return moments, pull(jax.tree.map(jnp.ones_like, moments))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .._types import Spectrum, as_float, check_shape
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
-from .white_balance import neutral_gains
+from .white_balancing import neutral_gains
 
 
 class CameraColour(eqx.Module):

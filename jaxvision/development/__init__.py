@@ -1,17 +1,17 @@
 """Development: from the raw data of a sensor to the picture of a file."""
 
 from .colour_matrix import CameraColour, camera_colour, fit_colour_matrix
-from .demosaic import (
+from .demosaicing import (
     demosaic,
     demosaic_bilinear,
     demosaic_malvar,
     demosaic_menon,
     demosaic_normalised,
 )
-from .jpeg import jpeg, quantisation_tables
+from .jpeg_loss import jpeg, quantisation_tables
 from .pipeline import develop, to_integers
 from .tone import encode_tone, map_tone, tone_curve
-from .white_balance import grey_world_gains, neutral_gains, white_balance
+from .white_balancing import grey_world_gains, neutral_gains, white_balance
 
 __all__ = [
     "CameraColour",

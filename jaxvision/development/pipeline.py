@@ -16,10 +16,10 @@ from ..scene import (
     WhiteBalance,
     WhiteBalancing,
 )
-from .demosaic import demosaic
-from .jpeg import jpeg
+from .demosaicing import demosaic
+from .jpeg_loss import jpeg
 from .tone import encode_tone, map_tone
-from .white_balance import Gains, grey_world_gains, neutral_gains, white_balance
+from .white_balancing import Gains, grey_world_gains, neutral_gains, white_balance
 
 
 def develop(raw: Scalars, development: Development) -> Scalars:

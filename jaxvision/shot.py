@@ -11,7 +11,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from ._types import Image, Key, Scalar
-from .develop import develop
+from .development import develop
 from .lights import Rule
 from .optics import sensor_irradiance
 from .rendering import PixelSamples, render
