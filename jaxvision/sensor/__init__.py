@@ -26,6 +26,7 @@ from .exposure import (
 )
 from .fixed_pattern import column_gains, conversion_gains, hot_rates, offsets, sensitivity
 from .moments import (
+    QUANTISATION_VARIANCE,
     Moments,
     censored,
     clipped_moments,
@@ -40,6 +41,7 @@ from .shot_noise import count
 from .shutter import exposed, exposure_slots, row_starts
 
 __all__ = [
+    "QUANTISATION_VARIANCE",
     "Moments",
     "aperture_mtf",
     "bloomed",

@@ -23,7 +23,7 @@ from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .read_out import read_out_variance
 
 _FAR = 50.0  # standard deviations: beyond is nothing, in float64 too
-ROUNDING = 1 / 12  # DN^2, of rounding to whole numbers
+QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole numbers
 
 
 class Moments(NamedTuple):
@@ -148,7 +148,7 @@ def _signal(sensor: Sensor, read: Moments) -> Moments:
     if sensor.gain is not None:
         variance = variance * sensor.gain**2
     if sensor.bits is not None:
-        variance = variance + ROUNDING
+        variance = variance + QUANTISATION_VARIANCE
     return Moments(amplified(sensor, read.mean), variance)
 
 
