@@ -1,6 +1,8 @@
-"""The `jaxvision` command: looking at image files, rendering scene files.
+"""The `jaxvision` command: inspects image files and renders scene files.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
+The libraries that compute are imported when a command starts its work, so that `--help` and a
+mistyped option answer at once.
 """
 
 import json
@@ -9,9 +11,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import typer
 
+from . import __version__
 from ._command import failures_as_sentences
 from .errors import InputError
 
@@ -23,8 +25,25 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Photometric image formation: look at images as numbers, render scenes.",
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"jaxvision {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=_print_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """Photometric image formation: inspect images as numbers, render scenes."""
 
 
 @app.command()
@@ -121,6 +140,7 @@ def _render(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
+    _use_double_precision()
     from .render_job import render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
@@ -152,7 +172,6 @@ def _render(
 def _inspect(
     file: Path, out: Path | None, row: int | None, at: str, white: float | None, as_json: bool
 ) -> None:
-    from . import plots
     from .io import read_image, replaced_on_success
 
     pixel = _pair("--at", at) if at else None
@@ -160,6 +179,9 @@ def _inspect(
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
     image = read_image(file)
+    _use_double_precision()
+    from . import plots
+
     try:
         bands = plots.summarise(image, white=white)
         figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name)
@@ -211,10 +233,16 @@ def _print_table(title: str, bands: Any) -> None:
     Console(width=width, highlight=False).print(table)
 
 
-def main() -> None:
-    """Entry point. Histograms of 16-bit and floating images want double precision, so it is
-    switched on here, never on import."""
+def _use_double_precision() -> None:
+    """Histograms of 16-bit and floating images need it. The command switches it on, never an
+    import."""
+    import jax
+
     jax.config.update("jax_enable_x64", True)
+
+
+def main() -> None:
+    """Entry point."""
     app()
 
 

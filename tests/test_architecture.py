@@ -168,18 +168,53 @@ def test_no_cycles(package):
         plan = {room: others for room, others in plan.items() if room not in leaves}
 
 
-def test_import_jaxvision_is_light():
-    """In a fresh process; `jax` itself is not counted in the time."""
-    program = (
-        "import sys, time, jax\n"
-        "start = time.perf_counter()\n"
-        "import jaxvision\n"
-        "print(time.perf_counter() - start, *sys.modules)\n"
-    )
+def loaded_by(program: str) -> tuple[set[str], str]:
+    """The modules that a fresh process has loaded when a program ends, and its standard error."""
+    listing = "import atexit, sys; atexit.register(lambda: print('\\nLOADED', *sys.modules))"
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+        [sys.executable, "-c", f"{listing}\n{program}"], cwd=ROOT, capture_output=True, text=True
     )
-    cost, *modules = done.stdout.split()
-    assert "jaxvision.shot" in modules
-    assert float(cost) < 1
-    assert not {name.split(".")[0] for name in modules} & set(NEVER_ON_IMPORT)
+    modules = done.stdout.rpartition("\nLOADED")[2].split()
+    return {name.split(".")[0] for name in modules}, done.stderr
+
+
+COMMAND = "from jaxvision.cli import app; app([{}])"
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "import jaxvision; dir(jaxvision)",
+        COMMAND.format("'--help'"),
+        COMMAND.format("'--version'"),
+        COMMAND.format("'render', '--help'"),
+        COMMAND.format("'inspect', 'no_such_file.png'"),
+    ],
+)
+def test_a_name_or_a_help_text_loads_no_library_that_computes(program):
+    loaded, stderr = loaded_by(program)
+    assert "jaxvision" in loaded, stderr
+    assert not loaded & {"jax", *NEVER_ON_IMPORT} - {"pydantic"}  # typer's own, for --help
+
+
+def test_names_load_when_first_used_also_in_a_trace():
+    """`import jaxvision` first, any name later: the files and figures alone bring their libraries,
+    and a module that is first loaded while JAX traces keeps no tracer."""
+    loaded, stderr = loaded_by(
+        "import sys, jax, jaxvision\n"
+        "def f(x):\n"
+        "    for name in jaxvision.__all__:\n"
+        "        if name != 'scene_files':\n"
+        "            getattr(jaxvision, name)\n"
+        "    jaxvision.transport.radiosity.radiosity\n"
+        "    return x\n"
+        "jax.make_jaxpr(f)(1.0)\n"
+        "values = [v for name, module in [*sys.modules.items()]"
+        " if name.startswith('jaxvision') for v in vars(module).values()]\n"
+        "values += [w for v in values if isinstance(v, dict) for w in v.values()]\n"
+        "values = [v for v in values if not isinstance(v, dict)]\n"
+        "assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))\n"
+    )
+    assert not stderr
+    assert "jax" in loaded
+    assert not loaded & set(NEVER_ON_IMPORT)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import jaxvision
 from jaxvision import plots
 from jaxvision.cli import app
 from jaxvision.errors import InputError
@@ -30,6 +31,10 @@ def run(*arguments):
 def picture(tmp_path):
     write_image(tmp_path / "picture.png", CODES)
     return tmp_path / "picture.png"
+
+
+def test_the_version_is_the_packages():
+    assert run("--version") == (0, f"jaxvision {jaxvision.__version__}\n", "")
 
 
 # ------------------------------------------------ numbers

@@ -9,9 +9,15 @@
 Each has its own reach and cost, which its file states.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from .light_paths import light_traced
 from .paths import Paths, Traced, path_radiance, path_sample, path_traced, path_traced_pixels
 from .ray_tree import ray_traced, ray_tree_radiance, ray_tree_radiances
+
+if TYPE_CHECKING:
+    from . import radiosity
 
 __all__ = [
     "Paths",
@@ -21,7 +27,15 @@ __all__ = [
     "path_sample",
     "path_traced",
     "path_traced_pixels",
+    "radiosity",
     "ray_traced",
     "ray_tree_radiance",
     "ray_tree_radiances",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`radiosity` is loaded when it is first used."""
+    if name == "radiosity":
+        return import_module(f"{__name__}.radiosity")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,298 @@
+# What `import jaxvision` offers, each name where it is defined: read by type checkers, and by
+# `__init__.py`, which loads a name when it is first used.
+
+__version__: str
+
+from . import (
+    accuracy as accuracy,
+    brdf as brdf,
+    camera_files as camera_files,
+    colour_data as colour_data,
+    colour_filters as colour_filters,
+    colour_spaces as colour_spaces,
+    compositing as compositing,
+    development as development,
+    errors as errors,
+    filters as filters,
+    geometry as geometry,
+    hemisphere as hemisphere,
+    histogram as histogram,
+    io as io,
+    lights as lights,
+    matting as matting,
+    measured_files as measured_files,
+    mesh_files as mesh_files,
+    optics as optics,
+    padding as padding,
+    plots as plots,
+    point_ops as point_ops,
+    rendering as rendering,
+    scene as scene,
+    scene_files as scene_files,
+    sensor as sensor,
+    shading as shading,
+    shadows as shadows,
+    spectra as spectra,
+    transport as transport,
+)
+from ._types import (
+    as_dtype as as_dtype,
+)
+from ._vector import (
+    Vec as Vec,
+    as_array as as_array,
+    as_vec as as_vec,
+)
+from .brdf import (
+    reflect as reflect,
+)
+from .brdf.blinn import (
+    Blinn as Blinn,
+    BlinnBRDF as BlinnBRDF,
+    NormalisedBlinn as NormalisedBlinn,
+)
+from .brdf.dichromatic import (
+    Dichromatic as Dichromatic,
+)
+from .brdf.dichromatic_separation import (
+    Separation as Separation,
+    separate as separate,
+)
+from .brdf.fresnel import (
+    Conductor as Conductor,
+    Dielectric as Dielectric,
+    Schlick as Schlick,
+)
+from .brdf.gaussian_lobe import (
+    GaussianLobe as GaussianLobe,
+    GaussianLobeBRDF as GaussianLobeBRDF,
+    gaussian_lobe as gaussian_lobe,
+    gaussian_lobe_shading as gaussian_lobe_shading,
+)
+from .brdf.glass import (
+    Glass as Glass,
+)
+from .brdf.half_difference import (
+    HalfDifferenceTable as HalfDifferenceTable,
+)
+from .brdf.lambert import (
+    Lambert as Lambert,
+    lambert_shading as lambert_shading,
+)
+from .brdf.measured import (
+    AnisotropicTable as AnisotropicTable,
+    BRDFSamples as BRDFSamples,
+    IsotropicTable as IsotropicTable,
+    sample_directions as sample_directions,
+    samples_of as samples_of,
+)
+from .brdf.mirror import (
+    Mirror as Mirror,
+)
+from .brdf.oren_nayar import (
+    OrenNayar as OrenNayar,
+)
+from .brdf.phong import (
+    NormalisedPhong as NormalisedPhong,
+    Phong as Phong,
+    PhongBRDF as PhongBRDF,
+    phong_lobe as phong_lobe,
+    phong_shading as phong_shading,
+)
+from .brdf.rgl import (
+    RGL as RGL,
+)
+from .brdf.torrance_sparrow import (
+    TorranceSparrow as TorranceSparrow,
+)
+from .camera_files import (
+    read_camera as read_camera,
+    shipped_cameras as shipped_cameras,
+)
+from .colour_filters import (
+    bayer as bayer,
+    mosaic as mosaic,
+)
+from .development import (
+    camera_colour as camera_colour,
+    demosaic as demosaic,
+    develop as develop,
+    fit_colour_matrix as fit_colour_matrix,
+    jpeg as jpeg,
+    to_integers as to_integers,
+    tone_curve as tone_curve,
+    white_balance as white_balance,
+)
+from .errors import (
+    InputError as InputError,
+)
+from .geometry import (
+    Encounter as Encounter,
+    Hit as Hit,
+    Ray as Ray,
+    hit_shape as hit_shape,
+    intersect as intersect,
+    mirror_direction as mirror_direction,
+    nearest_shape as nearest_shape,
+    occluded as occluded,
+    offset_origin as offset_origin,
+)
+from .hemisphere import (
+    Frame as Frame,
+    local_frame as local_frame,
+    to_local as to_local,
+    to_world as to_world,
+)
+from .hemisphere_integral import (
+    Estimate as Estimate,
+    hemisphere_radiance as hemisphere_radiance,
+    lit_radiance as lit_radiance,
+    sampled_radiance as sampled_radiance,
+)
+from .lights import (
+    Balanced as Balanced,
+    DirectionalLight as DirectionalLight,
+    EnvironmentMap as EnvironmentMap,
+    Incident as Incident,
+    LightFieldLight as LightFieldLight,
+    MonteCarlo as MonteCarlo,
+    PointLight as PointLight,
+    Quadrature as Quadrature,
+    RectangleLight as RectangleLight,
+    Window as Window,
+    environment_map as environment_map,
+    incident as incident,
+    incident_samples as incident_samples,
+    irradiance as irradiance,
+)
+from .lights.adaptive import (
+    adaptive_irradiance as adaptive_irradiance,
+)
+from .lights.light_field import (
+    refocus as refocus,
+)
+from .lights.orders import (
+    order_for as order_for,
+)
+from .lights.polygon import (
+    rectangle_irradiance as rectangle_irradiance,
+)
+from .measured_files import (
+    read_measured as read_measured,
+)
+from .optics import (
+    camera_ray as camera_ray,
+    circle_of_confusion as circle_of_confusion,
+    depth_of_field as depth_of_field,
+    gather_defocus as gather_defocus,
+    hyperfocal_distance as hyperfocal_distance,
+    image_distance as image_distance,
+    layered_defocus as layered_defocus,
+    lens_ray as lens_ray,
+    look_at as look_at,
+    sensor_irradiance as sensor_irradiance,
+    view_ray as view_ray,
+)
+from .point_ops import (
+    gain_bias as gain_bias,
+    gamma_decode as gamma_decode,
+    gamma_encode as gamma_encode,
+    srgb_decode as srgb_decode,
+    srgb_encode as srgb_encode,
+)
+from .rendering import (
+    Baked as Baked,
+    PixelSamples as PixelSamples,
+    bake as bake,
+    radiance_along as radiance_along,
+    render as render,
+    render_light_field as render_light_field,
+    shade_baked as shade_baked,
+)
+from .scene import (
+    JPEG as JPEG,
+    SRGB as SRGB,
+    AmbientLight as AmbientLight,
+    AnnularAperture as AnnularAperture,
+    ArrheniusDarkCurrent as ArrheniusDarkCurrent,
+    Banding as Banding,
+    Bilateral as Bilateral,
+    Box as Box,
+    Camera as Camera,
+    ChargeTransfer as ChargeTransfer,
+    CircularAperture as CircularAperture,
+    ColourFilter as ColourFilter,
+    Demosaicing as Demosaicing,
+    Development as Development,
+    Diffraction as Diffraction,
+    Disc as Disc,
+    Distortion as Distortion,
+    DoublingDarkCurrent as DoublingDarkCurrent,
+    FastPoissonShotNoise as FastPoissonShotNoise,
+    Filmic as Filmic,
+    Gamma as Gamma,
+    GaussianShotNoise as GaussianShotNoise,
+    GreyWorld as GreyWorld,
+    HeavyTailedReadNoise as HeavyTailedReadNoise,
+    HotPixels as HotPixels,
+    Light as Light,
+    Material as Material,
+    NeutralPatch as NeutralPatch,
+    NonLocalMeans as NonLocalMeans,
+    Orthographic as Orthographic,
+    PhotonConversion as PhotonConversion,
+    Pinhole as Pinhole,
+    PixelAperture as PixelAperture,
+    Plane as Plane,
+    PoissonShotNoise as PoissonShotNoise,
+    PolygonalAperture as PolygonalAperture,
+    Quad as Quad,
+    RectangularAperture as RectangularAperture,
+    Reinhard as Reinhard,
+    ResetNoise as ResetNoise,
+    Rim as Rim,
+    RollingShutter as RollingShutter,
+    Scene as Scene,
+    Sensor as Sensor,
+    Sphere as Sphere,
+    Surface as Surface,
+    TelegraphNoise as TelegraphNoise,
+    ThinLens as ThinLens,
+    ToneCurve as ToneCurve,
+    TriangleMesh as TriangleMesh,
+    UnsharpMask as UnsharpMask,
+    WhiteBalance as WhiteBalance,
+)
+from .sensor import (
+    Moments as Moments,
+    clipped_moments as clipped_moments,
+    collect as collect,
+    digitise as digitise,
+    expected_signal as expected_signal,
+    exposed as exposed,
+    mean_photoelectrons as mean_photoelectrons,
+    pattern_variance as pattern_variance,
+    photon_rate as photon_rate,
+    raw_image as raw_image,
+    signal_variance as signal_variance,
+)
+from .shading import (
+    outgoing_radiance as outgoing_radiance,
+)
+from .shadows import (
+    Leaving as Leaving,
+    visibility as visibility,
+)
+from .shot import (
+    Capture as Capture,
+    capture as capture,
+)
+from .transport import (
+    Paths as Paths,
+    Traced as Traced,
+    light_traced as light_traced,
+    path_radiance as path_radiance,
+    path_traced as path_traced,
+    path_traced_pixels as path_traced_pixels,
+    ray_traced as ray_traced,
+)
