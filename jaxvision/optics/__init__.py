@@ -1,5 +1,6 @@
-"""What a camera sees and what reaches its sensor: projection, focus, openings, diffraction,
-vignetting, distortion and colour errors of a lens."""
+"""From the scene to the sensor's surface: projection, focus, apertures, diffraction, vignetting,
+distortion and chromatic aberrations of a lens.
+"""
 
 from .aperture import aperture_area, aperture_corners, aperture_kernel, aperture_point
 from .defocus import (

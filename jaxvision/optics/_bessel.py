@@ -1,7 +1,7 @@
-"""The Bessel function of a round opening, vectorised.
+"""The Bessel function of diffraction at a round aperture, vectorised.
 
-Expansions in Chebyshev polynomials, from 40 digits and cut off below 1e-16: of 2 J_1(x) / x
-in x^2 up to x = 8, beyond it of the slow parts P and Q of
+Chebyshev expansions, computed with 40 digits and cut off below 1e-16: of 2 J_1(x) / x in x^2 up to
+x = 8; beyond, of the slowly varying parts P and Q of
 
     J_1(x) = sqrt(2 / (pi x)) (P cos(x - 3 pi / 4) - (8 / x) Q sin(x - 3 pi / 4))
 
@@ -61,7 +61,7 @@ _ACROSS = (
 
 
 def jinc(square: Scalars) -> Scalars:
-    """2 J_1(x) / x of `square` = x^2 >= 0: 1 at 0, where the derivative by x^2 is -1 / 8."""
+    """2 J_1(x) / x as a function of `square` = x^2 >= 0; at 0 it is 1, with derivative -1 / 8."""
     near = square < 64
     low = _chebyshev(_NEAR, jnp.where(near, square, 0) / 32 - 1)
     x = jnp.sqrt(jnp.where(near, 64, square))

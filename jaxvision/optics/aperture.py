@@ -1,6 +1,6 @@
-"""The opening of a lens: its points, its area, and what it makes of a point out of focus.
+"""The aperture of a lens: points in it, its area, and the image it makes of a point out of focus.
 
-Points are (right, down) of the camera, relative to the radius of the lens. Everything is in
+Points are (right, down) in the camera's axes, relative to the radius of the lens. Everything is in
 closed form and differentiable in the shape.
 """
 
@@ -21,12 +21,21 @@ from ..scene import (
 
 
 def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """(right, down) of a point of the opening, relative to the lens's radius, from `u`, (2,) in the
-    unit square: equal areas go to equal areas.
+    """Maps the unit square to the aperture; equal areas map to equal areas.
 
-    A disc by the concentric map, which keeps neighbours together (Shirley and Chiu, "A Low
-    Distortion Map between Disk and Square", Journal of Graphics Tools 2 (1997)); a ring by squared
-    radius and angle; a polygon blade by blade.
+    A disc uses the concentric map, which keeps neighbours together; a ring squared radius and
+    angle; a polygon one triangle per blade.
+
+    Args:
+        aperture: the shape.
+        u: (2,) in the unit square, no unit.
+
+    Returns:
+        (right, down), each (), relative to the radius of the lens.
+
+    Source:
+        Shirley and Chiu, "A Low Distortion Map between Disk and Square", Journal of Graphics Tools
+        2 (1997).
     """
     match aperture:
         case CircularAperture():
@@ -42,7 +51,19 @@ def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Sc
 
 
 def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
-    """The area of the opening of a lens of that diameter: m^2 for m."""
+    """Area of the aperture of a lens.
+
+    Args:
+        aperture: the shape.
+        diameter: () m, of the lens.
+
+    Returns:
+        () m^2.
+
+    Example:
+        >>> round(float(jv.optics.aperture_area(jv.PolygonalAperture(6), jnp.array(2.0))), 4)
+        2.5981
+    """
     square = diameter * diameter / 4
     match aperture:
         case CircularAperture():
@@ -59,7 +80,15 @@ def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
 def aperture_corners(
     aperture: PolygonalAperture | RectangularAperture, dtype: np.dtype
 ) -> tuple[Float[Array, " corners"], Float[Array, " corners"]]:
-    """(right, down) of the corners in turn, from right towards down, relative to the radius."""
+    """Corners of the aperture in turn, from right towards down.
+
+    Args:
+        aperture: the shape.
+        dtype: floating dtype of the result.
+
+    Returns:
+        (right, down), each (corners,), relative to the radius of the lens.
+    """
     if isinstance(aperture, RectangularAperture):
         signs = jnp.asarray([[1, -1, -1, 1], [1, 1, -1, -1]], dtype)
         return signs[0] * aperture.width, signs[1] * aperture.height
@@ -69,12 +98,22 @@ def aperture_corners(
 
 
 def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
-    """The image of a point out of focus, by which a pixel gathers: the opening with the lens's
-    radius at `radius` pixels, each weight the share of the opening in that pixel, of sum 1.
+    """Kernel by which a pixel gathers a point out of focus: the shape of the aperture.
 
-    `radius`: () pixels; negative turns it about, as light from behind the plane in focus has it
-    (`defocus_radius`). 0 is the pixel itself. `size`: of the kernel, odd, static; what lies outside
-    is cut off, and the rest rescaled. `ValueError` for an even size.
+    Each weight is the share of the aperture that falls on that pixel.
+
+    Args:
+        aperture: the shape.
+        radius: () pixels, of the image of the lens's edge. A negative radius inverts the kernel, as
+            for light from behind the plane in focus (`defocus_radius`); 0 gives the identity.
+        size: side of the kernel in pixels, odd, static. The part outside is cut off and the rest
+            rescaled.
+
+    Returns:
+        (size, size) weights of sum 1, no unit.
+
+    Raises:
+        ValueError: `size` is even.
     """
     if size < 1 or size % 2 == 0:
         raise ValueError(f"size must be odd, got {size}.")
@@ -109,8 +148,9 @@ def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
 
 
 def _in_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """u[0] chooses the triangle between the centre and one side, and how far out in it; u[1] a
-    place along the side."""
+    """u[0] chooses the triangle between the centre and one side, and the place from its centre to
+    that side; u[1] the place along the side.
+    """
     n = aperture.blades
     blade = jnp.minimum(jnp.floor(u[0] * n), n - 1)
     outwards = safe_sqrt(u[0] * n - blade)
@@ -125,8 +165,9 @@ def _in_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scal
 
 
 def _disc_in_pixels(edges: Float[Array, " n"], radius: Scalar) -> Float[Array, "m m"]:
-    """The area of a disc about 0 in each pixel between the edges: the second differences of its
-    area in the rectangles between 0 and the corners."""
+    """Area of a disc about 0 in each pixel between the edges: the second differences of its area in
+    the rectangles between 0 and the corners.
+    """
     size = jnp.abs(edges)
     area = _disc_in_rectangle(radius, size[:, None], size[None, :])
     signed = jnp.sign(edges)[:, None] * jnp.sign(edges)[None, :] * area
@@ -134,8 +175,9 @@ def _disc_in_pixels(edges: Float[Array, " n"], radius: Scalar) -> Float[Array, "
 
 
 def _disc_in_rectangle(radius: Scalar, width: Scalars, height: Scalars) -> Scalars:
-    """The area of the disc where 0 < x < width and 0 < y < height: two triangles and a sector, or
-    the whole rectangle."""
+    """Area of the disc where 0 < x < width and 0 < y < height: two triangles and a sector, or the
+    whole rectangle.
+    """
     a, b = jnp.minimum(width, radius), jnp.minimum(height, radius)
     square = radius * radius
     whole = a * a + b * b <= square
@@ -147,10 +189,10 @@ def _disc_in_rectangle(radius: Scalar, width: Scalars, height: Scalars) -> Scala
 def _polygon_in_pixels(
     edges: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
 ) -> Float[Array, "m m"]:
-    """The area of a polygon in each pixel between the edges.
+    """Area of a polygon in each pixel between the edges.
 
-    Green's theorem: to a pixel's share, the integral of x dy around it, each side of the polygon
-    gives its run in y within the pixel's row times the mean of x in the pixel along that run.
+    Green's theorem: a pixel's share is the integral of x dy around it. Each side of the polygon
+    contributes its run in y within the pixel's row times the mean of x in the pixel along that run.
     """
     start = edges[:-1]
 

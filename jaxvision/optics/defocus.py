@@ -1,26 +1,27 @@
-"""Defocus of a picture by its depth map: what sampling the lens ray by ray costs hundreds of rays a
-pixel for, approximated from one sharp picture.
+"""Defocus of a sharp picture by its depth map: one pass instead of the hundreds of rays per pixel
+that sampling the lens takes.
 
-A point whose reciprocal distance differs from that in focus by delta is spread over the image of
-the aperture, of signed radius (d / 2) z_i delta: upright nearer than the plane in focus, turned
-about behind it. Of a single plane all forms here, and the sampled lens, make the same picture; at
-the edge of a nearer surface they differ, since the sharp picture does not know what is behind it:
+A point whose reciprocal distance differs by delta from that of the plane in focus is spread over
+the image of the aperture, of signed radius (d / 2) z_i delta: upright for points nearer than the
+plane in focus, inverted behind it. For a single plane all methods and the sampled lens give the
+same picture. They differ at the edge of a nearer surface, since the sharp picture does not contain
+the light from behind it:
 
-- `gather_defocus`: each pixel averages by its own kernel. A flat picture stays flat; a sharp
-  background keeps a sharp edge to a blurred foreground.
-- `scatter_defocus`: each pixel spreads its own light. The sum of light is kept; where surfaces meet
-  there is too much or too little of it.
-- `layered_defocus`: surfaces are blurred by depth and laid over each other. A foreground's blurred
-  edge covers what is behind, which behind it is continued from beside.
+- `gather_defocus`: each pixel averages by its own kernel. A flat picture stays flat; before a sharp
+background a blurred foreground keeps a sharp edge.
+- `scatter_defocus`: each pixel spreads its own light. The sum of light is conserved; where surfaces
+meet there is too much or too little of it.
+- `layered_defocus`: surfaces are blurred by depth and composited. A foreground's blurred edge
+covers the background, which is extrapolated behind it from its visible part.
 
-Measured against 48 x 48 rays a pixel on patterns of amplitude .3 to .4, rms over 48 x 64 pixels: a
-plane blurred by 7 to 10 pixels 3e-4 to 7e-4 in all forms; a blurred foreground before a sharp
-background gather .04, scatter .11, layers .03; a sharp one before a blurred background .001 to
-.007, .10 and .005 to .02; both blurred .01 to .04 in all.
+Measured against 48 x 48 rays per pixel on patterns of amplitude 0.3 to 0.4, rms over 48 x 64
+pixels: a plane blurred by 7 to 10 pixels 3e-4 to 7e-4 for all methods; a blurred foreground before
+a sharp background 0.04 (gather), 0.11 (scatter), 0.03 (layers); a sharp foreground before a blurred
+background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to 0.04 for all.
 
 Pictures are (h, w, bands) in any unit linear in light. `depth` is (h, w) m along the optical axis,
-not along the ray; NaN, no depth, counts as in focus. `radius`: static, in pixels, of the largest
-kernel: larger blurs are cut off.
+not along the ray; NaN (no depth) counts as in focus. `radius` is the static radius in pixels of the
+largest kernel: larger blurs are cut off.
 """
 
 from functools import partial
@@ -47,9 +48,15 @@ _FEW = 1e-3
 
 
 def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
-    """The radius, in pixels, of the image of a point at `depth`, m along the axis: half of the
-    circle of confusion, positive nearer than the plane in focus and negative behind it.
-    Elementwise; inf is a depth."""
+    """Signed radius in pixels of the image of a point: half the circle of confusion.
+
+    Args:
+        view: the lens.
+        depth: (...) m along the axis; inf is allowed.
+
+    Returns:
+        (...) pixels; positive nearer than the plane in focus, negative behind it.
+    """
     focus = jnp.inf if view.focus_distance is None else view.focus_distance
     focus = jnp.broadcast_to(jnp.asarray(focus, depth.dtype), depth.shape)
     return vergence_difference(depth, focus) * _pixels_per_vergence(view)
@@ -58,11 +65,24 @@ def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
 def gather_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
-    """Each pixel the mean of the picture under the kernel of its own depth (m): (h, w, bands).
+    """Blurs each pixel by the kernel of its own depth.
 
-    A round aperture's kernels are exact to their rim, which is one pixel soft; others are blended
-    from a bank of `members`, static, by default one for each pixel of radius, upright and turned.
-    The picture is mirrored at its border.
+    Kernels of a round aperture are exact up to their edge, which is one pixel soft; other shapes
+    are blended from a bank of kernels. The picture is mirrored at its border.
+
+    Args:
+        view: the lens.
+        picture: (h, w, bands) in any unit linear in light.
+        depth: (h, w) m along the axis; NaN counts as in focus.
+        radius: radius of the largest kernel in pixels, static, at least 1.
+        members: kernels in the bank, static, at least 2; None takes one per pixel of radius,
+            upright and inverted. Unused for a round aperture.
+
+    Returns:
+        (h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: `radius` or `members` is too small.
     """
     return _gathered(view, picture, _blur(view, depth), radius=radius, members=members)
 
@@ -70,9 +90,24 @@ def gather_defocus(
 def scatter_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
-    """Each pixel's light spread over the image of the aperture at its own depth (m): (h, w, bands)
-    of the same sum, as what leaves the picture is mirrored back. Arguments as for
-    `gather_defocus`, of which it is the transpose."""
+    """Spreads each pixel's light over the image of the aperture at its own depth.
+
+    The transpose of `gather_defocus`: the sum of light is conserved, as light that leaves the
+    picture is mirrored back.
+
+    Args:
+        view: the lens.
+        picture: (h, w, bands) in any unit linear in light.
+        depth: (h, w) m along the axis; NaN counts as in focus.
+        radius: radius of the largest kernel in pixels, static, at least 1.
+        members: kernels in the bank, as in `gather_defocus`.
+
+    Returns:
+        (h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: `radius` or `members` is too small.
+    """
     turned = -_blur(view, depth)
 
     def gather(light: Picture) -> Picture:
@@ -84,13 +119,25 @@ def scatter_defocus(
 def layered_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, layers: int
 ) -> Picture:
-    """The picture (h, w, bands) taken apart into layers of depth (m), each blurred by itself, and
-    put together from the nearest on.
+    """Splits the picture into layers of depth, blurs each, and composites them from the nearest on.
 
-    The layers, static and >= 1, lie at equal steps of blur from the farthest to the nearest depth;
-    each pixel belongs to the two beside it. What is at a layer or nearer covers A, its mask blurred
-    as that layer is; of the layer is seen what A adds to that of the next nearer one. Colours are
-    means over what is known of a layer: a flat picture stays flat. `ValueError` for layers < 1.
+    The layers lie at equal steps of blur from the farthest to the nearest depth; each pixel is
+    shared by the two layers beside it. Surfaces at or before a layer cover A, their mask blurred as
+    that layer is; the layer is seen where A exceeds that of the next nearer layer. Colours are
+    means over the known part of a layer, so a flat picture stays flat.
+
+    Args:
+        view: the lens.
+        picture: (h, w, bands) in any unit linear in light.
+        depth: (h, w) m along the axis; NaN counts as in focus.
+        radius: radius of the largest kernel in pixels, static.
+        layers: number of layers, static, at least 1.
+
+    Returns:
+        (h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: `layers` is less than 1.
     """
     if layers < 1:
         raise ValueError(f"layers must be at least 1, got {layers}.")
@@ -129,9 +176,23 @@ def chromatic_defocus(
     *,
     radius: int,
 ) -> Picture:
-    """Longitudinal chromatic aberration: `gather_defocus` with a focal length, m, for each band,
-    (bands,), behind which the sensor stays where the view has it. The other arguments as there;
-    `ValueError` for another number of bands."""
+    """Longitudinal chromatic aberration: `gather_defocus` with a focal length for each band.
+
+    The sensor stays where the view has it.
+
+    Args:
+        view: the lens.
+        picture: (h, w, bands) in any unit linear in light.
+        depth: (h, w) m along the axis; NaN counts as in focus.
+        focal_lengths: (bands,) m.
+        radius: radius of the largest kernel in pixels, static, at least 1.
+
+    Returns:
+        (h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: `focal_lengths` does not hold one value per band, or `radius` is too small.
+    """
     if focal_lengths.shape != picture.shape[-1:]:
         raise ValueError(
             f"focal_lengths must be {picture.shape[-1:]}, one a band, got {focal_lengths.shape}."
@@ -146,13 +207,13 @@ def chromatic_defocus(
 
 
 def _blur(view: ThinLens, depth: Depth) -> Depth:
-    """`defocus_radius`, 0 where there is no depth."""
+    """`defocus_radius`, or 0 where the depth is not known."""
     known = ~jnp.isnan(depth)
     return jnp.where(known, defocus_radius(view, jnp.where(known, depth, jnp.inf)), 0)
 
 
 def _pixels_per_vergence(view: ThinLens) -> Scalar:
-    """How fast the radius of blur, in pixels, grows with the reciprocal distance in m^-1."""
+    """Radius of blur in pixels per reciprocal distance in m^-1."""
     radius = view.focal_length / view.f_number / 2
     return radius / view.pixel_pitch * _reciprocal(sensor_vergence(view))
 

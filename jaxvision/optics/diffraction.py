@@ -1,9 +1,11 @@
-"""Diffraction at a round opening: the sharpest image that there can be of a point.
+"""Diffraction at a round aperture, which limits the sharpness of every image.
 
-All lengths in m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working one,
-image distance over diameter (`working_f_number`), which at infinity focus is that of the lens.
-Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band. Source:
-Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
+All lengths are m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working
+one, image distance over diameter (`working_f_number`), which at infinity focus is that of the lens.
+Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band.
+
+Source:
+    Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
 """
 
 import jax
@@ -24,14 +26,37 @@ _FIRST_ZERO = 1.2196698912665045
 
 
 def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
-    """1.22 lambda N in m: where the first dark ring of the Airy pattern lies, for a `wavelength` in
-    m."""
+    """Radius of the first dark ring of the Airy pattern: 1.22 lambda N.
+
+    Args:
+        wavelength: (...) m.
+        f_number: (...) working f-number, no unit.
+
+    Returns:
+        (...) m on the sensor.
+
+    Example:
+        >>> micrometres = 1e6 * jv.optics.airy_radius(jnp.array(550e-9), jnp.array(8.0))
+        >>> round(float(micrometres), 2)
+        5.37
+    """
     return _FIRST_ZERO * wavelength * f_number
 
 
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
-    """(2 J_1(x) / x)^2 with x = pi r / (lambda N): irradiance relative to that in the middle, at
-    `radius` from it, lengths in m. Times pi / (2 lambda N)^2 its integral over the plane is 1."""
+    """Irradiance of the Airy pattern relative to its middle: (2 J_1(x) / x)^2, x = pi r / (lambda
+    N).
+
+    Times pi / (2 lambda N)^2 its integral over the plane is 1.
+
+    Args:
+        radius: (...) m from the middle.
+        wavelength: (...) m.
+        f_number: (...) working f-number, no unit.
+
+    Returns:
+        (...) relative to the middle.
+    """
     x = jnp.pi * radius / (wavelength * f_number)
     amplitude = jinc(x * x)
     return amplitude * amplitude
@@ -45,14 +70,25 @@ def airy_kernel(
     size: int,
     order: int = 8,
 ) -> Float[Array, "..."]:
-    """The share of a point's light that falls on each pixel around it: (size, size), or
-    (size, size, bands) for wavelengths (bands,), of sum 1. Lengths in m.
+    """Share of a point's light that falls on each pixel around it.
 
-    Gauss-Legendre quadrature over each pixel, `order` nodes a side: the knob, static; 8 nodes are
-    good to 1e-6 of the sum up to a pixel of 2 lambda N. Of the light a share of about
-    2 lambda N / (pi^2 R) falls beyond the distance R, and what falls outside the kernel is put back
-    by rescaling. At a wavelength or an f-number of 0 all of it is in the middle. `ValueError` for
-    an even size or an order below 1.
+    Gauss-Legendre quadrature over each pixel. The share of light beyond the distance R is about 2
+    lambda N / (pi^2 R); light outside the kernel is put back by rescaling. At a wavelength or an
+    f-number of 0 all light is in the middle.
+
+    Args:
+        wavelength: () or (bands,) m.
+        f_number: () working f-number, no unit.
+        pixel_pitch: () m.
+        size: side of the kernel in pixels, odd, static.
+        order: quadrature nodes per side of a pixel, static: the knob for accuracy; 8 nodes are good
+            to 1e-6 of the sum up to a pixel of 2 lambda N.
+
+    Returns:
+        (size, size), or (size, size, bands) for wavelengths (bands,); no unit, of sum 1.
+
+    Raises:
+        ValueError: `size` is even or `order` below 1.
     """
     if size < 1 or size % 2 == 0 or order < 1:
         raise ValueError(f"size must be odd and order at least 1, got {size} and {order}.")
@@ -77,10 +113,18 @@ def airy_kernel(
 
 
 def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> Image:
-    """Irradiance (..., h, w, bands) in W m^-2 on the sensor of that view, spread by diffraction at
-    its aperture: `airy_kernel` of the working f-number.
+    """Irradiance on the sensor after diffraction at the aperture.
 
-    What lies beyond the picture is taken as its border is, so a flat picture stays flat.
+    Convolves with the `airy_kernel` of the working f-number. The picture is continued by its
+    border, so a flat picture stays flat.
+
+    Args:
+        view: the lens.
+        diffraction: wavelengths and size of the kernel.
+        irradiance: (..., h, w, bands) W m^-2.
+
+    Returns:
+        (..., h, w, bands) W m^-2.
     """
     # a closed aperture passes no light to spread
     f_number = jnp.where(jnp.isfinite(view.f_number), view.f_number, 1)
@@ -97,12 +141,25 @@ def diffraction_mtf(
     *,
     obstruction: Scalars | None = None,
 ) -> Scalars:
-    """The contrast, relative, that is left of a sine pattern of that frequency in m^-1, for a
-    `wavelength` in m: 0 from the cut-off 1 / (lambda N) on.
+    """Contrast that diffraction leaves of a sine pattern; 0 from the cut-off 1 / (lambda N) on.
 
-    The pupil's overlap with itself, shifted by 2 lambda N frequency radii: for a full disc
-    (2 / pi) (arccos v - v sqrt(1 - v^2)), v the frequency over the cut-off. `obstruction`: in
-    [0, 1), diameter of a round stop in the middle over that of the opening, or None.
+    The overlap of the pupil with itself, shifted by 2 lambda N frequency radii: for a full disc (2
+    / pi) (arccos v - v sqrt(1 - v^2)), with v the frequency over the cut-off.
+
+    Args:
+        frequency: (...) m^-1.
+        wavelength: (...) m.
+        f_number: (...) working f-number, no unit.
+        obstruction: (...) in [0, 1), the diameter of a central round stop over that of the
+            aperture; None for no stop.
+
+    Returns:
+        (...) relative contrast, in [0, 1].
+
+    Example:
+        >>> half = jnp.array(0.5 / (550e-9 * 8.0))  # half of the cut-off
+        >>> round(float(jv.optics.diffraction_mtf(half, jnp.array(550e-9), jnp.array(8.0))), 4)
+        0.391
     """
     shift = 2 * jnp.abs(frequency * wavelength * f_number)
     outer = jnp.ones_like(shift)

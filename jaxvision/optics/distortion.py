@@ -1,9 +1,12 @@
-"""The image that a lens bends: from the slopes of chief rays to where they meet the sensor, in
-units of the image distance, and back. Slopes are relative: m to the side per m forward.
+"""Distortion of the image by a lens: from the slopes of chief rays to their places on the sensor,
+in units of the image distance, and back.
 
-Forward is the closed form of `Distortion` (Brown, "Close-Range Camera Calibration", 1971); back is
-Newton's method, which from the distorted place converges for barrels and pincushions alike. Its
-derivative is that of the implicit function, not of the steps.
+Slopes are relative: m to the side per m forward. Forward is the closed form of `Distortion`; back
+is Newton's method, which started at the distorted place converges for barrels and pincushions
+alike. Its derivative is that of the implicit function, not of the steps.
+
+Source:
+    Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).
 """
 
 import jax
@@ -19,8 +22,22 @@ _MOST_STEPS = 60
 
 
 def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Where the chief ray of the slopes (x, y), right and down, meets the sensor: (right, down) in
-    units of the image distance, relative."""
+    """Where a chief ray meets the sensor of a lens with distortion.
+
+    Args:
+        distortion: coefficients.
+        x: () slope to the right, m per m.
+        y: () slope downwards, m per m.
+
+    Returns:
+        (right, down), each () in units of the image distance (relative).
+
+    Example:
+        >>> barrel = jv.Distortion(radial=jnp.array([-0.1]))
+        >>> x, y = jv.optics.distort(barrel, jnp.array(0.5), jnp.array(0.0))
+        >>> round(float(x), 4)  # 0.5 (1 - 0.1 0.5^2)
+        0.4875
+    """
     s, _ = _scale(distortion, x, y)
     if distortion.tangential is None:
         return x * s, y * s
@@ -33,20 +50,36 @@ def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scala
 
 
 def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
-    """How much larger a small area is in the distorted image than in an ideal one, at the slopes
-    (x, y) of the chief ray: relative, the determinant of the derivative of `distort`; 0 at a fold
-    and negative beyond."""
+    """Ratio of a small area in the distorted image to its area in an ideal one.
+
+    The determinant of the derivative of `distort`.
+
+    Args:
+        distortion: coefficients.
+        x: () slope of the chief ray to the right, m per m.
+        y: () slope of the chief ray downwards, m per m.
+
+    Returns:
+        () relative; 0 at a fold of the image and negative beyond it.
+    """
     a, b, c = _jacobian(distortion, x, y)
     return a * c - b * b
 
 
 @jax.custom_jvp
 def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """The slopes (right, down) of the chief ray that meets the sensor at (x, y), relative to the
-    image distance: the inverse of `distort`.
+    """Slopes of the chief ray that meets the sensor at a given place: the inverse of `distort`.
 
-    A strong barrel folds the plane, and nothing is imaged beyond its rim: there the result is a
+    A strong barrel folds the plane, and nothing is imaged beyond its edge: there the result is a
     slope near the fold, with gradient 0. NaN stays NaN.
+
+    Args:
+        distortion: coefficients.
+        x: () place to the right, relative to the image distance.
+        y: () place downwards, relative to the image distance.
+
+    Returns:
+        (right, down), each () m per m.
     """
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 

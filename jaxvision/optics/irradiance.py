@@ -3,9 +3,12 @@
     E = L A cos^4 / z_i^2,   with a round aperture   E = L (pi / 4) (d / z_i)^2 cos^4
 
 A is the area of the aperture, d its diameter, z_i the distance to the sensor (the focal length only
-at infinity focus) and cos that of the chief ray to the axis: the aperture is small, at distance
-z_i / cos, and inclined to both the ray and the sensor (Szeliski, Computer Vision, section 2.2.3).
-cos^4 is applied once, here, never in a ray's weight.
+at infinity focus) and cos the cosine of the chief ray to the axis: the aperture is small, at
+distance z_i / cos, and inclined to both the ray and the sensor. cos^4 is applied once, here, never
+in a ray's weight.
+
+Source:
+    Szeliski, Computer Vision, section 2.2.3.
 """
 
 import jax
@@ -22,11 +25,27 @@ from .vignetting import clear_fraction
 
 
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
-    """Irradiance (bands,) in W m^-2 at a pixel that sees `radiance` (bands,) in W m^-2 sr^-1.
+    """Irradiance on the sensor at one pixel.
 
-    A rim takes its part away (`clear_fraction`), and where distortion stretches the image the light
-    is spread as much thinner. Without an f-number radiance is handed on as it is, and nothing falls
-    off.
+    A rim vignettes (`clear_fraction`), and where distortion stretches the image the light is spread
+    thinner in proportion. A view without an f-number returns the radiance unchanged, without
+    fall-off.
+
+    Args:
+        view: the camera's projection.
+        radiance: (bands,) W m^-2 sr^-1 seen by the pixel.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        (bands,) W m^-2.
+
+    Example:
+        >>> view = jv.Pinhole(np.zeros(3), np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=8.0)
+        >>> zero = jnp.array(0.0)
+        >>> E = jv.optics.pixel_irradiance(view, jnp.array([1.0]), zero, zero)
+        >>> round(float(E[0]), 6)  # pi / (4 8^2)
+        0.012272
     """
     if isinstance(view, ThinLens):
         area = aperture_area(view.aperture, view.focal_length / view.f_number)
@@ -48,8 +67,18 @@ def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) 
 
 
 def sensor_irradiance(view: View, radiance: Image) -> Image:
-    """`pixel_irradiance` of a whole picture, and a thin lens's diffraction: (h, w, bands) to
-    (h, w, bands) in W m^-2. `ValueError` for a picture of another resolution."""
+    """Irradiance on the sensor for a whole picture, with the diffraction of a thin lens.
+
+    Args:
+        view: the camera's projection.
+        radiance: (h, w, bands) W m^-2 sr^-1, of the view's resolution.
+
+    Returns:
+        (h, w, bands) W m^-2; the radiance unchanged for a view without an f-number.
+
+    Raises:
+        ValueError: `radiance` has another resolution than the view.
+    """
     if radiance.shape[:-1] != view.resolution:
         raise ValueError(
             f"radiance must be {view.resolution} and bands, as the view's resolution, got shape "

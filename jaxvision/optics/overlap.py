@@ -1,8 +1,8 @@
-"""Where two openings cover each other, seen through one another: areas in closed form, in the
-square of the unit of their lengths, such as m^2 for m.
+"""Overlap of two apertures seen through one another: areas in closed form.
 
-The derivative of such an area is the length of an arc or a chord, also in closed form; that is
-finite where the area's own formula is not.
+Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of such an
+area is the length of an arc or a chord, also in closed form; it is finite where the derivative of
+the area's formula is not.
 """
 
 import jax
@@ -15,12 +15,24 @@ from .._types import Scalar, Scalars
 
 @jax.custom_jvp
 def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
-    """The area that two discs share whose centres are `distance` apart, in m^2 for m, elementwise;
-    all three >= 0.
+    """Area that two discs share; elementwise.
 
-    Two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the angle of the arc,
-    found from half of it by the sides of the triangle of the centres and a crossing: no digits are
-    lost where the circles just touch.
+    Two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the angle of the arc.
+    The angle comes from the sides of the triangle of the centres and a crossing, by the formula for
+    its half: no digits are lost where the circles just touch.
+
+    Args:
+        distance: (...) m between the centres, >= 0.
+        first_radius: (...) m, >= 0.
+        second_radius: (...) m, >= 0.
+
+    Returns:
+        (...) m^2.
+
+    Example:
+        >>> one = jnp.array(1.0)
+        >>> round(float(jv.optics.overlap_of_discs(one, one, one)), 4)  # 2 pi / 3 - sqrt(3) / 2
+        1.2284
     """
     first, second = _half_angles(distance, first_radius, second_radius)
     smaller = jnp.minimum(first_radius, second_radius)
@@ -33,7 +45,7 @@ def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Sc
 
 @overlap_of_discs.defjvp
 def _overlap_of_discs_jvp(primals, tangents):
-    """It loses the common chord with the distance, and gains each disc's arc with its radius."""
+    """The area loses the common chord with the distance, and gains each arc with its radius."""
     distance, r1, r2 = primals
     along, d1, d2 = tangents
     first, second = _half_angles(distance, r1, r2)
@@ -49,11 +61,20 @@ def overlap_of_disc_and_polygon(
     corner_right: Float[Array, " corners"],
     corner_down: Float[Array, " corners"],
 ) -> Scalar:
-    """The area, in m^2 for m, that a disc about (`right`, `down`) shares with the polygon of those
-    corners, which run from right towards down.
+    """Area that a disc shares with a polygon.
 
     Each side gives the signed area that the disc shares with the triangle of its centre and that
-    side: a sector, a triangle over what lies in the disc, and a sector.
+    side: a sector, a triangle over the part within the disc, and a sector.
+
+    Args:
+        right: () m, of the disc's centre.
+        down: () m, of the disc's centre.
+        radius: () m.
+        corner_right: (corners,) m; the corners run from right towards down.
+        corner_down: (corners,) m.
+
+    Returns:
+        () m^2.
     """
     x, y = corner_right - right, corner_down - down
     return jax.vmap(_side, in_axes=(None, 0, 0, 0, 0))(
@@ -63,7 +84,8 @@ def overlap_of_disc_and_polygon(
 
 def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
     """Half the angle of each circle's arc that lies in the other disc: pi and 0 where one disc
-    holds the other, pi / 2 where they are the same."""
+    contains the other, pi / 2 where they coincide.
+    """
     # the semi-perimeter, and it less each side, all doubled; what is negative is no triangle
     whole, beyond = r1 + r2 + d, jnp.maximum((r1 + r2) - d, 0)
     less_first, less_second = jnp.maximum(d - (r1 - r2), 0), jnp.maximum(d + (r1 - r2), 0)

@@ -1,6 +1,7 @@
-"""A picture looked up between its pixels, and the pictures that a lens bends or whose colours it
-sets apart. Coordinates are (row, column) in pixels, (0, 0) the centre of the upper left one; beyond
-the picture its outermost pixels go on. Values keep their unit.
+"""Interpolation between pixels, and the pictures that distortion and lateral colour errors make.
+
+Coordinates are (row, column) in pixels, (0, 0) the centre of the upper left one; beyond the picture
+its outermost pixels continue. Values keep their unit.
 """
 
 from collections.abc import Callable
@@ -22,11 +23,23 @@ Coordinates = Float[Array, "rows columns"]
 def sample_image(
     image: Image, row: Coordinates, column: Coordinates, *, interpolation: str = "cubic"
 ) -> Float[Array, "..."]:
-    """The image (..., h, w, bands) at the pixel coordinates `row` and `column`, each (rows,
-    columns): (..., rows, columns, bands).
+    """The image interpolated at pixel coordinates.
 
-    `interpolation`: "linear", or "cubic", which keeps parabolas (Keys, "Cubic Convolution
-    Interpolation", IEEE Trans. ASSP 29 (1981)) but may overshoot. `ValueError` for another.
+    Args:
+        image: (..., h, w, bands) in any unit.
+        row: (rows, columns) pixels.
+        column: (rows, columns) pixels.
+        interpolation: "linear", or "cubic", which reproduces parabolas but may overshoot.
+
+    Returns:
+        (..., rows, columns, bands) in the unit of the image.
+
+    Raises:
+        ValueError: `interpolation` is neither.
+
+    Source:
+        Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29
+        (1981).
     """
     if interpolation not in INTERPOLATIONS:
         raise ValueError(
@@ -44,10 +57,20 @@ def sample_image(
 
 
 def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic") -> Image:
-    """What the view's lens makes of an ideal picture (..., h, w, bands) of its resolution, in the
-    picture's unit: each pixel is looked up where its light would have gone without distortion.
+    """The picture that the view's lens makes of an ideal one.
 
-    Without distortion the picture itself. `ValueError` for another resolution or interpolation.
+    Each pixel is interpolated at the place where its light would have gone without distortion.
+
+    Args:
+        view: the lens; without distortion it returns the picture itself.
+        image: (..., h, w, bands) in any unit, of the view's resolution.
+        interpolation: "linear" or "cubic", as in `sample_image`.
+
+    Returns:
+        (..., h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: another resolution or interpolation.
     """
     return _bent(view, image, undistort, interpolation)
 
@@ -55,18 +78,40 @@ def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str 
 def undistort_image(
     view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic"
 ) -> Image:
-    """The picture (..., h, w, bands) that the view would have taken without distortion, from the
-    one it took: the inverse of `distort_image`, whose arguments it takes."""
+    """The picture that the view would have taken without distortion: the inverse of
+    `distort_image`.
+
+    Args:
+        view: the lens; without distortion it returns the picture itself.
+        image: (..., h, w, bands) in any unit, of the view's resolution.
+        interpolation: "linear" or "cubic", as in `sample_image`.
+
+    Returns:
+        (..., h, w, bands) in the unit of the picture.
+
+    Raises:
+        ValueError: another resolution or interpolation.
+    """
     return _bent(view, image, distort, interpolation)
 
 
 def lateral_aberration(
     image: Image, magnification: Float[Array, "..."], *, interpolation: str = "cubic"
 ) -> Image:
-    """Lateral chromatic aberration: each band of (..., h, w, bands), in any unit, magnified about
-    the middle of the picture by its own factor, > 0 and relative; 1 leaves a band as it is.
+    """Lateral chromatic aberration: magnifies each band about the middle of the picture.
 
-    Its inverse is the aberration by 1 / `magnification`. `ValueError` for another number of bands.
+    The inverse is the aberration by 1 / `magnification`.
+
+    Args:
+        image: (..., h, w, bands) in any unit.
+        magnification: (bands,) relative, > 0; 1 leaves a band unchanged.
+        interpolation: "linear" or "cubic", as in `sample_image`.
+
+    Returns:
+        (..., h, w, bands) in the unit of the image.
+
+    Raises:
+        ValueError: `magnification` does not hold one value per band, or another interpolation.
     """
     if magnification.shape != image.shape[-1:]:
         raise ValueError(
@@ -88,7 +133,7 @@ def lateral_aberration(
 def _bent(
     view: Pinhole | ThinLens, image: Image, move: Callable[..., tuple], interpolation: str
 ) -> Image:
-    """Each pixel looked up where `move` takes the slope of its chief ray."""
+    """The image at the places to which `move` takes the slope of each pixel's chief ray."""
     if view.distortion is None:
         return image
     if image.shape[-3:-1] != view.resolution:

@@ -1,14 +1,15 @@
-"""The thin lens: where it images what, how large, and how sharp.
+"""The thin lens: where it images an object, how large, and how sharp.
 
     1 / z_o + 1 / z_i = 1 / f
 
 with object distance z_o and image distance z_i in m from the lens, both positive for a real object
-and a real image: z_i < 0 is a virtual image, on the object's side, as of an object inside the focal
+and a real image. z_i < 0 is a virtual image on the object's side, as for an object inside the focal
 length. All functions are elementwise on arrays that broadcast. A distance of inf is exact, with
-gradient 0; NaN stays NaN. A divisor counts as no smaller than `smallest_divisor`, 3e-10 in float32,
-so that the image distance at z_o = f is f^2 over that instead of infinite, and all gradients are
-finite.
-Sources: Szeliski, Computer Vision, section 2.2.3; Hecht, Optics, chapters 5 and 6.
+gradient 0; NaN stays NaN. Divisors are bounded below by `smallest_divisor`, 3e-10 in float32: at
+z_o = f the image distance is f^2 over that instead of infinite, and all gradients are finite.
+
+Sources:
+    Szeliski, Computer Vision, section 2.2.3; Hecht, Optics, chapters 5 and 6.
 """
 
 import jax.numpy as jnp
@@ -19,8 +20,22 @@ from .._types import Scalars
 
 
 def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """z_i = f z_o / (z_o - f), in m, from `object_distance` and `focal_length` in m. The law is
-    symmetric: an object at z_i is imaged at z_o."""
+    """Distance at which a thin lens images an object: z_i = f z_o / (z_o - f).
+
+    The law is symmetric: an object at z_i is imaged at z_o.
+
+    Args:
+        object_distance: (...) m from the lens; inf is allowed.
+        focal_length: (...) m.
+
+    Returns:
+        (...) m from the lens, negative for a virtual image; huge but finite at z_o = f.
+
+    Example:
+        >>> z_i = jv.image_distance(jnp.array(1.0), jnp.array(0.05))
+        >>> round(float(1 / 1.0 + 1 / z_i), 6)  # 1 / f
+        20.0
+    """
     z, f = object_distance, focal_length
     near = _is_near(z, f)
     close = jnp.where(near, z, 0) * f * _reciprocal(jnp.where(near, z, 0) - f)
@@ -28,14 +43,28 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 
 def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """1 / z_i = 1 / f - 1 / z_o in m^-1, from distances in m: finite where the image is not, 0 at
-    z_o = f and negative for a virtual image."""
+    """Reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o: finite where z_i is not.
+
+    Args:
+        object_distance: (...) m from the lens.
+        focal_length: (...) m.
+
+    Returns:
+        (...) m^-1; 0 at z_o = f and negative for a virtual image.
+    """
     return vergence_difference(focal_length, object_distance)
 
 
 def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
-    """1 / first - 1 / second in m^-1, from distances in m, with all digits where they are nearly
-    equal."""
+    """Difference of two reciprocal distances, with all digits where they are nearly equal.
+
+    Args:
+        first: (...) m.
+        second: (...) m.
+
+    Returns:
+        1 / first - 1 / second, (...) m^-1.
+    """
     near = _is_near(first, second) & _is_near(second, first) & jnp.isfinite(first)
     a, b = (jnp.where(near, z, 1) for z in (first, second))
     close = (b - a) * _reciprocal(a) * _reciprocal(b)
@@ -44,14 +73,37 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
 
 
 def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """m = -z_i / z_o = f / (f - z_o): image size over object size, relative; negative where the
-    image stands on its head. Distances in m."""
+    """Image size over object size: m = -z_i / z_o = f / (f - z_o).
+
+    Args:
+        object_distance: (...) m from the lens.
+        focal_length: (...) m.
+
+    Returns:
+        (...) relative; negative where the image is inverted.
+    """
     return -focal_length * _reciprocal(object_distance - focal_length)
 
 
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """z_i / d = N (1 + |m|): image distance over lens diameter, relative, when the lens is in focus
-    at a distance; distances in m. It sets exposure and diffraction, and is N at infinity focus."""
+    """Image distance over lens diameter, z_i / d = N (1 + |m|), with the lens in focus at a
+    distance.
+
+    It determines exposure and diffraction, and is N at infinity focus.
+
+    Args:
+        f_number: (...) N of the lens, no unit.
+        focus_distance: (...) m from the lens to the plane in focus.
+        focal_length: (...) m.
+
+    Returns:
+        (...) relative (no unit).
+
+    Example:
+        >>> f = jnp.array(0.05)
+        >>> round(float(jv.optics.working_f_number(jnp.array(8.0), 2 * f, f)), 6)  # 1 : 1
+        16.0
+    """
     return f_number * _reciprocal(image_vergence(focus_distance, focal_length) * focal_length)
 
 
@@ -62,12 +114,24 @@ def lens_power(
     *,
     thickness: Scalars | None = None,
 ) -> Scalars:
-    """1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n) in m^-1: the lensmaker's equation.
+    """The lensmaker's equation: 1 / f = (n - 1) (c_1 - c_2 + (n - 1) t c_1 c_2 / n).
 
-    Curvatures: 1 / radius in m^-1, 0 for a plane, positive where the centre lies behind the
-    surface, so that a biconvex lens has c_1 > 0 > c_2. `refractive_index`: n > 0, relative to the
-    medium around. `thickness`: t in m on the axis; None is a thin lens. Thick ones are measured
-    from their principal planes.
+    A thick lens is measured from its principal planes.
+
+    Args:
+        front_curvature: (...) 1 / radius in m^-1, 0 for a plane; positive where the centre lies
+            behind the surface, so that a biconvex lens has c_1 > 0 > c_2.
+        back_curvature: (...) m^-1, of the same sign convention.
+        refractive_index: (...) n > 0, relative to the surrounding medium.
+        thickness: (...) t in m on the axis; None for a thin lens.
+
+    Returns:
+        (...) m^-1.
+
+    Example:
+        >>> c = jnp.array(10.0)
+        >>> float(jv.optics.lens_power(c, -c, jnp.array(1.5)))
+        10.0
     """
     bending = front_curvature - back_curvature
     if thickness is not None:
@@ -83,8 +147,17 @@ def lens_focal_length(
     *,
     thickness: Scalars | None = None,
 ) -> Scalars:
-    """f in m, negative for a lens that spreads the light: the reciprocal of `lens_power`, whose
-    arguments it takes."""
+    """Focal length of a lens: the reciprocal of `lens_power`.
+
+    Args:
+        front_curvature: (...) m^-1, as in `lens_power`.
+        back_curvature: (...) m^-1, as in `lens_power`.
+        refractive_index: (...) n > 0, relative to the surrounding medium.
+        thickness: (...) m on the axis; None for a thin lens.
+
+    Returns:
+        (...) m; negative for a diverging lens.
+    """
     return _reciprocal(
         lens_power(front_curvature, back_curvature, refractive_index, thickness=thickness)
     )
@@ -93,9 +166,20 @@ def lens_focal_length(
 def circle_of_confusion(
     object_distance: Scalars, focus_distance: Scalars, focal_length: Scalars, f_number: Scalars
 ) -> Scalars:
-    """c = d z_i |1 / z_o - 1 / z_f| with d = f / N: the diameter in m, on a sensor at the image z_i
-    of the distance z_f in focus, of the disc that is made of a point at z_o. Distances in m; 0,
-    with gradient 0, in focus."""
+    """Diameter on the sensor of the image of a point out of focus: c = d z_i |1 / z_o - 1 / z_f|.
+
+    d = f / N is the lens diameter and z_i the image distance of the plane in focus, where the
+    sensor is.
+
+    Args:
+        object_distance: (...) z_o in m from the lens.
+        focus_distance: (...) z_f in m from the lens to the plane in focus.
+        focal_length: (...) f in m.
+        f_number: (...) N, no unit.
+
+    Returns:
+        (...) m on the sensor; 0, with gradient 0, in focus.
+    """
     image = image_distance(focus_distance, focal_length)
     blur = image * vergence_difference(object_distance, focus_distance)
     return focal_length / f_number * (jnp.sign(blur) * blur)
@@ -104,10 +188,18 @@ def circle_of_confusion(
 def depth_of_field(
     focus_distance: Scalars, focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars
 ) -> tuple[Scalars, Scalars]:
-    """(near, far) in m: between them the circle of confusion is at most `allowed_blur`, m on the
-    sensor. Distances in m; `far` is inf, with gradient 0, from the hyperfocal distance on.
+    """Distances between which the circle of confusion is at most `allowed_blur`.
 
-    1 / z = 1 / z_f +- c N / (f z_i).
+        1 / z = 1 / z_f +- c N / (f z_i)
+
+    Args:
+        focus_distance: (...) z_f in m from the lens to the plane in focus.
+        focal_length: (...) f in m.
+        f_number: (...) N, no unit.
+        allowed_blur: (...) c in m on the sensor.
+
+    Returns:
+        (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
     """
     focused = _reciprocal(focus_distance)
     image = image_vergence(focus_distance, focal_length)
@@ -116,13 +208,28 @@ def depth_of_field(
 
 
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
-    """f + f^2 / (c N) in m: the nearest distance to focus at for which infinity is still sharp to a
-    blur of c m on the sensor; everything from half of it on is. inf where c N is 0."""
+    """Nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
+
+    Everything from half of it on is then sharp.
+
+    Args:
+        focal_length: (...) f in m.
+        f_number: (...) N, no unit.
+        allowed_blur: (...) c in m on the sensor.
+
+    Returns:
+        (...) m; inf where c N is 0.
+
+    Example:
+        >>> H = jv.hyperfocal_distance(jnp.array(0.05), jnp.array(8.0), jnp.array(30e-6))
+        >>> round(float(H), 4)
+        10.4667
+    """
     return focal_length + _positive_reciprocal(f_number * allowed_blur / focal_length**2)
 
 
 def _is_near(z: Scalars, f: Scalars) -> Bool[Array, "..."]:
-    """Where z is at most twice f, and in the reciprocals' difference digits would go."""
+    """Where z is at most twice f, so that the difference of reciprocals would lose digits."""
     return jnp.abs(z) <= 2 * jnp.abs(f)
 
 

@@ -1,14 +1,14 @@
-"""What a camera sees: the rays of each pixel.
+"""Projection: the ray that each pixel sees.
 
 Camera axes are right, down and forward; pixel (0, 0) is the upper left one and (row, column) its
-centre, so the optical axis leaves between the middle pixels of an even grid. Lengths are metres.
+centre, so the optical axis passes between the middle pixels of an even grid. Lengths are metres.
 
-A lens at distance z_i from the sensor shows at (x, y) on it what lies in the direction of the chief
-ray, (x / z_i, y / z_i, 1). Through its point (a, b) goes
+A lens at distance z_i from the sensor images at (x, y) on it the direction of the chief ray, (x /
+z_i, y / z_i, 1). Through its point (a, b) passes the ray
 
     origin (a, b, 0),   direction (x / z_i - a / z_f, y / z_i - b / z_f, 1)
 
-with z_f the distance in focus: with reciprocals for distances infinity is no special case.
+with z_f the distance in focus: written in reciprocals, infinity is no special case.
 """
 
 import jax.numpy as jnp
@@ -27,9 +27,15 @@ from .thin_lens import image_vergence
 def look_at(
     position: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]
 ) -> Float[Array, "3 3"]:
-    """Rotation of a camera at `position` that looks at `target`: rows right, down, forward.
+    """Rotation of a camera that looks from a position at a target.
 
-    All (3,), metres; `up` is any vector not along the line of sight (there right and down are 0).
+    Args:
+        position: (3,) m.
+        target: (3,) m.
+        up: (3,) any vector not along the line of sight (along it, right and down are 0), no unit.
+
+    Returns:
+        (3, 3), no unit: rows are the unit axes right, down and forward in the world.
     """
     forward = as_array(normalize(target - position))
     right = as_array(normalize(jnp.cross(forward, up)))
@@ -37,14 +43,30 @@ def look_at(
 
 
 def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
-    """(rows, columns): the pixel coordinates of the whole picture, in the view's dtype."""
+    """Pixel coordinates of the whole picture, in the view's dtype.
+
+    Args:
+        view: the camera's projection.
+
+    Returns:
+        (rows, columns): (h,) and (w,) in pixels.
+    """
     height, width = view.resolution
     dtype = view.pixel_pitch.dtype
     return jnp.arange(height, dtype=dtype), jnp.arange(width, dtype=dtype)
 
 
 def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
-    """(right, down) of a pixel's centre from the optical axis, in m."""
+    """Place of a pixel's centre on the sensor, from the optical axis.
+
+    Args:
+        view: the camera's projection.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        (right, down), each () m.
+    """
     rows, columns = view.resolution
     x = (column + (1 - columns) / 2) * view.pixel_pitch
     y = (row + (1 - rows) / 2) * view.pixel_pitch
@@ -52,22 +74,44 @@ def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scala
 
 
 def sensor_vergence(view: Pinhole | ThinLens) -> Scalar:
-    """1 / z_i in m^-1, the reciprocal of the distance from the hole or lens to the sensor."""
+    """Reciprocal of the distance from the pinhole or lens to the sensor, 1 / z_i.
+
+    Args:
+        view: the camera's projection.
+
+    Returns:
+        () m^-1.
+    """
     if isinstance(view, Pinhole) or view.focus_distance is None:
         return 1 / view.focal_length
     return image_vergence(view.focus_distance, view.focal_length)
 
 
 def focus_vergence(view: ThinLens) -> Scalar:
-    """1 / z_f in m^-1, the reciprocal of the distance in focus: 0 at infinity."""
+    """Reciprocal of the distance in focus, 1 / z_f.
+
+    Args:
+        view: the lens.
+
+    Returns:
+        () m^-1; 0 at infinity.
+    """
     if view.focus_distance is None:
         return jnp.zeros_like(view.focal_length)
     return 1 / view.focus_distance
 
 
 def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
-    """(right, down) in m per m forward of the ray from a pixel's centre through the middle of the
-    hole or lens."""
+    """Slope of the ray from a pixel's centre through the middle of the pinhole or lens.
+
+    Args:
+        view: the camera's projection.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        (right, down), each () m per m forward.
+    """
     x, y = pixel_offset(view, row, column)
     vergence = sensor_vergence(view)
     if view.distortion is None:
@@ -76,8 +120,16 @@ def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[
 
 
 def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
-    """The ray that a pixel's centre sees, through the middle of a lens. `row`, `column`: ()
-    pixels, may be fractional."""
+    """The ray that a pixel's centre sees, through the middle of a lens.
+
+    Args:
+        view: the camera's projection.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        The ray in the world: origin in m, direction of unit length.
+    """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     if isinstance(view, Orthographic):
         x, y = pixel_offset(view, row, column)
@@ -87,13 +139,21 @@ def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
 
 
 def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) -> Ray:
-    """The ray that a pixel's centre sees through one point of the aperture, chosen by `u`, (2,) in
-    the unit square. `row`, `column`: () pixels, may be fractional.
+    """The ray that a pixel's centre sees through one point of the aperture.
 
-    Rays of uniform u have equal shares of the opening: the mean of the radiance along them is what
-    `pixel_irradiance` takes. What a rim cuts off is in the irradiance, not in these: a blurred
-    point far off the axis is as dark as it should be, but has the shape of the aperture, not that
-    of the cat's eye which the rim leaves of it.
+    Uniform `u` give rays with equal shares of the aperture: the mean of the radiance along them is
+    the argument of `pixel_irradiance`. Vignetting by a rim acts on that irradiance, not on these
+    rays: a blurred point far off the axis has the right brightness, but the shape of the aperture
+    instead of the cat's eye that the rim leaves of it.
+
+    Args:
+        view: the lens.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+        u: (2,) in the unit square, chooses the point of the aperture.
+
+    Returns:
+        The ray in the world: origin in m, direction of unit length.
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     radius = view.focal_length / view.f_number / 2
@@ -105,15 +165,33 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
 
 def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | None = None) -> Ray:
-    """The ray of any view: `lens_ray` for a thin lens and a `u`, else `camera_ray`. `row`,
-    `column`: () pixels, may be fractional."""
+    """The ray of any view: `lens_ray` for a thin lens and a `u`, else `camera_ray`.
+
+    Args:
+        view: the camera's projection.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+        u: (2,) in the unit square, chooses the point of the aperture; None takes its middle.
+
+    Returns:
+        The ray in the world: origin in m, direction of unit length.
+    """
     if u is not None and isinstance(view, ThinLens):
         return lens_ray(view, row, column, u)
     return camera_ray(view, row, column)
 
 
 def cos_to_axis(view: View, row: Scalar, column: Scalar) -> Scalar:
-    """Cosine between a pixel's chief ray and the optical axis, in (0, 1], a unit vector's part."""
+    """Cosine between a pixel's chief ray and the optical axis.
+
+    Args:
+        view: the camera's projection.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        () in (0, 1], no unit.
+    """
     if isinstance(view, Orthographic):
         return jnp.ones_like(view.pixel_pitch)
     x, y = chief_slope(view, row, column)

@@ -1,9 +1,9 @@
-"""Mechanical vignetting: what a second opening before the lens cuts off from oblique light.
+"""Mechanical vignetting: the light that a second aperture in front of the lens cuts off.
 
 With a rim at the distance l in front of an aperture of diameter d and a plane in focus at z_f, a
-ray through the point a of the aperture crosses the plane of the rim at a (1 - l / z_f) + l t,
-with t the slope of the chief ray. Seen from the pixel, the aperture is therefore a disc scaled by
-1 - l / z_f that moves off the rim by l t: a cat's eye, whose area is in closed form (`overlap`).
+ray through the point a of the aperture crosses the plane of the rim at a (1 - l / z_f) + l t, with
+t the slope of the chief ray. Seen from the pixel, the aperture is therefore a disc scaled by 1 - l
+/ z_f that moves off the rim by l t: a cat's eye with an area in closed form (`overlap`).
 """
 
 import jax.numpy as jnp
@@ -20,8 +20,16 @@ _SMALLEST = 1e-4
 
 
 def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
-    """The share of the aperture's area that a pixel sees through the rim, relative, in [0, 1]; 1
-    without a rim. `row`, `column`: () pixels."""
+    """Share of the aperture's area that a pixel sees through the rim.
+
+    Args:
+        view: the lens.
+        row: () pixels, may be fractional.
+        column: () pixels, may be fractional.
+
+    Returns:
+        () relative, in [0, 1]; 1 without a rim.
+    """
     if view.rim is None:
         return jnp.ones_like(view.f_number)
     x, y = chief_slope(view, row, column)

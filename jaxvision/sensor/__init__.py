@@ -1,16 +1,17 @@
 """Light on a sensor to digital numbers: photons, electrons, noise, charge, gain and ADC.
 
-The linear model of EMVA 1288 with what real sensors add to it, CCD and CMOS; one file a stage, in
-the order of the light's path:
+The linear model of EMVA 1288, extended by the further effects of real CCD and CMOS sensors. Each
+stage has its own file, in the order of the light's path:
 
     sampling -> exposure -> dark -> shot_noise -> ccd -> fixed_pattern -> read_out -> adc
 
-`raw` composes them for one exposure, `moments` gives mean and variance in closed form, `shutter`
-averages over an exposure what moves. A sensor's parameter that is None is not traced.
+`raw` composes them for one exposure, `moments` gives mean and variance in closed form, and
+`shutter` averages a moving scene over the exposure. A parameter of the sensor that is None is not
+traced.
 
-Gradients pass through exact Poisson draws and rounding as through their expectations, through
-Gaussian draws along the draw itself (so that near 0 electrons they are noisy), and are 0 where
-clipped.
+Exact Poisson draws and rounding have the gradients of their expectations. Gaussian draws are
+differentiated along the draw itself, so their gradients are noisy near 0 electrons. Clipping has
+gradient 0.
 """
 
 from .adc import digitise

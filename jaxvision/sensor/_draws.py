@@ -1,9 +1,10 @@
-"""Random numbers of pixels: a hash of (pixel, use) under the key, inside the loop that reads them.
+"""Random numbers for pixels: a hash of (pixel, use) under the key, computed where it is used.
 
-`jax.random` stores its bits before they are used, and rolls threefry's rounds into a loop that
-nothing is fused with; unrolled, a Gaussian costs 12 megapixels half the time. The words are those
-of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011), so a
-pixel's draw depends on the key, its place and what it is for, not on which other effects there are.
+`jax.random` stores its bits before they are used, and rolls threefry's rounds into a loop that XLA
+fuses with nothing; unrolled, a Gaussian for each of 12 megapixels takes half the time. The words
+are those of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC
+2011), so a pixel's draw depends on the key, its place and its use, not on which other effects the
+sensor has.
 """
 
 from enum import IntEnum
@@ -25,7 +26,7 @@ _PARITY = 0x1BD11BDA
 
 
 class Frame(IntEnum):
-    """What is drawn anew in each frame."""
+    """Uses whose draws change in each frame."""
 
     SHOT = 0
     READ = 1
@@ -37,7 +38,7 @@ class Frame(IntEnum):
 
 
 class Die(IntEnum):
-    """What stays with a camera: apart from a frame's draws even under the same key."""
+    """Uses whose draws stay with a camera; they differ from a frame's even under the same key."""
 
     PRNU = 8
     DSNU = 9
@@ -50,12 +51,12 @@ class Die(IntEnum):
 
 
 def subkey(key: Key | None, use: Frame | Die) -> Key:
-    """The key of one use; `ValueError` where there is no key to draw from."""
+    """The key of one use; `ValueError` if there is no key to draw from."""
     return jax.random.fold_in(needed(key, use), int(use))
 
 
 def needed(key: Key | None, use: Frame | Die) -> Key:
-    """The key, or `ValueError` where there is none."""
+    """The key; `ValueError` if it is None."""
     if key is None:
         name = "key" if isinstance(use, Frame) else "die_key"
         raise ValueError(f"{name} must be a random key, got None: this sensor draws from it.")
@@ -63,26 +64,30 @@ def needed(key: Key | None, use: Frame | Die) -> Key:
 
 
 def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Standard Gaussian draws of that shape."""
+    """Standard Gaussian draws of that shape, no unit."""
     return upper_quantile(words(key, use, shape), dtype)
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Draws of that shape, uniform in (0, 1], with full relative precision near 0."""
+    """Draws uniform in (0, 1] of that shape, no unit, with full relative precision near 0."""
     return tail_probability(words(key, use, shape), dtype)
 
 
 def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A Gaussian draw for each column and band of an image of that shape, no unit: (1, w, bands)
-    with as many axes as the image; frames of a batch share it."""
+    """A standard Gaussian draw for each column and band of an image, no unit.
+
+    The result is (1, w, bands) with as many axes as the image, so frames of a batch share it.
+    """
     check_image(f"Noise by {use.name.lower()}", shape)
     ones = (1,) * (len(shape) - 2)
     return gaussian(key, use, shape[-2:], dtype).reshape(*ones, *shape[-2:])
 
 
 def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """A Gaussian draw for each row and band of an image of that shape, no unit: (h, 1, bands) with
-    as many axes as the image; frames of a batch share it."""
+    """A standard Gaussian draw for each row and band of an image, no unit.
+
+    The result is (h, 1, bands) with as many axes as the image, so frames of a batch share it.
+    """
     check_image(f"Noise by {use.name.lower()}", shape)
     *batch, height, _, bands = shape
     ones = (1,) * len(batch)
@@ -90,7 +95,7 @@ def along_rows(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike
 
 
 def check_image(effect: str, shape: Shape) -> None:
-    """Raises `ValueError` for an effect between pixels, rows or columns without an image."""
+    """Raises `ValueError` if an effect between pixels, rows or columns is given no image."""
     if len(shape) < 3:
         raise ValueError(f"{effect} needs an image (..., h, w, bands), got shape {shape}.")
 
@@ -129,8 +134,8 @@ _TAIL = (
 def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
     """The z that a standard Gaussian exceeds with probability `tail_probability(bits)`.
 
-    Good to 5e-7 out to |z| = 5.3 and 4e-4 at its end, 6.3, in every dtype, so that float32 and
-    float64 draw the same numbers.
+    Accurate to 5e-7 up to |z| = 5.3 and to 4e-4 at its end, 6.3, in every dtype, so that float32
+    and float64 draw the same numbers.
     """
     above = bits < jnp.uint32(2**31)
     nearer = jnp.where(above, bits, ~bits)
@@ -152,7 +157,7 @@ def _polynomial(coefficients: tuple[float, ...], x: Scalars) -> Scalars:
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
-    """32 random bits for each entry of `shape`: two uses share a hash, which gives two words."""
+    """32 random bits for each entry of `shape`; two uses share one hash, which yields two words."""
     seed = seed_of(needed(key, use))
     place = jax.lax.iota(jnp.uint32, int(np.prod(shape))).reshape(shape)
     return _threefry(seed, place, jnp.uint32(use // 2))[use % 2]

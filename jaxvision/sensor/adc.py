@@ -9,10 +9,27 @@ from .fixed_pattern import column_gains
 
 
 def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None) -> Spectrum:
-    """DN of (..., bands) electrons: gain, offset, then rounding and clipping by the ADC.
+    """Converts electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
 
-    `die_key` draws the columns' amplifiers; `ValueError` if it is None and they differ. Gradients
-    pass through rounding as if there were none, and are 0 where clipped.
+    Gradients pass through rounding as if it were the identity, and are 0 where the signal is
+    clipped.
+
+    Args:
+        sensor: the sensor; `column_prnu`, `gain`, `offset` and `bits` are used.
+        electrons: (..., bands) electrons.
+        die_key: random key of the die; draws the gains of the column amplifiers.
+
+    Returns:
+        (..., bands) DN, whole numbers in floating point where `bits` is given.
+
+    Raises:
+        ValueError: `sensor.column_prnu` is given and `die_key` is None, or `bits` exceeds what the
+            dtype counts exactly.
+
+    Example:
+        >>> sensor = jv.Sensor(gain=0.5, offset=10.0, bits=8)
+        >>> jv.digitise(sensor, jnp.array([0.0, 5.0, 1e6])).tolist()
+        [10.0, 12.0, 255.0]
     """
     signal = electrons
     if sensor.column_prnu is not None:
@@ -29,11 +46,26 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
 
 
 def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
-    """gain electrons + offset, in DN."""
+    """Electrons after gain and offset: K electrons + offset.
+
+    Args:
+        sensor: the sensor; `gain` (DN per electron) and `offset` (DN) are used.
+        electrons: (...) electrons.
+
+    Returns:
+        (...) DN, neither rounded nor clipped.
+    """
     signal = electrons if sensor.gain is None else electrons * sensor.gain
     return signal if sensor.offset is None else signal + sensor.offset
 
 
 def largest_number(bits: Scalar) -> Scalar:
-    """2^bits - 1, the largest DN () of an ADC."""
+    """The largest DN of an ADC, 2^bits - 1.
+
+    Args:
+        bits: () number of bits, no unit.
+
+    Returns:
+        () DN.
+    """
     return jnp.round(jnp.exp2(bits)) - 1

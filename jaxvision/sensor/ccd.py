@@ -1,7 +1,7 @@
-"""Charge on its way through a CCD: overfull wells, and what transfers leave behind. In electrons.
+"""Charge on its way through a CCD: overfull wells, and charge that transfers leave behind.
 
-The read-out lies before row 0 (and the serial register's before column 0), so the packet of row i
-is transferred i + 1 times.
+All quantities are electrons. The read-out lies before row 0, and that of the serial register before
+column 0, so the packet of row i is transferred i + 1 times.
 """
 
 from functools import partial
@@ -18,11 +18,23 @@ from .exposure import Counts
 
 
 def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
-    """(..., h, w, bands) electrons after overfull wells spilled along their columns.
+    """Electrons after overfull wells have spilled along their columns.
 
-    Of what exceeds `full_well` the share `blooming` leaves, half of it up and half down, and so at
-    each full well on its way, until it finds room or the end of its column, where it is drained.
-    What goes down goes first. With `blooming` of 1 electrons are lost at the ends of columns alone.
+    Of the charge above `full_well`, the share `blooming` spills: half up and half down the column.
+    Each further full well on the way passes on the same share, until the charge finds room or
+    reaches the end of the column, where it is drained. Charge that moves down is placed first. With
+    `blooming` = 1 electrons are lost only at the ends of columns.
+
+    Args:
+        electrons: (..., h, w, bands) electrons.
+        full_well: () electrons that a pixel holds.
+        blooming: () share of the excess that spills, in [0, 1], no unit.
+
+    Returns:
+        (..., h, w, bands) electrons, at most `full_well`.
+
+    Raises:
+        ValueError: `electrons` is not an image.
     """
     check_image("Sensor.blooming", electrons.shape)
     excess = jnp.maximum(electrons - full_well, 0)
@@ -37,8 +49,9 @@ def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
 def _flow(
     level: Counts, spilt: Counts, full_well: Scalar, blooming: Scalar, *, upwards: bool
 ) -> Counts:
-    """Each row takes what comes from the row before, up to a full well, and passes on the rest and
-    what it spilt itself."""
+    """Fills each row from the one before it up to the full well; the rest and its own spill flow
+    on.
+    """
 
     def row(coming, state):
         level, spilt = state
@@ -51,16 +64,27 @@ def _flow(
 
 
 def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """(..., h, w, bands) electrons as they are read, along the columns and then along the register.
+    """Electrons as they are read after imperfect transfers along columns and the serial register.
 
-    Each transfer leaves the share eps of a packet to the next one, so of the packet of row i
+    Each transfer leaves the share eps of a packet to the next one. Of the packet of row i, the
+    expected share
 
         C(j, i) (1 - eps)^(i + 1) eps^(j - i)
 
-    is read in row j >= i, in expectation. Packets are followed over `trail` rows, in the last of
-    which all is read that falls that far behind or further: nothing is lost but behind the last
-    row. That is nearly a Poisson variable of mean eps i: of 0.3 rows the share beyond 8 is 4e-11,
-    of 3 rows 4e-3, and a longer trail is due.
+    is therefore read in row j >= i. Packets are followed over `trail` rows; the last of them
+    receives all the charge that falls that far behind or further, so nothing is lost except behind
+    the last row. The lag is nearly a Poisson variable of mean eps i: at a mean of 0.3 rows the
+    share beyond 8 rows is 4e-11; at 3 rows it is 4e-3, which calls for a longer trail.
+
+    Args:
+        electrons: (..., h, w, bands) electrons per packet.
+        transfer: the inefficiencies and the length of the trail.
+
+    Returns:
+        (..., h, w, bands) electrons.
+
+    Raises:
+        ValueError: `electrons` is not an image.
     """
     rows_read = _trailing(electrons, transfer.inefficiency, transfer.trail, axis=-3)
     if transfer.serial_inefficiency is None:
@@ -69,24 +93,57 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
 
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """What chance adds to `transferred` of (..., h, w, bands) whole electrons, each left behind or
-    not by itself: Gaussian, of variance sum n p (1 - p) over the packets n and their shares p. As
-    for Gaussian shot noise, a row that expects few electrons can go below 0."""
+    """The random part of charge transfer, to be added to `transferred` of whole electrons.
+
+    Each electron is left behind or not, independently: a Gaussian draw of variance sum n p (1 - p)
+    over the packets n and their shares p. As with Gaussian shot noise, a row that expects few
+    electrons can become negative.
+
+    Args:
+        key: random key of the frame.
+        electrons: (..., h, w, bands) whole electrons per packet.
+        transfer: the inefficiencies and the length of the trail.
+
+    Returns:
+        (..., h, w, bands) electrons, of mean 0.
+
+    Raises:
+        ValueError: `key` is None, or `electrons` is not an image.
+    """
     variance = transferred(electrons, transfer) - transferred_variance(electrons, transfer)
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(variance) * draw
 
 
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """The variance of electrons, (..., h, w, bands), that were moved one by one, from the mean and
-    variance of their packets: sum n p (1 - p) + var p^2, so that of Poisson packets it is the mean
-    that is read. In electrons and electrons^2."""
+    """Variance of transferred electrons that move one by one.
+
+        sum n p (1 - p) + var p^2
+
+    over the packets of mean n and their shares p; for Poisson packets it equals the mean that is
+    read.
+
+    Args:
+        mean: (..., h, w, bands) electrons, mean of each packet.
+        variance: (..., h, w, bands) electrons^2, variance of each packet.
+        transfer: the inefficiencies and the length of the trail.
+
+    Returns:
+        (..., h, w, bands) electrons^2.
+    """
     return transferred(mean, transfer) + transferred_variance(variance - mean, transfer)
 
 
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """The variance of `transferred` electrons whose own, (..., h, w, bands) in electrons^2, is
-    independent from pixel to pixel, where they are moved in fixed shares."""
+    """Variance of transferred electrons that move in fixed shares.
+
+    Args:
+        variance: (..., h, w, bands) electrons^2 of each packet, independent from pixel to pixel.
+        transfer: the inefficiencies and the length of the trail.
+
+    Returns:
+        (..., h, w, bands) electrons^2.
+    """
     read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, power=2)
     if transfer.serial_inefficiency is None:
         return read
@@ -109,9 +166,10 @@ def _trailing(
 def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[Float[Array, " size"]]:
-    """For each number k of rows behind, the share of the packet of row i that is read there, by
-    recursion: C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last is all the rest, and as
-    such at least its own share, which keeps its digits where the difference from 1 has none."""
+    """For each lag of k rows, the share of the packet of row i that is read there, by recursion:
+    C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag takes all the rest, but at least
+    its own share, which keeps its digits where the difference from 1 has none.
+    """
     row = jnp.arange(size, dtype=like.dtype)
     shares = [jnp.exp((row + 1) * jnp.log1p(-inefficiency))]
     for behind in range(1, trail + 1):

@@ -10,7 +10,19 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact in the SI since 2019
 
 
 def dark_rate(dark_current: Scalar | DarkCurrent) -> Scalar:
-    """Electrons per second that a pixel frees in the dark at the law's temperature, () e- s^-1."""
+    """Dark current at the temperature of its law.
+
+    Args:
+        dark_current: () e- s^-1 per pixel, returned unchanged, or a law of temperature.
+
+    Returns:
+        () e- s^-1 per pixel.
+
+    Example:
+        >>> law = jv.DoublingDarkCurrent(10.0, 308.0, reference_temperature=300.0, doubling=8.0)
+        >>> round(float(jv.sensor.dark_rate(law)), 6)
+        20.0
+    """
     match dark_current:
         case DoublingDarkCurrent(temperature=temperature, reference_temperature=reference):
             return dark_current.rate * jnp.exp2((temperature - reference) / dark_current.doubling)

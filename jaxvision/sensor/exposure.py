@@ -1,9 +1,9 @@
 """Irradiance to expected electrons: photons, filters, quantum efficiency, the pixel's aperture.
 
-Irradiance in W m^-2, or photons per second and pixel without a `photon_conversion`; photons and
-electrons are counted per pixel and exposure. What drifts or smears does so here, before electrons
-are counted: each electron goes its way alone, so what arrives from elsewhere is Poisson too and the
-expectation is all that changes.
+Irradiance is in W m^-2, or in photons per second and pixel where the sensor has no
+`photon_conversion`; photons and electrons are counted per pixel and exposure. Smear and crosstalk
+act here, before electrons are counted: each electron moves independently, so the charge that
+arrives from elsewhere is Poisson too and only its expectation changes.
 """
 
 import jax
@@ -26,21 +26,50 @@ Counts = Float[Array, "... channels"]  # one channel under a colour filter, else
 
 
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
-    """lambda E A / (h c) in photons per second and pixel (EMVA 1288; times t it is mu_p).
+    """Photons per second and pixel: lambda E A / (h c). Times the exposure time it is mu_p of EMVA
+    1288.
 
-    `irradiance`: (..., bands) W m^-2. `wavelength`: () or (bands,) m. `pixel_area`: () m^2.
+    Args:
+        irradiance: (..., bands) W m^-2.
+        wavelength: () or (bands,) m.
+        pixel_area: () m^2.
+
+    Returns:
+        (..., bands) photons s^-1 per pixel.
+
+    Raises:
+        ValueError: `wavelength` has neither one value nor one per band.
+
+    Example:
+        >>> E, wavelength, area = jnp.array([1e-3]), jnp.array(550e-9), jnp.array(25e-12)
+        >>> round(float(jv.photon_rate(E, wavelength, area)[0]))
+        69219
     """
     per_joule = wavelength / (PLANCK * SPEED_OF_LIGHT)
     return irradiance * _over_bands("wavelength", pixel_area * per_joule, irradiance)
 
 
 def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
-    """eta mu_p: expected electrons (..., bands) that light frees in a pixel of mean sensitivity.
+    """Expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
 
-    `irradiance`: W m^-2, or photons per second and pixel without a `photon_conversion`; (..., h, w,
-    bands) under a colour filter, and then one number a pixel comes out, (..., h, w, 1). Integers
-    become floating numbers of the same value. `ValueError` for irradiance that is negative, NaN or
-    infinite and not traced; what is traced stays NaN, up to the raw data.
+    Args:
+        sensor: the sensor; its fields from `photon_conversion` to `exposure_time` are used.
+        irradiance: (..., bands) W m^-2, or photons s^-1 per pixel without a `photon_conversion`;
+            (..., h, w, bands) under a colour filter. Integers become floating numbers of the same
+            value. Traced NaN stays NaN up to the raw data.
+
+    Returns:
+        (..., bands) electrons per exposure; (..., h, w, 1), one number per pixel, under a colour
+        filter.
+
+    Raises:
+        ValueError: `irradiance` is negative, NaN or infinite and not traced, or a spectral field of
+            the sensor has another number of bands.
+
+    Example:
+        >>> sensor = jv.Sensor(quantum_efficiency=0.6, exposure_time=0.01)
+        >>> float(jv.mean_photoelectrons(sensor, jnp.array([1e5]))[0])
+        600.0
     """
     electrons = as_float(irradiance)
     _check_irradiance(electrons)
@@ -60,8 +89,15 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
-    """Electrons that light is expected to leave in each pixel of mean sensitivity, (..., bands):
-    `mean_photoelectrons` after smear and crosstalk."""
+    """Expected photoelectrons in each pixel after smear and crosstalk.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        (..., bands) electrons per exposure for pixels of mean sensitivity.
+    """
     electrons = mean_photoelectrons(sensor, irradiance)
     if sensor.smear is not None:
         electrons = smeared(electrons, sensor.smear)
@@ -71,9 +107,18 @@ def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
-    """What each pixel of a mosaic counts: (..., h, w, bands) in electrons to (..., h, w, 1).
+    """Electrons counted by each pixel of a mosaic sensor.
 
-    `ValueError` unless the pattern tiles the picture and uses each of the filter's colours.
+    Args:
+        colour_filter: transmissions of the colours and their pattern.
+        electrons: (..., h, w, bands) electrons without the filter.
+
+    Returns:
+        (..., h, w, 1) electrons.
+
+    Raises:
+        ValueError: the pattern does not tile the picture or does not use every colour of the
+            filter, or the numbers of bands differ.
     """
     transmission = colour_filter.transmission
     check_pattern(colour_filter.pattern, bands=transmission.shape[0], name="ColourFilter.pattern")
@@ -87,8 +132,20 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
 
 
 def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
-    """(..., h, w, bands) electrons of which each pixel gives the share `crosstalk` to each of its
-    four neighbours. Over the border as much comes back as leaves: none are lost."""
+    """Electrons after crosstalk: each pixel gives a share to each of its four neighbours.
+
+    As much comes back over the border as leaves, so no electrons are lost.
+
+    Args:
+        electrons: (..., h, w, bands) electrons.
+        crosstalk: () share that moves to each neighbour, in [0, 1/4], no unit.
+
+    Returns:
+        (..., h, w, bands) electrons.
+
+    Raises:
+        ValueError: `electrons` is not an image.
+    """
     check_image("Sensor.crosstalk", electrons.shape)
 
     def neighbours(axis: int) -> Scalars:
@@ -101,22 +158,48 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
 
 def smeared(electrons: Counts, smear: Scalars) -> Counts:
-    """(..., h, w, bands) electrons after the frame was shifted through the light along its columns:
-    each row gathers `smear` of all the others of its column."""
+    """Electrons after the frame has been shifted along its columns through the light.
+
+    Args:
+        electrons: (..., h, w, bands) electrons.
+        smear: () share of each other row of the column that a row gathers, no unit.
+
+    Returns:
+        (..., h, w, bands) electrons.
+
+    Raises:
+        ValueError: `electrons` is not an image.
+    """
     check_image("Sensor.smear", electrons.shape)
     column = electrons.sum(axis=-3, keepdims=True)
     return electrons + smear * (column - electrons)
 
 
 def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
-    """mu_d: electrons () that a pixel frees in an exposure without light."""
+    """Expected dark electrons of a pixel in one exposure: mu_d.
+
+    Args:
+        sensor: the sensor; `dark_current` and `exposure_time` are used.
+        like: an array of the dtype of the result.
+
+    Returns:
+        () electrons; 0 without a dark current.
+    """
     if sensor.dark_current is None:
         return jnp.zeros((), like.dtype)
     return over_exposure(sensor, dark_rate(sensor.dark_current))
 
 
 def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
-    """Electrons of a rate in e- s^-1; of counts per exposure where there is no exposure time."""
+    """Electrons that a rate yields in one exposure.
+
+    Args:
+        sensor: the sensor; without an `exposure_time` a rate already is a count per exposure.
+        rate: (...) e- s^-1.
+
+    Returns:
+        (...) electrons.
+    """
     return rate if sensor.exposure_time is None else rate * sensor.exposure_time
 
 
@@ -131,7 +214,7 @@ def _check_irradiance(irradiance: Spectrum) -> None:
 
 
 def _over_bands(name: str, x: Scalars, like: Spectrum) -> Scalars:
-    """A scalar as it is, one value per band broadcast over the pixels."""
+    """A scalar unchanged; one value per band broadcast over the pixels."""
     if x.ndim == 0:
         return x
     if x.shape != like.shape[-1:]:

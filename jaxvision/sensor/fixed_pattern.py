@@ -1,7 +1,8 @@
-"""What differs from pixel to pixel and stays with a camera, drawn from the key of its die.
+"""Differences between pixels that stay with a camera, drawn from the key of its die.
 
-Every function returns an array that combines with (..., h, w, bands) electrons; those of rows and
-columns need such an image. Sensitivities are relative, offsets in electrons, dark rates in e- s^-1.
+Every function returns an array that broadcasts against (..., h, w, bands) electrons; those for rows
+and columns need such an image. Sensitivities are relative, offsets in electrons, dark rates in e-
+s^-1. Each raises `ValueError` where it draws and `die_key` is None.
 """
 
 import jax.numpy as jnp
@@ -24,8 +25,17 @@ from ._draws import (
 def sensitivity(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
-    """Each pixel's response relative to the mean pixel's: 1 + PRNU, at least 0, and 0 where it is
-    dead. None for a die without either."""
+    """Response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead pixels.
+
+    Args:
+        die_key: random key of the die.
+        sensor: the sensor; `prnu` and `dead_pixels` are used.
+        shape: shape of the electrons.
+        dtype: floating dtype of the result.
+
+    Returns:
+        Relative sensitivities of that shape, no unit; None if the sensor has neither effect.
+    """
     response = None
     if sensor.prnu is not None:
         pattern = gaussian(die_key, Die.PRNU, shape, dtype)
@@ -40,11 +50,20 @@ def sensitivity(
 def hot_rates(
     die_key: Key | None, hot_pixels: HotPixels, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """The excess dark current of each pixel in e- s^-1, 0 in most: exponential of mean `rate` in
-    the hot ones.
+    """Excess dark current of each pixel: 0 in most, exponentially distributed in hot pixels.
 
-    Dead and hot pixels are drawn from the two ends of one uniform number, so that while they are
-    fewer than all, none is both; how hot is drawn by where in its end the number lies.
+    Dead and hot pixels are drawn from the two ends of one uniform number, so that no pixel is both
+    while the two fractions add up to at most 1. The place of the number within its end decides how
+    hot a pixel is.
+
+    Args:
+        die_key: random key of the die.
+        hot_pixels: fraction of hot pixels and mean excess of these.
+        shape: shape of the electrons.
+        dtype: floating dtype of the result.
+
+    Returns:
+        e- s^-1 of that shape.
     """
     from_end = tail_probability(~words(die_key, Die.DEFECT, shape), dtype)
     hot = from_end <= hot_pixels.fraction
@@ -55,7 +74,17 @@ def hot_rates(
 def offsets(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
-    """Each pixel's offset in electrons: DSNU of pixels, columns and rows; None without any."""
+    """Offset of each pixel: the DSNU of pixels, columns and rows.
+
+    Args:
+        die_key: random key of the die.
+        sensor: the sensor; `dsnu`, `column_dsnu` and `row_dsnu` are used.
+        shape: shape of the electrons.
+        dtype: floating dtype of the result.
+
+    Returns:
+        Electrons, broadcasting against that shape; None if the sensor has none of them.
+    """
     parts = []
     if sensor.dsnu is not None:
         parts.append(sensor.dsnu * gaussian(die_key, Die.DSNU, shape, dtype))
@@ -70,10 +99,30 @@ def offsets(
 def conversion_gains(
     die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """The conversion gain of each pixel relative to their mean: 1 + `rms` times a Gaussian."""
+    """Conversion gain of each pixel relative to the mean: 1 + rms times a standard Gaussian.
+
+    Args:
+        die_key: random key of the die.
+        rms: () relative standard deviation, no unit.
+        shape: shape of the electrons.
+        dtype: floating dtype of the result.
+
+    Returns:
+        Relative gains of that shape, no unit.
+    """
     return 1 + rms * gaussian(die_key, Die.CONVERSION, shape, dtype)
 
 
 def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """The gain of each column's amplifier relative to their mean: 1 + `rms` times a Gaussian."""
+    """Gain of each column amplifier relative to the mean: 1 + rms times a standard Gaussian.
+
+    Args:
+        die_key: random key of the die.
+        rms: () relative standard deviation, no unit.
+        shape: shape (..., h, w, bands) of the electrons.
+        dtype: floating dtype of the result.
+
+    Returns:
+        (1, w, bands) relative gains with as many axes as the image, no unit.
+    """
     return 1 + rms * along_columns(die_key, Die.COLUMN_GAIN, shape, dtype)

@@ -1,11 +1,11 @@
-"""Expectation and variance of raw data in closed form, without a draw. In DN and DN^2.
+"""Expectation and variance of raw data in closed form, without a random draw. In DN and DN^2.
 
     mean     mu_y  = K (eta mu_p + mu_d) + offset
     variance var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12      (temporal)
     pattern  s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)                 (from pixel to pixel)
 
-with every other source of the sensor beside these. What differs between the pixels of a die (dead,
-hot and trapped ones, columns) enters the mean and the temporal variance as their average over dies.
+and every further source of the sensor beside these. Differences between the pixels of a die (dead,
+hot and trapping pixels, columns) enter the mean and the temporal variance as averages over dies.
 Blooming has no closed form and is left out.
 """
 
@@ -27,27 +27,72 @@ QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole number
 
 
 class Moments(NamedTuple):
-    """`mean` and `variance` of the same thing, in a unit and its square."""
+    """Mean and variance of one quantity.
+
+    Attributes:
+        mean: (...) in the unit of the quantity.
+        variance: (...) in the square of that unit.
+    """
 
     mean: Scalars
     variance: Scalars
 
 
 def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
-    """mu_y = K (eta mu_p + mu_d) + offset in DN, (..., bands), short of clipping."""
+    """Mean raw signal of the EMVA 1288 model, before clipping: mu_y = K (eta mu_p + mu_d) + offset.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        (..., bands) DN.
+
+    Example:
+        >>> sensor = jv.Sensor(quantum_efficiency=0.5, exposure_time=0.01, gain=0.4, offset=64.0)
+        >>> float(jv.expected_signal(sensor, jnp.array([1e5]))[0])
+        264.0
+    """
     return amplified(sensor, _read(sensor, _charge(sensor, irradiance)).mean)
 
 
 def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12 in DN^2, (..., bands): of one pixel over
-    frames, short of clipping. Rounding counts once, with 1/12, good where the other noise exceeds
-    about half a DN."""
+    """Temporal variance of one pixel, before clipping.
+
+        var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
+
+    Rounding adds 1/12 DN^2 once, which holds where the other noise exceeds about half a DN.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        (..., bands) DN^2.
+
+    Example:
+        >>> noise = dict(shot_noise=jv.PoissonShotNoise(), read_noise=4.0)
+        >>> sensor = jv.Sensor(gain=0.5, bits=12, **noise)
+        >>> round(float(jv.signal_variance(sensor, jnp.array([500.0]))[0]), 4)
+        129.0833
+    """
     return _signal(sensor, _read(sensor, _charge(sensor, irradiance))).variance
 
 
 def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
-    """s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2) in DN^2, (..., bands): of the pixels' means over
-    the die at uniform irradiance, short of clipping. Columns and rows count like pixels."""
+    """Variance of the pixels' mean signals over the die under uniform irradiance, before clipping.
+
+        s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)
+
+    Columns and rows count like pixels.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        (..., bands) DN^2.
+    """
     light = expected_charge(sensor, irradiance)
     variance = jnp.zeros_like(light)
     if sensor.prnu is not None or sensor.dead_pixels is not None:
@@ -72,11 +117,18 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
-    """Mean in DN and temporal variance in DN^2, (..., bands), with full well and the ADC's ends.
+    """Mean and temporal variance of raw data that a full well and the range of the ADC clip.
 
-    What is clipped is taken as Gaussian: exact for Gaussian noise; for Poisson noise the mean is
-    off by less than 0.07 of the noise's rms over sqrt(electrons at the clipping). Smooth in
-    every parameter, with gradients that fall to 0 beyond saturation.
+    The clipped variable is taken as Gaussian: exact for Gaussian noise; for Poisson noise the mean
+    is off by less than 0.07 of the noise's rms over sqrt(electrons at the clipping level). Smooth
+    in every parameter, with gradients that fall to 0 beyond saturation.
+
+    Args:
+        sensor: the sensor; `full_well` and `bits` clip.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        Mean (..., bands) in DN and variance (..., bands) in DN^2.
     """
     charge = _charge(sensor, irradiance)
     if sensor.full_well is not None:
@@ -88,9 +140,23 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
 
 
 def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None = None) -> Moments:
-    """Mean and variance of a Gaussian of those `moments` (...) that is clipped to [low, high], in
-    the same unit; None or infinite: not clipped there. Without variance it is the mean that is
-    clipped."""
+    """Moments of a Gaussian variable clipped to [low, high].
+
+    Args:
+        moments: mean and variance (...) before clipping, in any unit and its square.
+        low: () lower end in the unit of the mean; None or -inf does not clip.
+        high: () upper end in the unit of the mean; None or inf does not clip.
+
+    Returns:
+        Mean and variance (...) after clipping, in the same units. Where the variance is 0, the
+        clipped mean and variance 0.
+
+    Example:
+        >>> gaussian = jv.Moments(jnp.array(0.0), jnp.array(1.0))
+        >>> half = jv.sensor.censored(gaussian, low=jnp.array(0.0))
+        >>> round(float(half.mean), 6)  # 1 / sqrt(2 pi)
+        0.398942
+    """
     mean, variance = moments
     noisy = variance > 0
     sigma = jnp.sqrt(jnp.where(noisy, variance, 1))
@@ -116,7 +182,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
 
 
 def _charge(sensor: Sensor, irradiance: Light) -> Moments:
-    """Of the electrons in a pixel, before any well is full."""
+    """Moments of the electrons in a pixel, before any well is full."""
     mean = expected_charge(sensor, irradiance)
     if sensor.dead_pixels is not None:
         mean = mean * (1 - sensor.dead_pixels)
@@ -129,7 +195,7 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
 
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:
-    """Of the electrons that are read out."""
+    """Moments of the electrons that are read out."""
     mean, variance = charge
     if sensor.charge_transfer is not None:
         if sensor.shot_noise is not None:
@@ -141,7 +207,7 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _signal(sensor: Sensor, read: Moments) -> Moments:
-    """In DN, short of clipping."""
+    """Moments of the signal in DN, before clipping."""
     variance = read.variance
     if sensor.column_prnu is not None:
         variance = variance * (1 + sensor.column_prnu**2)

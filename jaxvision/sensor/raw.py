@@ -1,9 +1,9 @@
-"""Irradiance to raw data, read downward; a step whose parameter is None is not traced.
+"""Irradiance to raw data, read from top to bottom; a step whose parameter is None is not traced.
 
 Elementwise on arrays (..., bands) of any shape, so a whole image is one call and one loop over its
 pixels; effects between pixels, rows or columns need an image (..., h, w, bands). Leading axes are
-more pixels of the same exposure: each draws its own numbers, what belongs to a row or column is
-shared along them. Frames of one die are a `vmap` over keys.
+more pixels of the same exposure: each draws its own numbers, whereas the draws of rows and columns
+are shared along them. Frames of one die are a `vmap` over keys.
 """
 
 import jax.numpy as jnp
@@ -22,15 +22,27 @@ from .shot_noise import count
 def collect(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:
-    """Electrons read from each pixel in one exposure, (..., bands), or (..., h, w, 1) under a
-    colour filter.
+    """Draws the electrons read from each pixel in one exposure.
 
-    `key` draws what changes from frame to frame, `die_key` what stays; `ValueError` if one is None
-    and needed. `irradiance` as in `mean_photoelectrons`, >= 0 (below counts as 0 where counted).
+    Each electron is left behind by a charge transfer, or not, at random. A Poisson packet thinned
+    in this way stays Poisson, so transfers act on the expectation before it is counted. Where a
+    full well cuts the packets in between, transfers act on the remaining charge and add the noise
+    of this selection.
 
-    Each electron is left behind by a transfer, or not, by chance. A Poisson packet that is thinned
-    so stays Poisson's: transfers act on the expectation before it is counted. Where a full well
-    cuts the packets in between, they act on what is left, with the noise of that chance.
+    Args:
+        key: random key of the frame, for all that changes from frame to frame; may be None if the
+            sensor draws nothing from it.
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel, >=
+            0. Traced values below 0 count as 0 where electrons are counted.
+        die_key: random key of the die, for all that stays with a camera; may be None if the sensor
+            draws nothing from it.
+
+    Returns:
+        (..., bands) electrons, or (..., h, w, 1) under a colour filter.
+
+    Raises:
+        ValueError: a key is None and needed, or `irradiance` does not suit the sensor.
     """
     electrons = expected_charge(sensor, irradiance)
     shape, dtype = electrons.shape, electrons.dtype
@@ -71,7 +83,26 @@ def collect(
 def raw_image(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:
-    """The raw data of one exposure in DN, (..., bands), still floating point: `digitise` of
-    `collect`, with the same arguments."""
+    """Draws the raw data of one exposure: `digitise` of `collect`.
+
+    Args:
+        key: random key of the frame; may be None if the sensor draws nothing from it.
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel, >=
+            0.
+        die_key: random key of the die; may be None if the sensor draws nothing from it.
+
+    Returns:
+        (..., bands) DN, in floating point; (..., h, w, 1) under a colour filter.
+
+    Raises:
+        ValueError: a key is None and needed, or `irradiance` does not suit the sensor.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=64.0, bits=12)
+        >>> raw = jv.raw_image(jax.random.key(0), sensor, jnp.full((400, 400, 1), 100.0))
+        >>> round(float(raw.mean())), round(float(raw.var() / (0.25 * 100 + 1 / 12)), 1)
+        (114, 1.0)
+    """
     electrons = collect(key, sensor, irradiance, die_key=die_key)
     return digitise(sensor, electrons, die_key=die_key)

@@ -12,7 +12,18 @@ from .dark import BOLTZMANN, ELEMENTARY_CHARGE
 
 
 def reset_noise_rms(reset: ResetNoise) -> Scalar:
-    """sqrt(k T C) / q: electrons rms () left on a sense node of capacitance C by its reset."""
+    """Reset (kTC) noise of a sense node: sqrt(k T C) / q.
+
+    Args:
+        reset: capacitance and temperature of the node.
+
+    Returns:
+        () electrons rms.
+
+    Example:
+        >>> round(float(jv.sensor.reset_noise_rms(jv.ResetNoise(1.6e-15, 300.0))), 1)
+        16.1
+    """
     # each factor within float32's range: k T C is not
     electrons = BOLTZMANN / ELEMENTARY_CHARGE * reset.temperature
     return safe_sqrt(electrons * (reset.capacitance / ELEMENTARY_CHARGE))
@@ -26,8 +37,22 @@ def read_out_noise(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars | None:
-    """The sum of what reading one frame adds, in electrons, an array that combines with `shape`;
-    None for a sensor that reads without noise. Row noise and banding need an image."""
+    """Draws the sum of all noise that reading one frame adds.
+
+    Args:
+        key: random key of the frame.
+        die_key: random key of the die; chooses the pixels with traps.
+        sensor: the sensor; `read_noise`, `reset_noise`, `telegraph_noise`, `row_noise` and
+            `banding` are used.
+        shape: shape of the electrons; (..., h, w, bands) for row noise and banding.
+        dtype: floating dtype of the result.
+
+    Returns:
+        Electrons, broadcasting against `shape`; None for a sensor that reads without noise.
+
+    Raises:
+        ValueError: a key is None and needed, or row noise or banding is asked for without an image.
+    """
     parts = []
     rms = _rms_of_each(key, sensor, shape, dtype)
     if rms is not None:
@@ -42,7 +67,15 @@ def read_out_noise(
 
 
 def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
-    """Variance () of `read_out_noise` in electrons^2 of a frame's pixel, whatever its place."""
+    """Variance of `read_out_noise` in one pixel of a frame, averaged over the places of pixels.
+
+    Args:
+        sensor: the sensor.
+        dtype: floating dtype of the result.
+
+    Returns:
+        () electrons^2.
+    """
     variance = jnp.zeros((), dtype)
     match sensor.read_noise:
         case None:
@@ -84,7 +117,7 @@ def _telegraph(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars:
-    """Full after less full before: two bits of a word."""
+    """The state of each trap after the read-out less its state before: two bits of a word."""
     trapped = uniform(die_key, Die.TRAP, shape, dtype) <= telegraph.fraction
     states = (words(key, Frame.TELEGRAPH, shape) >> 30).astype(jnp.int32)
     jump = (states >> 1) - (states & 1)
@@ -92,6 +125,7 @@ def _telegraph(
 
 
 def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
+    """An offset that oscillates over the rows, of random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
     phase = uniform(key, Frame.BANDING, (), dtype)

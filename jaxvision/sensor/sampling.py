@@ -1,7 +1,7 @@
 """The pixel's aperture: a square, sqrt(fill factor) of the pitch wide, that averages irradiance.
 
-Its MTF is a sinc in each direction. A narrow aperture lets more of what lies above the Nyquist
-frequency through, to come back as aliases; a full one weakens it. A microlens widens the aperture.
+Its MTF is a sinc in each direction. A narrow aperture passes more contrast above the Nyquist
+frequency, which returns as aliases; a full one attenuates it. A microlens widens the aperture.
 Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
 """
 
@@ -14,8 +14,16 @@ from ..scene import PixelAperture
 
 
 def light_share(aperture: PixelAperture) -> Scalar:
-    """Share () of the light on a pixel that reaches its active area, relative to all of it: the
-    fill factor, and of the rest what the microlens brings in."""
+    """Share of the light on a pixel that reaches its active area.
+
+    The fill factor, plus the share of the remaining light that the microlens brings in.
+
+    Args:
+        aperture: fill factor and microlens.
+
+    Returns:
+        () relative to all light on the pixel, in (0, 1].
+    """
     if aperture.microlens is None:
         return aperture.fill_factor
     return aperture.fill_factor + aperture.microlens * (1 - aperture.fill_factor)
@@ -24,10 +32,20 @@ def light_share(aperture: PixelAperture) -> Scalar:
 def pixel_means(
     irradiance: Image, aperture: PixelAperture
 ) -> Float[Array, "*batch rows columns bands"]:
-    """Mean over the active area of each pixel: (..., h, w, bands) in W m^-2, of irradiance sampled
-    `oversampling` times along each side of a pixel, (..., h oversampling, w oversampling, bands).
+    """Mean irradiance over the active area of each pixel.
 
-    Each sample stands for its cell. `ValueError` for a picture that is no whole number of pixels.
+    Each sample stands for its cell.
+
+    Args:
+        irradiance: (..., h oversampling, w oversampling, bands) W m^-2, sampled
+            `aperture.oversampling` times along each side of a pixel.
+        aperture: the pixel's aperture.
+
+    Returns:
+        (..., h, w, bands) W m^-2.
+
+    Raises:
+        ValueError: `irradiance` is not an image of a whole number of pixels.
     """
     n = aperture.oversampling
     if irradiance.ndim < 3:
@@ -44,8 +62,20 @@ def pixel_means(
 
 
 def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
-    """sinc(width frequency): contrast (...) relative to the scene's of a grating along rows or
-    columns, `frequency` (...) in cycles per pixel; negative where the contrast is reversed."""
+    """Contrast that the pixel's aperture leaves of a grating along rows or columns: sinc(width f).
+
+    Args:
+        aperture: the pixel's aperture.
+        frequency: (...) cycles per pixel.
+
+    Returns:
+        (...) contrast relative to the scene; negative where the grating is reversed.
+
+    Example:
+        >>> full = jv.PixelAperture(1.0)
+        >>> round(float(jv.sensor.aperture_mtf(full, jnp.array(0.5))), 4)  # 2 / pi
+        0.6366
+    """
     return jnp.sinc(safe_sqrt(light_share(aperture)) * frequency)
 
 

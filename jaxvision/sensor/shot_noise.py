@@ -1,7 +1,7 @@
-"""Counting electrons: the Poisson distribution, exactly, by inversion, or as a Gaussian.
+"""Counting electrons: Poisson draws, exact or by inversion, or Gaussian draws.
 
-The fast sampler turns one uniform number into a count by the inverse of Poisson's distribution. Up
-to a mean of 10 the distribution is summed; above, its inverse is an expansion in z, the Gaussian
+The fast sampler turns one uniform number into a count by the inverse of the Poisson distribution.
+Up to a mean of 10 the distribution is summed; above, its inverse is an expansion in z, the Gaussian
 quantile of the same probability (Giles, "Algorithm 955: approximation of the inverse Poisson
 cumulative distribution function", ACM TOMS 42 (2016), Q_N2):
 
@@ -23,14 +23,21 @@ SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest un
 
 
 def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
-    """Electrons counted where `mean` (...) electrons are expected; a mean below 0 counts as 0, and
-    NaN stays NaN.
+    """Draws the electrons counted in each pixel.
 
-    `FastPoissonShotNoise`: its total variation from Poisson's distribution is below 2e-6 up to a
-    mean of 10, 1.4e-4 just above, falling to 2e-5 from 1000 on, up to 1e5 in float32 too; the mean
-    is right to 1e-6, the variance to 3e-4. Gradients pass through exact draws, and fast ones up to
-    10, as through their expectation, through fast ones above 10 and Gaussian ones along the draw
-    itself (so near 0 a Gaussian's are noisy).
+    `FastPoissonShotNoise` differs from the Poisson distribution in total variation by less than
+    2e-6 up to a mean of 10 and 1.4e-4 just above, falling to 2e-5 from 1000 on, for means up to
+    1e5, in float32 too; its mean is right to 1e-6, its variance to 3e-4. Exact draws, and fast ones
+    up to a mean of 10, have the gradient of their expectation. Fast draws above 10 and Gaussian
+    ones are differentiated along the draw itself, so a Gaussian's gradients are noisy near 0.
+
+    Args:
+        key: random key of the frame.
+        mean: (...) expected electrons; a mean below 0 counts as 0, and NaN stays NaN.
+        shot_noise: which distribution is drawn.
+
+    Returns:
+        (...) electrons in the dtype of `mean`; whole numbers unless Gaussian.
     """
     match shot_noise:
         case PoissonShotNoise():
@@ -47,8 +54,9 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
 
 def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
-    """The count that a Poisson variable of that `mean` (...) electrons exceeds with probability
-    (bits + 1/2) / 2^32 at most; `bits`: (...) 32 uniform ones each."""
+    """The count that a Poisson variable of that `mean` exceeds with a probability of at most (bits
+    + 1/2) / 2^32; `bits`: 32 uniform ones for each entry.
+    """
     bounded = jnp.clip(mean, 0, MOST_ELECTRONS)
     few = bounded < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, bounded)
@@ -67,7 +75,8 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:
     """How many of the survival functions P(N > 0), P(N > 1), ... exceed `probability`; each is
-    summed from its small end, so that rare counts keep their digits."""
+    summed from its small end, so that rare counts keep their digits.
+    """
     terms = [mean * jnp.exp(-mean)]
     for n in range(2, SUMMED_COUNTS):
         terms.append(terms[-1] * (mean / n))

@@ -1,9 +1,8 @@
-"""When each row sees the scene, and what it sees averaged over that time. Times in s;
-weights have no unit.
+"""When each row is exposed, and the average of a moving scene over that time.
 
-The time from the first row's opening to the last row's closing is cut into equal slots; the scene
-is taken as it is in the middle of each slot, and a row averages the slots by how much of them lies
-in its own exposure. A global shutter opens all rows at 0.
+Times in s; weights have no unit. The time from the first row's opening to the last row's closing is
+cut into equal slots. The scene is evaluated in the middle of each slot, and a row weights each slot
+by the part that lies within its own exposure. A global shutter opens all rows at time 0.
 """
 
 from collections.abc import Callable
@@ -22,7 +21,16 @@ Pictures = TypeVar("Pictures")
 def row_starts(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int
 ) -> Float[Array, " rows"]:
-    """The time (rows,) s at which each row's exposure begins."""
+    """Time at which the exposure of each row begins.
+
+    Args:
+        shutter: the rolling shutter; None is a global shutter, which opens every row at 0.
+        exposure_time: () s.
+        rows: number of rows, static.
+
+    Returns:
+        (rows,) s.
+    """
     if shutter is None:
         return jnp.zeros(rows, exposure_time.dtype)
     return jnp.arange(rows, dtype=exposure_time.dtype) * shutter.line_time
@@ -31,10 +39,21 @@ def row_starts(
 def exposure_slots(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int, slots: int
 ) -> tuple[Float[Array, " slots"], Float[Array, "rows slots"]]:
-    """(middle of each slot (slots,) s, weight (rows, slots) of each slot in each row's average).
+    """Time slots of an exposure, and the weight of each slot in the average of each row.
 
-    The weights of a row add up to 1, and are smooth in the times but where a row's exposure begins
-    or ends with a slot. `ValueError` unless slots >= 1.
+    Args:
+        shutter: the rolling shutter; None is a global shutter.
+        exposure_time: () s.
+        rows: number of rows, static.
+        slots: number of slots, static, at least 1.
+
+    Returns:
+        Middle of each slot (slots,) in s, and weights (rows, slots), which add up to 1 for each
+        row. The weights are smooth in the times except where a row's exposure begins or ends with a
+        slot.
+
+    Raises:
+        ValueError: `slots` is less than 1.
     """
     if slots < 1:
         raise ValueError(f"slots must be at least 1, got {slots}.")
@@ -55,11 +74,22 @@ def exposed(
     rows: int,
     slots: int,
 ) -> Pictures:
-    """A picture (rows, w, bands), or a record of several, averaged over each row's exposure, in its
-    own unit.
+    """A picture averaged over the exposure of each row.
 
-    `picture_at`: what is seen at a time () s. `slots`: how many times it is asked; the error of a
-    smooth motion falls with their square.
+    Args:
+        shutter: the rolling shutter; None is a global shutter.
+        exposure_time: () s.
+        picture_at: the picture at a time () in s: (rows, w, bands) in any unit, or a record of
+            several such pictures.
+        rows: number of rows, static.
+        slots: how many times the picture is evaluated, static; the error of a smooth motion falls
+            with the square of it.
+
+    Returns:
+        What `picture_at` returns, averaged over time, in its unit.
+
+    Raises:
+        ValueError: `slots` is less than 1.
     """
     times, weights = exposure_slots(shutter, exposure_time, rows=rows, slots=slots)
 
