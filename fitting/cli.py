@@ -21,9 +21,9 @@ import typer
 from jaxvision._command import failures_as_sentences, leave
 from jaxvision.errors import InputError
 
-from .console import Reporter, output, print_section, reporting
-from .posterior import Progress, SamplingOptions
-from .results import Section
+from .inference.posterior import Progress, SamplingOptions
+from .report.console import Reporter, output, print_section, reporting
+from .report.section import Section
 
 COMMAND = "jaxvision-fit"
 
@@ -141,8 +141,9 @@ def noise(
     ] = "",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
-    from .noise import calibrate_noise, noise_section
-    from .photon_transfer import read_photon_transfer
+    from .noise.calibration import calibrate as calibrate_noise
+    from .noise.read import read_photon_transfer
+    from .noise.section import section as noise_section
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         with reporter.step("reading frames"):
@@ -161,8 +162,10 @@ def response(
     path: RigPath,
 ) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
-    from .exposures import read_exposure_stack
-    from .response import calibrate_response, radiance_images, response_section
+    from .response.calibration import calibrate as calibrate_response
+    from .response.calibration import radiance_images
+    from .response.read import read_exposure_stack
+    from .response.section import section as response_section
     from .rig import load_rig
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
@@ -222,7 +225,7 @@ def brdf(
 ) -> None:
     """Reflectance from images of a known shape, or of measured BRDFs, models compared on held-out
     lights or angles."""
-    from .measured_reflectance import is_measured_brdf
+    from .reflectance.from_files.read import is_measured_brdf
 
     if any(is_measured_brdf(path) for path in paths):
         for_rigs = {
@@ -233,8 +236,9 @@ def brdf(
         }
         _brdf_of_files(paths, options, model, index, objective or Objective.COSINE, for_rigs)
         return
-    from .reflectance import calibrate_reflectance, reflectance_section
-    from .reflectance_observation import read_reflectance_observation
+    from .reflectance.from_images.calibration import calibrate as calibrate_reflectance
+    from .reflectance.from_images.read import read_reflectance_observation
+    from .reflectance.from_images.section import section as reflectance_section
     from .rig import load_rig
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
@@ -274,13 +278,10 @@ def _brdf_of_files(
     objective: Objective,
     for_rigs: dict[str, bool | float],
 ) -> None:
-    from .measured_reflectance import (
-        calibrate_brdf,
-        is_measured_brdf,
-        material_section,
-        materials_section,
-        read_measured_brdf,
-    )
+    from .reflectance.from_files.calibration import calibrate as calibrate_brdf
+    from .reflectance.from_files.read import is_measured_brdf, read_measured_brdf
+    from .reflectance.from_files.section import materials_section
+    from .reflectance.from_files.section import section as material_section
 
     def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
         for path in paths:
@@ -321,8 +322,9 @@ def _brdf_of_files(
 def demo(options: Options) -> None:
     """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
     in the folder jaxvision-demo, or the one of --out."""
-    from .demo import calibrate_lab, demo_section
-    from .lab import simulate_lab
+    from .demo.compare import calibrate_lab
+    from .demo.lab import simulate_lab
+    from .demo.section import section as demo_section
 
     out = options.out or Path("jaxvision-demo")
     options = replace(options, out=out)
@@ -347,7 +349,7 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
     """Calibrates, writes what was asked for, prints the result."""
     from jaxvision.io import write_image
 
-    from .report import as_json, write_report
+    from .report.page import as_json, write_report
 
     with _failures(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():

@@ -61,7 +61,7 @@ def data_folder() -> Path:
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory):
     """(folder, truth) of one simulated lab afternoon."""
-    from fitting.lab import simulate_lab
+    from fitting.demo.lab import simulate_lab
 
     folder = tmp_path_factory.mktemp("lab")
     return folder, simulate_lab(folder, seed=11)

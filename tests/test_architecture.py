@@ -35,15 +35,13 @@ FLOORS = [
     {"cli"},
 ]
 PHYSICS = set.union(*FLOORS[1:14])
-SOLVERS = {
-    "parameters",
-    "least_squares",
-    "bounded",
-    "varpro",
-    "posterior",
-    "diagnostics",
-}
-CALIBRATIONS = {"reflectance", "response", "noise", "joint"}
+FITTING_FLOORS = [
+    {"rig", "inference"},
+    {"observation", "report"},
+    {"noise", "response", "reflectance"},
+    {"demo"},
+    {"cli"},
+]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}
 NEVER_ON_IMPORT = [
     "matplotlib",
@@ -147,16 +145,24 @@ def test_jaxvision_knows_no_solver(room):
 
 
 def test_only_bounded_imports_jaxopt():
-    users = {room for room, names in rooms("fitting").items() if "jaxopt" in outside(names)}
-    assert users <= {"bounded"}
+    files = (ROOT / "fitting").rglob("*.py")
+    users = {file.name for file in files if "jaxopt" in outside(imports(file))}
+    assert users == {"bounded.py"}
 
 
-@pytest.mark.parametrize("room", sorted(SOLVERS & rooms("fitting").keys()))
-def test_solvers_know_no_physics_and_no_calibration(room):
-    names = rooms("fitting")[room]
-    physics = {name for name in names if name.split(".")[:1] == ["jaxvision"]}
-    assert not {name.split(".")[1] for name in physics if "." in name} & PHYSICS
-    assert not neighbours("fitting")[room] & (CALIBRATIONS | {"report", "cli"})
+@pytest.mark.parametrize("room", sorted(rooms("fitting")))
+def test_a_calibration_goes_one_way(room):
+    floor = {name: i for i, names in enumerate(FITTING_FLOORS) for name in names}
+    assert room in floor, f"give fitting/{room} its floor in {__name__}"
+    wrong = {other for other in neighbours("fitting")[room] if floor[other] >= floor[room]}
+    assert not wrong, f"fitting/{room} must not import {sorted(wrong)}"
+
+
+def test_inference_knows_no_physics_and_no_calibration():
+    assert not neighbours("fitting")["inference"]
+    used = {name.split(".")[1] for name in rooms("fitting")["inference"] if "jaxvision." in name}
+    assert "errors" in used  # the reader of imports reads
+    assert not used & PHYSICS
 
 
 @pytest.mark.parametrize("package", ["jaxvision", "fitting"])

@@ -15,19 +15,16 @@ from oracles import brdfs
 from typer.testing import CliRunner
 
 from fitting import cli
-from fitting.brdf_calibration import (
-    best,
-    calibrate_brdf,
-    errors,
-    prediction_of_held_out,
-)
-from fitting.brdf_fit import fit_model
-from fitting.measured_brdf import from_samples, read_measured_brdf
-from fitting.measured_reflectance import material_section, materials_section
-from fitting.posterior import SamplingOptions
-from fitting.reflectance_models import INDEX, MODELS, REFLECTANCES, unit_brdf
-from fitting.report import as_json
-from fitting.shared_shape import fit_shared_shape
+from fitting.inference.posterior import SamplingOptions
+from fitting.inference.shared_shape import fit_shared_shape
+from fitting.reflectance.from_files.calibration import best, errors, prediction_of_held_out
+from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
+from fitting.reflectance.from_files.fit import fit_model
+from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
+from fitting.reflectance.from_files.section import materials_section
+from fitting.reflectance.from_files.section import section as material_section
+from fitting.reflectance.models import INDEX, MODELS, REFLECTANCES, unit_brdf
+from fitting.report.page import as_json
 from jaxvision._vector import as_vec
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.measured import BRDFSamples

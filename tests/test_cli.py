@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fitting.cli import app
-from fitting.report import as_json
+from fitting.report.page import as_json
 from jaxvision.io import read_image, write_image
 
 RUNNER = CliRunner()

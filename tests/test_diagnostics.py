@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fitting.diagnostics import identifiability
-from fitting.parameters import Parameter
+from fitting.inference.diagnostics import identifiability
+from fitting.inference.parameters import Parameter
 
 SPACE = tuple(Parameter(name, symbol=name, unit="1") for name in ("gain", "gamma", "exponent"))
 

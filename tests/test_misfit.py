@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fitting.misfit import Spread, cluster_robust, fit_spread, sensor_spread, variance
+from fitting.inference.clustering import cluster_robust
+from fitting.reflectance.from_images.spread import Spread, fit_spread, sensor_spread, variance
 
 COUNT = 40_000
 

@@ -11,11 +11,13 @@ from oracles.cameras import CameraTruth, expose, sweep
 from scipy.stats import norm, poisson
 from test_emva1288 import measurement_of, noise_free
 
-from fitting.emva1288 import evaluate, ranges, sheet, statistics
-from fitting.levels import linear_levels
-from fitting.newton import minimise
-from fitting.noise import calibrate_noise, noise_section
-from fitting.noise_fit import (
+from fitting.inference.estimates import find
+from fitting.inference.newton import minimise
+from fitting.inference.parameters import names
+from fitting.inference.posterior import SamplingOptions
+from fitting.noise.calibration import calibrate as calibrate_noise
+from fitting.noise.emva1288 import evaluate, ranges, sheet, statistics
+from fitting.noise.fit import (
     base_space,
     fit_space,
     likelihood_sheet,
@@ -23,12 +25,11 @@ from fitting.noise_fit import (
     noise_data,
     start_vector,
 )
-from fitting.noise_model import cost
-from fitting.parameters import names
-from fitting.photon_transfer import read_photon_transfer
-from fitting.posterior import SamplingOptions
-from fitting.quantised_moments import quantised_moments, window_for
-from fitting.results import find
+from fitting.noise.levels import linear_levels
+from fitting.noise.model import cost
+from fitting.noise.quantised import quantised_moments, window_for
+from fitting.noise.read import read_photon_transfer
+from fitting.noise.section import section as noise_section
 
 LIGHT, EXPOSURE = np.linspace(250, 6000, 16), np.linspace(1e-3, 2e-2, 16)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting.parameters import (
+from fitting.inference.parameters import (
     Parameter,
     bounds,
     log_prior,

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from oracles.cameras import CameraTruth, expose, moments
 
-from fitting.levels import linear_levels, saturation_index
-from fitting.photon_transfer import read_photon_transfer
+from fitting.noise.levels import linear_levels, saturation_index
+from fitting.noise.read import read_photon_transfer
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
 

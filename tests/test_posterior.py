@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting.parameters import Parameter
-from fitting.posterior import (
+from fitting.inference.parameters import Parameter
+from fitting.inference.posterior import (
     SamplingOptions,
     convergence_in_words,
     estimates,

@@ -20,16 +20,22 @@ from oracles.sphere_photographs import (
 )
 from scipy.stats import binom
 
-from fitting.posterior import SamplingOptions
-from fitting.reflectance import calibrate_reflectance, reflectance_section
-from fitting.reflectance_calibration import open_parameters
-from fitting.reflectance_cells import group
-from fitting.reflectance_fit import fit_channel, select
-from fitting.reflectance_model import Form
-from fitting.reflectance_observation import read_reflectance_observation
-from fitting.reflectance_posterior import channel_posterior, composite, composite_log_density
-from fitting.report import as_json
-from fitting.results import find
+from fitting.inference.estimates import find
+from fitting.inference.posterior import SamplingOptions
+from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
+from fitting.reflectance.from_images.calibration import open_parameters
+from fitting.reflectance.from_images.fit import fit_channel
+from fitting.reflectance.from_images.geometry_cells import group
+from fitting.reflectance.from_images.model import Form
+from fitting.reflectance.from_images.posterior import (
+    channel_posterior,
+    composite,
+    composite_log_density,
+)
+from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.reflectance.from_images.samples import select
+from fitting.reflectance.from_images.section import section as reflectance_section
+from fitting.report.page import as_json
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
 

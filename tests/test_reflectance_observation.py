@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles.sphere_photographs import light_directions, sphere_normals, write_rig
 
-from fitting.reflectance_observation import read_reflectance_observation
+from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
 from jaxvision.io import write_image

@@ -10,20 +10,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fitting.formatting import format_interval, format_number, format_value
-from fitting.parameters import Parameter
-from fitting.posterior import SamplingOptions, laplace, sample
-from fitting.report import as_html, as_json, write_report
-from fitting.results import (
+from fitting.inference.estimates import (
     Estimate,
-    Picture,
-    Section,
-    Table,
     find,
     gaussian_estimate,
     not_determined,
     sampled_estimate,
 )
+from fitting.inference.parameters import Parameter
+from fitting.inference.posterior import SamplingOptions, laplace, sample
+from fitting.report.formatting import format_interval, format_number, format_value
+from fitting.report.page import as_html, as_json, write_report
+from fitting.report.section import Picture, Section, Table
 
 SPACE = (
     Parameter("gain", symbol="K", unit="DN/e-"),

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, gamma, srgb
 
-from fitting.radiance_map import merge
-from fitting.response import (
-    calibrate_response,
-    radiance_images,
-    read_exposure_stack,
-    response_section,
-)
-from fitting.response_curve import fit_response_curve
-from fitting.results import find
+from fitting.inference.estimates import find
+from fitting.response.calibration import calibrate as calibrate_response
+from fitting.response.calibration import radiance_images
+from fitting.response.curve import fit_response_curve
+from fitting.response.radiance_map import merge
+from fitting.response.read import read_exposure_stack
+from fitting.response.section import section as response_section
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
 from jaxvision.io import write_image

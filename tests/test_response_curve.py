@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, gamma, log_exposures, s_shaped, srgb
 
-from fitting.code_pairs import (
+from fitting.response.code_pairs import (
     NoiseModel,
     code_bins,
     hat_rule,
@@ -12,11 +12,7 @@ from fitting.code_pairs import (
     observe,
     pair_statistics,
 )
-from fitting.response_curve import (
-    fit_response_curve,
-    roughness,
-    shutter_basis,
-)
+from fitting.response.curve import fit_response_curve, roughness, shutter_basis
 from jaxvision.errors import InputError
 
 TIMES = 2.0 ** np.arange(-4, 5)
@@ -113,7 +109,7 @@ def test_statistics_do_not_depend_on_chunks(monkeypatch):
     bins, means = code_bins(8, 0.0, 255.0), np.linspace(-5, 2, 254)
     rule = noise_rule(NoiseModel(1e-2, 1e-3, 1e-4), means)
     whole = pair_statistics(codes, np.log(TIMES), bins, rule, means)
-    monkeypatch.setattr("fitting.code_pairs.CHUNK", 700)
+    monkeypatch.setattr("fitting.response.code_pairs.CHUNK", 700)
     parts = pair_statistics(codes, np.log(TIMES), bins, rule, means)
     np.testing.assert_allclose(parts.matrix, whole.matrix, atol=1e-9 * np.abs(whole.matrix).max())
     np.testing.assert_allclose(parts.score, whole.score, atol=1e-9 * np.abs(whole.score).max())

@@ -5,9 +5,9 @@ import pytest
 from oracles.stacks import exposure_stack, gamma, srgb
 from scipy import stats
 
-from fitting.gamma import fit_gamma
-from fitting.posterior import SamplingOptions
-from fitting.response_curve import fit_response_curve
+from fitting.inference.posterior import SamplingOptions
+from fitting.response.curve import fit_response_curve
+from fitting.response.gamma import fit_gamma
 
 TIMES = 2.0 ** np.arange(-4, 5)
 

@@ -10,8 +10,9 @@ import pytest
 from test_emva1288 import measurement_of
 from test_noise import both_methods
 
-from fitting.noise import calibrate_noise, noise_section
-from fitting.results import find
+from fitting.inference.estimates import find
+from fitting.noise.calibration import calibrate as calibrate_noise
+from fitting.noise.section import section as noise_section
 from jaxvision.camera_files import read_camera
 from jaxvision.scene import FastPoissonShotNoise
 from jaxvision.sensor import raw_image, sensitivity

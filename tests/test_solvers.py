@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from fitting.bounded import minimise_in_box
-from fitting.least_squares import minimise_residuals
+from fitting.inference.bounded import minimise_in_box
+from fitting.inference.least_squares import minimise_residuals
 
 RNG = np.random.default_rng(1)
 X = np.linspace(0, 3, 40)
@@ -84,6 +84,6 @@ def test_only_the_maintenance_notice_of_jaxopt_is_silenced():
         warnings.simplefilter("error")
         import importlib
 
-        import fitting.bounded
+        import fitting.inference.bounded
 
-        importlib.reload(fitting.bounded)
+        importlib.reload(fitting.inference.bounded)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from fitting.varpro import fit_separable, non_negative_amplitudes
+from fitting.inference.separable import fit_separable, non_negative_amplitudes
 
 X = np.linspace(0.0, 5.0, 200)
 

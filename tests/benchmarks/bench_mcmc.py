@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from oracles.sphere_photographs import light_directions, sphere_normals
 
-from fitting.reflectance_cells import average, group
-from fitting.reflectance_model import Form, Samples
-from fitting.reflectance_posterior import Composite, composite_log_density
+from fitting.reflectance.from_images.geometry_cells import average, group
+from fitting.reflectance.from_images.model import Form, Samples
+from fitting.reflectance.from_images.posterior import Composite, composite_log_density
 
 pytestmark = pytest.mark.benchmark
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from fitting.brdf_fit import fit_model
-from fitting.measured_brdf import from_samples
-from fitting.reflectance_models import INDEX, unit_brdf
+from fitting.reflectance.from_files.fit import fit_model
+from fitting.reflectance.from_files.read import from_samples
+from fitting.reflectance.models import INDEX, unit_brdf
 from jaxvision.brdf.measured import BRDFSamples
 
 pytestmark = pytest.mark.benchmark

@@ -12,7 +12,7 @@ import scipy.optimize
 from oracles.sphere_photographs import light_directions, sphere_normals
 from turns import in_turns
 
-from fitting.varpro import fit_separable
+from fitting.inference.separable import fit_separable
 
 pytestmark = pytest.mark.benchmark
 

@@ -9,7 +9,7 @@ import pytest
 from oracles.stacks import exposure_stack, log_exposures, srgb
 from turns import in_turns
 
-from fitting.response_curve import fit_response_curve
+from fitting.response.curve import fit_response_curve
 
 TIMES = 2.0 ** np.arange(-4, 5)
 SIDE = 128

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from diligent import write_ball_rig
 
-from fitting.reflectance import calibrate_reflectance, reflectance_section
-from fitting.reflectance_calibration import mean_residual
-from fitting.reflectance_observation import read_reflectance_observation
-from fitting.results import find
+from fitting.inference.estimates import find
+from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
+from fitting.reflectance.from_images.calibration import mean_residual
+from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.rig import load_rig
 
 pytestmark = pytest.mark.real

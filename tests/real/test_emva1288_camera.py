@@ -5,11 +5,12 @@ import csv
 import numpy as np
 import pytest
 
-from fitting.emva1288 import ranges
-from fitting.levels import linear_levels, saturation_index
-from fitting.noise import calibrate_noise, noise_section
-from fitting.photon_transfer import read_photon_transfer
-from fitting.results import find
+from fitting.inference.estimates import find
+from fitting.noise.calibration import calibrate as calibrate_noise
+from fitting.noise.emva1288 import ranges
+from fitting.noise.levels import linear_levels, saturation_index
+from fitting.noise.read import read_photon_transfer
+from fitting.noise.section import section as noise_section
 
 pytestmark = pytest.mark.real
 

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from exposure_rigs import write_bandpass_rig
 
-from fitting.response import (
-    calibrate_response,
-    largest_departure,
-    read_exposure_stack,
-    response_section,
-)
+from fitting.response.calibration import calibrate as calibrate_response
+from fitting.response.findings import largest_departure
+from fitting.response.read import read_exposure_stack
+from fitting.response.section import section as response_section
 from fitting.rig import load_rig
 
 

@@ -4,10 +4,10 @@ are what the paint looks like."""
 import numpy as np
 import pytest
 
-from fitting import measured_brdf
-from fitting.brdf_calibration import calibrate_brdf
-from fitting.brdf_findings import which_axis_wins
-from fitting.measured_brdf import read_measured_brdf
+from fitting.reflectance.from_files import read as measured_brdf
+from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
+from fitting.reflectance.from_files.findings import which_axis_wins
+from fitting.reflectance.from_files.read import read_measured_brdf
 
 pytestmark = pytest.mark.real
 

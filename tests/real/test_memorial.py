@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from exposure_rigs import write_memorial_rig
 
-from fitting.response import calibrate_response, radiance_images, read_exposure_stack
+from fitting.response.calibration import calibrate as calibrate_response
+from fitting.response.calibration import radiance_images
+from fitting.response.read import read_exposure_stack
 from fitting.rig import load_rig
 from jaxvision.io import read_image
 

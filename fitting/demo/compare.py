@@ -1,0 +1,126 @@
+"""`jaxvision-fit demo`: simulate a lab afternoon to files, calibrate from the files alone, and set
+truth beside estimate."""
+
+import math
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..inference.estimates import Estimate, find
+from ..inference.posterior import Progress, SamplingOptions
+from ..noise.calibration import LIKELIHOOD, STANDARD
+from ..noise.calibration import calibrate as calibrate_noise
+from ..noise.read import read_photon_transfer
+from ..noise.section import section as noise_section
+from ..reflectance.from_images.calibration import calibrate as calibrate_reflectance
+from ..reflectance.from_images.read import read_reflectance_observation
+from ..reflectance.from_images.section import section as reflectance_section
+from ..report.section import Section
+from ..response.calibration import calibrate as calibrate_response
+from ..response.read import read_exposure_stack
+from ..response.section import section as response_section
+from ..rig import Rig, load_rig
+from .lab import Truth, rgb
+
+Key = tuple[str, str, str]  # section kind, estimate name, group
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An estimate beside the value it was simulated with."""
+
+    kind: str
+    estimate: Estimate
+    truth: float
+
+    @property
+    def deviations(self) -> tuple[float, ...]:
+        """Ends of the 95 and 68 % intervals and the value between them, less the truth, in
+        standard errors, ascending."""
+        unknown = (math.nan, math.nan)
+        low95, high95 = self.estimate.interval_95 or unknown
+        low68, high68 = self.estimate.interval_68 or unknown
+        value = math.nan if self.estimate.value is None else self.estimate.value
+        error = self.estimate.standard_error or math.nan
+        ends = (low95, low68, value, high68, high95)
+        return tuple((end - self.truth) / error for end in ends)
+
+    @property
+    def inside_68(self) -> bool:
+        return _inside(self.truth, self.estimate.interval_68)
+
+    @property
+    def inside_95(self) -> bool:
+        return _inside(self.truth, self.estimate.interval_95)
+
+
+def _inside(value: float, interval: tuple[float, float] | None) -> bool:
+    return interval is not None and interval[0] <= value <= interval[1]
+
+
+def calibrate_lab(
+    folder: Path,
+    step: Callable[[str], AbstractContextManager[Progress]],
+    sampling: Callable[[str, Progress], SamplingOptions | None],
+) -> list[Section]:
+    """The three calibrations of `simulate_lab`'s files. The reflectance fit weighs its pixels with
+    the gain and the read noise that photon transfer has just measured."""
+    with step("photon transfer") as progress:
+        measurement = read_photon_transfer(folder / "noise")
+        noise = noise_section(calibrate_noise(measurement, sampling=sampling("noise", progress)))
+    with step("response curve") as progress:
+        stack = read_exposure_stack(load_rig(folder / "response"))
+        response = response_section(
+            calibrate_response(stack, sampling=sampling("response", progress))
+        )
+    with step("reflectance") as progress:
+        rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
+        reflectance = reflectance_section(
+            calibrate_reflectance(
+                read_reflectance_observation(rig),
+                model="phong",
+                sampling=sampling("brdf", progress),
+            )
+        )
+    return [noise, response, reflectance]
+
+
+def _with_measured_noise(rig: Rig, noise: Section) -> Rig:
+    measured = {
+        field: find(noise.estimates, name, method=LIKELIHOOD).value
+        for field, name in (("gain", "system_gain"), ("read_noise", "read_noise"))
+    }
+    return rig.model_copy(update={"camera": rig.camera.model_copy(update=measured)})
+
+
+def truths(truth: Truth) -> dict[Key, float]:
+    """What the lab was simulated with, under the names of the estimates."""
+    values: dict[Key, float] = {
+        ("noise", "system_gain", ""): truth.system_gain,
+        ("noise", "quantum_efficiency", ""): 100 * truth.quantum_efficiency,
+        ("noise", "read_noise", ""): truth.read_noise,
+        ("noise", "dark_current", ""): truth.dark_current,
+        ("noise", "dsnu", ""): truth.dsnu,
+        ("noise", "prnu", ""): 100 * truth.prnu,
+    }
+    for channel in rgb(truth.diffuse):
+        values["response", "gamma", channel] = truth.gamma
+        values["brdf", "exponent", channel] = truth.exponent
+        values["brdf", "diffuse", channel] = rgb(truth.diffuse)[channel]
+        values["brdf", "specular", channel] = rgb(truth.specular)[channel]
+    return values
+
+
+def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
+    """Every estimate whose truth is known, with that truth; where the standard's figure stands
+    beside the likelihood's, which uses the same frames, only the latter."""
+    known = truths(truth)
+    return [
+        Comparison(section.kind, estimate, known[section.kind, estimate.name, estimate.group])
+        for section in sections
+        for estimate in section.estimates
+        if (section.kind, estimate.name, estimate.group) in known
+        and estimate.value is not None
+        and estimate.method != STANDARD
+    ]

@@ -1,0 +1,46 @@
+"""The demo's first picture: how far each estimate lies from its truth."""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from ..report.formatting import format_value
+from .compare import Comparison
+
+COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#2b6cb0"}
+LIMIT = 4.5  # standard errors shown to either side
+
+
+def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
+    """One row an estimate: 68 and 95 % intervals about the truth, in standard errors."""
+    figure = Figure(figsize=(8.5, 1.2 + 0.27 * len(comparisons)), layout="constrained")
+    axis = figure.subplots()
+    axis.axvspan(-1.96, 1.96, color="0.93", zorder=0)
+    axis.axvline(0, color="0.4", lw=1)
+    labels = []
+    for row, comparison in enumerate(comparisons):
+        estimate = comparison.estimate
+        colour = COLOURS.get(estimate.group, "#444444")
+        low95, low68, centre, high68, high95 = comparison.deviations
+        axis.plot([low95, high95], [row, row], color=colour, lw=1.5)
+        axis.plot([low68, high68], [row, row], color=colour, lw=4.5, solid_capstyle="butt")
+        axis.plot(centre, row, "o", color="white", mec=colour, ms=5)
+        axis.text(
+            LIMIT * 1.02,
+            row,
+            f"{format_value(estimate)}   ({comparison.truth:g})",
+            va="center",
+            fontsize=8,
+        )
+        name = estimate.name.replace("_", " ")
+        detail = estimate.group or estimate.method
+        labels.append(f"{name}, {detail}" if detail else name)
+    axis.set_yticks(range(len(labels)), labels, fontsize=8)
+    axis.set_ylim(len(labels) - 0.4, -0.6)
+    axis.set_xlim(-LIMIT, LIMIT)
+    axis.set_xlabel("(estimate − truth) / standard error")
+    axis.set_title("estimate ± standard error (truth)", loc="right", fontsize=8)
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+    axis.tick_params(left=False)
+    return figure

@@ -1,0 +1,60 @@
+"""The demo's summary: every known truth beside its estimate."""
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+
+from ..report.formatting import format_interval, format_unit, format_value
+from ..report.section import Picture, Section, Table
+from .compare import Comparison, compare
+from .figures import forest_figure
+from .lab import Truth
+
+
+def comparison_table(comparisons: Sequence[Comparison]) -> Table:
+    """Truth against estimate with its 68 and 95 % intervals, and how many of them hold it."""
+    rows = tuple(
+        (
+            c.estimate.group,
+            c.estimate.name.replace("_", " "),
+            f"{c.truth:g}",
+            format_value(c.estimate),
+            format_unit(c.estimate.unit),
+            format_interval(c.estimate, 68),
+            format_interval(c.estimate, 95),
+            "68 %" if c.inside_68 else "95 %" if c.inside_95 else "outside",
+            c.estimate.method,
+        )
+        for c in comparisons
+    )
+    held_68, held_95 = (
+        sum(getattr(c, name) for c in comparisons) for name in ("inside_68", "inside_95")
+    )
+    count = len(comparisons)
+    return Table(
+        "Every known truth",
+        ("channel", "quantity", "truth", "estimate", "unit", "68 %", "95 %", "truth in", "method"),
+        rows,
+        f"{held_68} of {count} truths lie in their 68 % interval (about {0.68 * count:.0f} are "
+        f"expected) and {held_95} in their 95 % interval (about {0.95 * count:.0f}).",
+    )
+
+
+def section(sections: Iterable[Section], truth: Truth) -> Section:
+    """The demo's summary: every known truth beside its estimate."""
+    comparisons = compare(sections, truth)
+
+    caption = (
+        "Each estimate less its truth, in standard errors: thick 68 %, thin 95 % interval. "
+        "Grey: where 95 % of all truths should fall."
+    )
+    return Section(
+        kind="demo",
+        title="Truth against estimate",
+        estimates=(),
+        tables=(comparison_table(comparisons),),
+        pictures=(
+            Picture(
+                "forest", "What the files gave back", caption, partial(forest_figure, comparisons)
+            ),
+        ),
+    )

@@ -1,0 +1,92 @@
+"""What the data can tell apart: identifiability from the Fisher information, in words.
+
+The information matrix F is scaled to unit diagonal; its small eigenvalues are the directions the
+data leave open, and sqrt(VIF_i) = sqrt(F_ii (F^-1)_ii) says by how much not knowing the other
+parameters widens the error of parameter i (variance inflation; Belsley, Kuh & Welsch 1980).
+An undetermined direction is reported, never inverted away by a pseudo-inverse.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .parameters import ParameterSpace, names
+
+UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
+CONFUSED = 5.0  # sqrt(VIF) from which a reader is told
+PARTNER = 0.3  # share of a direction from which a parameter is named in it
+OPEN = 1.0  # standard deviation of a log parameter from which it counts as not determined
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """eigenvalues: of the scaled information, ascending. worst_direction: unit vector in scaled
+    coordinates. inflation: sqrt(VIF), infinite where undetermined. sentences: the same in words,
+    empty when there is nothing to worry about."""
+
+    eigenvalues: Float[np.ndarray, " parameters"]
+    worst_direction: Float[np.ndarray, " parameters"]
+    inflation: Float[np.ndarray, " parameters"]
+    determined: bool
+    sentences: tuple[str, ...]
+
+
+def identifiability(
+    space: ParameterSpace, information: Float[np.ndarray, "parameters parameters"]
+) -> Identifiability:
+    """Judges a (P, P) information matrix on the unconstrained scale of `space`."""
+    information = np.asarray(information, np.float64)
+    labels = names(space)
+    diagonal = np.diagonal(information)
+    blind = ~(np.isfinite(diagonal) & (diagonal > 0))
+    if blind.any() or not np.isfinite(information).all():
+        count = len(labels)
+        lost = [label for label, unseen in zip(labels, blind, strict=True) if unseen]
+        what = listed(lost) if lost else "any parameter"
+        direction = blind / max(1.0, np.sqrt(blind.sum()))
+        return Identifiability(
+            np.zeros(count),
+            direction,
+            np.where(blind, np.inf, 1.0),
+            False,
+            (f"The data say nothing about {what}.",),
+        )
+    size = np.sqrt(diagonal)
+    eigenvalues, directions = np.linalg.eigh(information / np.outer(size, size))
+    worst = directions[:, 0]
+    open_ = eigenvalues <= UNDETERMINED
+    if open_.any():
+        touched = (np.abs(directions[:, open_]) > 1e-3).any(axis=1)
+        inflation = np.where(touched, np.inf, 1.0)
+        words = tuple(_undetermined(labels, direction) for direction in directions[:, open_].T)
+        return Identifiability(eigenvalues, worst, inflation, False, words)
+    inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
+    return Identifiability(eigenvalues, worst, inflation, True, _confused(labels, worst, inflation))
+
+
+def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
+    return [name for name, share in zip(labels, direction, strict=True) if abs(share) > PARTNER]
+
+
+def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
+    return (
+        f"The data cannot tell {listed(_partners(labels, direction))} apart: a change in one is "
+        "undone by the others, so fix one of them or add measurements that separate them."
+    )
+
+
+def _confused(labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray) -> tuple[str, ...]:
+    if inflation.max() < CONFUSED:
+        return ()
+    most = int(np.argmax(inflation))
+    others = [name for name in _partners(labels, worst) if name != labels[most]]
+    return (
+        f"{labels[most]} is known {inflation[most]:.0f} times less well than it would be if "
+        f"{listed(others or ['the others'])} were known: the data largely confuse them.",
+    )
+
+
+def listed(words: list[str]) -> str:
+    """`a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

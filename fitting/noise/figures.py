@@ -1,0 +1,266 @@
+"""Pictures of a noise calibration: photon transfer, responsivity, signal to noise, dark signal."""
+
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..report.section import Picture
+from .calibration import NoiseCalibration
+from .emva1288 import line, linearity_deviation
+from .model import Moments, NoiseData, predicted_moments
+
+SIZE = (7.2, 6.0)
+BLUE, ORANGE, GREY = "tab:blue", "tab:orange", "0.45"
+POINTS = 300  # of a drawn curve
+
+
+def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
+    """The four pictures, drawn when asked for."""
+    return (
+        Picture(
+            "photon_transfer",
+            "Photon transfer",
+            "Temporal variance against mean signal, both above dark. The slope is the gain K; "
+            "the variance collapses past the saturation point. Below: how far each variance is off "
+            "the straight line of the standard's K, in per cent; a curve there is a gain that "
+            "changes with signal.",
+            partial(photon_transfer_figure, calibration),
+        ),
+        Picture(
+            "responsivity",
+            "Responsivity and linearity",
+            "Mean signal above dark against light. Below: deviations in per cent of the standard's "
+            "linearity line; their extremes over the shaded range are the linearity errors.",
+            partial(responsivity_figure, calibration),
+        ),
+        Picture(
+            "signal_to_noise",
+            "Signal to noise ratio",
+            "Measured points against the fitted camera, and the limit of an ideal sensor, which "
+            "loses no photon. Dashed: threshold (SNR = 1) and saturation; between them lies the "
+            "dynamic range.",
+            partial(signal_to_noise_figure, calibration),
+        ),
+        Picture(
+            "dark_signal",
+            "Dark signal",
+            "Mean and variance without light against exposure, with the pixel noise of each point "
+            "as its error bar. Slopes are dark current; scatter beyond the bars is a black level "
+            "that wanders or noise that pixels share.",
+            partial(dark_signal_figure, calibration),
+        ),
+    )
+
+
+def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
+    """Log-log variance against mean, with residuals."""
+    measurement = calibration.measurement
+    signal, shot = _above_dark(calibration)
+    gain = float(calibration.standard.values["system_gain"])
+    figure, upper, lower = _two_panels()
+    used = _mask(calibration)
+    drawable = (signal > 0) & (shot > 0)
+    for chosen, colour, label in (
+        (used & drawable, BLUE, "levels used by the likelihood"),
+        (~used & drawable, GREY, "beyond the linear range"),
+    ):
+        upper.loglog(signal[chosen], shot[chosen], ".", color=colour, label=label, ms=6)
+    _, moments, unlit = _model_curve(calibration)
+    curve_x, curve_y = moments.mean - unlit.mean, moments.variance - unlit.variance
+    upper.loglog(curve_x, curve_y, color=ORANGE, lw=1.5, label="fitted camera")
+    ends = np.array([signal[used & drawable].min(), signal.max()])
+    upper.loglog(
+        ends, gain * ends, color="k", lw=0.8, ls="--", label=f"EMVA 1288: K = {gain:.4g} DN/e⁻"
+    )
+    _mark_saturation(calibration, (upper,), signal)
+    upper.set_ylabel("variance above dark [DN²]")
+    upper.legend(fontsize=8)
+
+    bright = measurement.bright
+    expected = gain * signal[used]
+    error = np.sqrt(2 / (float(bright.pixels) * (np.asarray(bright.frames)[used] - 1)))
+    error = 100 * error * np.asarray(bright.variance)[used] / expected
+    lower.errorbar(
+        signal[used], 100 * (shot[used] / expected - 1), error, fmt=".", color=BLUE, ms=6, lw=0.8
+    )
+    inside = (curve_x >= ends[0]) & (curve_x <= signal[used].max())
+    lower.semilogx(
+        curve_x[inside], 100 * (curve_y / (gain * curve_x) - 1)[inside], color=ORANGE, lw=1.5
+    )
+    lower.axhline(0, color="k", lw=0.8, ls="--")
+    lower.set_ylabel("off the line [%]")
+    lower.set_xlabel("mean signal above dark [DN]")
+    return figure
+
+
+def responsivity_figure(calibration: NoiseCalibration) -> Figure:
+    """Signal against light, with the linearity deviations."""
+    measurement = calibration.measurement
+    light = np.asarray(measurement.bright.light)
+    signal, _ = _above_dark(calibration)
+    within = np.asarray(calibration.within.linearity)
+    figure, upper, lower = _two_panels()
+    upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
+    x, moments, unlit = _model_curve(calibration, spacing="even")
+    upper.plot(x, moments.mean - unlit.mean, color=ORANGE, lw=1.5, label="fitted camera")
+    _mark_saturation(calibration, (upper,), light)
+    upper.set_ylabel("mean signal above dark [DN]")
+    upper.legend(fontsize=8)
+
+    deviation = np.asarray(
+        linearity_deviation(jnp.asarray(light), jnp.asarray(signal), calibration.within.linearity)
+    )
+    lower.axvspan(light[within].min(), light[within].max(), color="0.93", zorder=0)
+    lower.plot(light[within], deviation[within], ".-", color=BLUE, ms=6, lw=0.6)
+    lower.axhline(0, color="k", lw=0.8, ls="--")
+    lower.set_ylabel("off the line [%]")
+    lower.set_xlabel(_light_label(calibration))
+    return figure
+
+
+def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
+    """SNR against light, log-log."""
+    measurement = calibration.measurement
+    light = np.asarray(measurement.bright.light)
+    signal, _ = _above_dark(calibration)
+    noise = np.sqrt(np.asarray(measurement.bright.variance))
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axis = figure.subplots()
+    shown = (signal > 0) & (noise > 0)
+    if calibration.within.saturation is not None:
+        shown &= light <= float(calibration.within.saturation)
+    axis.loglog(light[shown], signal[shown] / noise[shown], ".", color=BLUE, ms=6, label="levels")
+    x, moments, unlit = _model_curve(calibration, faintest=_faintest(calibration))
+    ratio = (moments.mean - unlit.mean) / np.sqrt(moments.variance)
+    axis.loglog(x, ratio, color=ORANGE, lw=1.5, label="fitted camera")
+    if measurement.photons_known:
+        axis.loglog(x, np.sqrt(x), color=GREY, lw=0.8, label="ideal sensor")
+    values = calibration.standard.values
+    marks = {"threshold_photons": "threshold", "saturation_photons": "saturation"}
+    for name, label in marks.items():
+        if name in values:
+            place = float(values[name])
+            axis.axvline(place, color="k", lw=0.8, ls="--")
+            axis.annotate(
+                f" {label}\n {place:.5g} photons",
+                (place, axis.get_ylim()[0]),
+                xytext=(2 if name == "threshold_photons" else -2, 6),
+                textcoords="offset points",
+                ha="left" if name == "threshold_photons" else "right",
+                fontsize=8,
+            )
+    axis.axhline(1, color="k", lw=0.5, ls=":")
+    axis.set_xlabel(_light_label(calibration))
+    axis.set_ylabel("signal to noise ratio")
+    axis.legend(fontsize=8, loc="upper left")
+    return figure
+
+
+def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
+    """Dark mean and variance against exposure."""
+    dark = calibration.measurement.dark
+    exposure = 1e3 * np.asarray(dark.exposure)
+    count = np.asarray(dark.pixels * dark.frames)
+    mean, variance = np.asarray(dark.mean), np.asarray(dark.variance)
+    of_variance = variance * np.sqrt(2 / np.asarray(dark.pixels * (dark.frames - 1)))
+    figure = Figure(figsize=SIZE, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    panels = (
+        (upper, mean, np.sqrt(variance / count), "dark mean [DN]", "mean"),
+        (lower, variance, of_variance, "dark variance [DN²]", "variance"),
+    )
+    values, errors = calibration.standard.values, calibration.standard.errors
+    for axis, y, error, label, way in panels:
+        axis.errorbar(exposure, y, error, fmt=".", color=BLUE, ms=6, lw=0.8)
+        axis.set_ylabel(label)
+        axis.ticklabel_format(axis="y", useOffset=False)
+        name = f"dark_current_{way}"
+        if name in values:
+            intercept, slope = line(jnp.asarray(exposure), jnp.asarray(y))
+            ends = np.array([0, exposure.max()])
+            current = f"{float(values[name]):.3g} ± {float(errors[name]):.2g} e⁻/s"
+            axis.plot(ends, float(intercept) + float(slope) * ends, color=ORANGE, label=current)
+            axis.legend(fontsize=8)
+    lower.set_xlabel("exposure [ms]")
+    return figure
+
+
+def _two_panels() -> tuple[Figure, Axes, Axes]:
+    figure = Figure(figsize=SIZE, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.4))
+    return figure, upper, lower
+
+
+def _above_dark(calibration: NoiseCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """(mean, variance) of the bright levels less those of their darks."""
+    bright, dark = calibration.measurement.bright, calibration.measurement.dark
+    own = calibration.measurement.dark_of
+    return (
+        np.asarray(bright.mean - dark.mean[own]),
+        np.asarray(bright.variance - dark.variance[own]),
+    )
+
+
+def _mask(calibration: NoiseCalibration) -> np.ndarray:
+    used = np.zeros(calibration.measurement.bright.mean.size, bool)
+    used[calibration.usable] = True
+    return used
+
+
+def _faintest(calibration: NoiseCalibration) -> float:
+    """Light of SNR about one half."""
+    values = calibration.standard.values
+    threshold = float(values["threshold_electrons"] * values["system_gain"])
+    _, moments, unlit = _model_curve(calibration, spacing="even")
+    top = float(np.max(moments.mean - unlit.mean))
+    return 0.5 * threshold / top * float(calibration.chosen.data.light.max())
+
+
+def _model_curve(
+    calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
+) -> tuple[np.ndarray, Moments, Moments]:
+    """(light, moments of the chosen model there, and without light), at the median exposure and
+    without the light offset, which belongs to the bench."""
+    fit = calibration.chosen
+    data = fit.data
+    bright = np.asarray(data.light)[np.asarray(data.lit) > 0]
+    low = faintest if faintest is not None else bright[bright > 0].min()
+    light = (
+        np.geomspace(low, bright.max(), POINTS)
+        if spacing == "log"
+        else np.linspace(0, bright.max(), POINTS)
+    )
+    curve = NoiseData(
+        light=jnp.asarray(light),
+        lit=jnp.zeros(POINTS),
+        exposure=jnp.full(POINTS, jnp.median(data.exposure)),
+        mean=jnp.zeros(POINTS),
+        variance=jnp.ones(POINTS),
+        frames=jnp.full(POINTS, 2.0),
+        pixels=data.pixels,
+        top_signal=data.top_signal,
+        photons_known=data.photons_known,
+    )
+    values = fit.values
+    lit, unlit = (
+        predicted_moments(values, curve, light) for light in (curve.light, 0 * curve.light)
+    )
+    return light, lit, unlit
+
+
+def _mark_saturation(calibration: NoiseCalibration, axes: tuple[Axes, ...], x: np.ndarray) -> None:
+    saturation = calibration.within.saturation
+    if saturation is None:
+        return
+    index = int(np.argmin(np.abs(np.asarray(calibration.measurement.bright.light - saturation))))
+    for axis in axes:
+        axis.axvline(x[index], color="k", lw=0.8, ls=":", label="saturation point")
+
+
+def _light_label(calibration: NoiseCalibration) -> str:
+    if calibration.measurement.photons_known:
+        return "light [photons per pixel and exposure]"
+    return "light, as exposure [s]"

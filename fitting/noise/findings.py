@@ -1,0 +1,223 @@
+"""What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
+
+import numpy as np
+
+from ..inference.diagnostics import identifiability
+from ..inference.posterior import convergence_in_words
+from .calibration import NoiseCalibration
+from .emva1288 import LEAST_DARK_VARIANCE
+from .fit import MISFIT, gain_drop
+
+FAR = 3.0  # standard errors between two figures that should agree
+
+
+def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
+    """Every finding, the most consequential first."""
+    told = [
+        *_linearity(calibration),
+        *_random_effects(calibration),
+        *_standard_scatter(calibration),
+        *_near_black(calibration),
+        *_saturation(calibration),
+        *_dark_current(calibration),
+        *_linearity_errors(calibration),
+        *_pattern(calibration),
+        *_solver(calibration),
+        *calibration.measurement.remarks,
+    ]
+    return tuple(told)
+
+
+def _linearity(calibration: NoiseCalibration) -> list[str]:
+    linear, chosen = calibration.linear, calibration.chosen
+    ratio = linear.chi_square / linear.degrees
+    if linear.p_value >= MISFIT:
+        return [
+            "A linear camera with pixel noise only explains every mean and variance: chi-square "
+            f"per degree of freedom {ratio:.2f} (p = {linear.p_value:.2g})."
+        ]
+    told = [
+        "A linear camera with pixel noise only does not explain the measurement: chi-square per "
+        f"degree of freedom {ratio:.3g} over {linear.degrees}; its K of "
+        f"{float(linear.values['system_gain']):.5g} DN/e⁻ and the small error it would claim are "
+        "not to be used."
+    ]
+    if "compression" in chosen.values:
+        told += _compression(calibration)
+    if "light_offset" in chosen.values:
+        told.append(_light_offset(calibration))
+    return told
+
+
+def _compression(calibration: NoiseCalibration) -> list[str]:
+    chosen, standard = calibration.chosen, calibration.standard
+    drop = float(gain_drop(chosen.values, chosen.data))
+    one_term = "compression_2" not in chosen.values
+    strength = abs(float(chosen.values["compression"])) / chosen.errors["compression"]
+    significance = f", {strength:.0f} standard errors from none" if one_term else ""
+    way = "falls" if drop > 0 else "rises"
+    gain = float(chosen.values["system_gain"])
+    error = gain * chosen.errors["system_gain"]
+    return [
+        f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
+        f"the brightest level used{significance}.",
+        f"So the two gains answer different questions: K = {gain:.5f} ± {error:.5f} DN/e⁻ holds at "
+        f"zero signal, the standard's {float(standard.values['system_gain']):.5f} is a mean slope "
+        "up to 70 % of saturation, weighted towards its upper end; put through the standard's own "
+        f"regression, the fitted curves give {calibration.standard_of_chosen:.5f}.",
+    ]
+
+
+def _light_offset(calibration: NoiseCalibration) -> str:
+    chosen = calibration.chosen
+    offset, error = float(chosen.values["light_offset"]), chosen.errors["light_offset"]
+    way = "more" if offset > 0 else "less"
+    data = chosen.data
+    if not data.photons_known:
+        return (
+            f"Every exposure lasts {abs(offset) * 1e6:.3g} ± {error * 1e6:.2g} µs {way} than "
+            f"recorded ({abs(offset) / error:.0f} standard errors)."
+        )
+    bright = np.asarray(data.lit) > 0
+    exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
+    rate = np.median(light / exposure)
+    late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
+    return (
+        f"Every exposure gets {abs(offset):.3g} ± {error:.2g} photons {way} than recorded "
+        f"({abs(offset) / error:.0f} standard errors){late} or light leaked."
+    )
+
+
+def _random_effects(calibration: NoiseCalibration) -> list[str]:
+    values, data = calibration.chosen.values, calibration.chosen.data
+    told = []
+    if "light_scatter" in values:
+        told.append(
+            f"From level to level the light is off by {100 * float(values['light_scatter']):.2g} % "
+            "rms from what is recorded."
+        )
+    if "black_scatter" in values:
+        wander = float(values["black_scatter"])
+        dark = calibration.measurement.dark
+        noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
+        told.append(
+            f"The black level wanders by {wander:.2g} DN from level to level, {wander / noise:.0f} "
+            "times what pixel noise does to its mean."
+        )
+    if "variance_scatter" in values:
+        scatter = float(values["variance_scatter"])
+        expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
+        told.append(
+            f"Variances scatter by {100 * scatter:.2g} % rms beyond the {100 * expected:.2g} % of "
+            "independent pixels, as noise does that rows, columns or whole frames share."
+        )
+    chosen = calibration.chosen
+    if chosen.inflation > 1:
+        told.append(
+            "What is left is still beyond chance: chi-square per degree of freedom "
+            f"{chosen.chi_square / chosen.degrees:.2f} (p = {chosen.p_value:.1g}), so all errors "
+            f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
+        )
+    elif chosen is not calibration.linear:
+        told.append(
+            "With that, nothing is left to explain: chi-square per degree of freedom "
+            f"{chosen.chi_square / chosen.degrees:.2f} (p = {chosen.p_value:.2g})."
+        )
+    return told
+
+
+def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
+    names = ("dark means", "dark variances", "responsivity", "gain")
+    factors = np.sqrt(np.asarray(calibration.standard.misfit.factors))
+    larger = [f"{name} {x:.3g}" for name, x in zip(names, factors, strict=True) if x > 1]
+    if not larger:
+        return []
+    return [
+        "The standard's regressions scatter more than pixel noise can; the errors of its figures "
+        f"allow for it by these factors: {', '.join(larger)}."
+    ]
+
+
+def _near_black(calibration: NoiseCalibration) -> list[str]:
+    told = []
+    window = calibration.chosen.data.window
+    if window is not None:
+        told.append(
+            f"Black is clipped or read noise is below 0.4 DN: at {len(window.levels)} levels the "
+            "likelihood uses the exact moments of the clipped, rounded signal; the standard's "
+            "figures are biased there and are not to be trusted."
+        )
+    if float(calibration.measurement.dark.variance.min()) < LEAST_DARK_VARIANCE:
+        told.append(
+            f"Dark variance is below {LEAST_DARK_VARIANCE} DN², where rounding rules: the "
+            "standard's read noise is an upper bound."
+        )
+    return told
+
+
+def _saturation(calibration: NoiseCalibration) -> list[str]:
+    within = calibration.within
+    if within.saturation is None or within.saturation_width is None:
+        return [
+            "No level saturates the camera, so nothing that needs its capacity is determined, and "
+            "the ranges of the standard end at the brightest level; add brighter flats."
+        ]
+    unit = "photons" if calibration.measurement.photons_known else "s"
+    return [
+        f"Saturation is the level of largest variance, {float(within.saturation):.6g} {unit}; the "
+        f"true point lies between its neighbours, {float(within.saturation_width):.4g} {unit} "
+        "apart, which is most of the error of every capacity."
+    ]
+
+
+def _dark_current(calibration: NoiseCalibration) -> list[str]:
+    values, errors = calibration.standard.values, calibration.standard.errors
+    if "dark_current_mean" not in values:
+        return []
+    mean, variance = (float(values[f"dark_current_{way}"]) for way in ("mean", "variance"))
+    error = float(np.hypot(errors["dark_current_mean"], errors["dark_current_variance"]))
+    if abs(mean - variance) < FAR * error:
+        return []
+    return [
+        f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
+        f"{abs(mean - variance) / error:.1f} standard errors apart: a black level that is "
+        "compensated for dark current shows it in the variance only."
+    ]
+
+
+def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
+    values, errors = calibration.standard.values, calibration.standard.errors
+    names = ("linearity_error_min", "linearity_error_max")
+    if any(abs(float(values[name])) > FAR * float(errors[name]) for name in names):
+        return []
+    return [
+        "The standard's linearity errors are extremes of noisy deviations and lie within their own "
+        "noise: they bound the camera's non-linearity and do not measure it."
+    ]
+
+
+def _pattern(calibration: NoiseCalibration) -> list[str]:
+    if calibration.patterns is None:
+        return []
+    standard, fitted = calibration.patterns
+    measurement, level = calibration.measurement, standard.level
+    told = [
+        f"PRNU by the standard is from {float(measurement.bright.frames[level]):.0f} frames at "
+        f"{float(measurement.bright.mean[level]):.0f} DN; by the fit from all levels; uneven light "
+        "counts as PRNU in both."
+    ]
+    ratio = fitted.chi_square_per_dof or 0.0
+    if ratio > 2:
+        told.append(
+            "The pattern does not grow with signal as offsets and gains of pixels do: chi-square "
+            f"per degree of freedom {ratio:.3g}; the errors of the fit allow for it."
+        )
+    return told
+
+
+def _solver(calibration: NoiseCalibration) -> list[str]:
+    chosen = calibration.chosen
+    told = list(identifiability(chosen.space, np.asarray(chosen.solution.information)).sentences)
+    if not bool(chosen.solution.converged):
+        told.insert(0, "The likelihood fit did not converge; its figures are not to be used.")
+    return [*told, convergence_in_words(calibration.posterior)]

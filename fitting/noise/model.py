@@ -1,0 +1,222 @@
+"""The likelihood of photon transfer: what mean and temporal variance a camera shows at each level.
+
+    electrons  mu  = R / K (mu_p + delta) + D t
+    signal     x   = K mu
+    mean       y   = offset + h(x)
+    variance   s^2 = h'(x)^2 K^2 mu + K^2 sigma_d^2 + 1/12
+    h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
+
+K: DN per electron and R: DN per photon, both at zero signal; the means know R a hundred times
+better than the variances know K, so that these two, unlike K and the efficiency R / K, are hardly
+correlated. mu_p: photons per pixel; t: s. h: a compression behind the gain, X being the brightest
+level's signal. 1/12: rounding, counted once. Read noise enters behind the compression.
+
+The observed mean of L frames of n pixels is Normal with variance s^2 / (n L); the observed variance
+is Gamma, given the mean, with as many degrees of freedom as its sampling variance,
+(2 s^4 / (L - 1) + kappa_4 / L) / n less what the mean explains, corresponds to. Shot noise is skew,
+which correlates the two by kappa_3 / (n L). Two random effects can join, each with one scale: the
+light of a level is off by tau_H mu_p, and its black level by tau_0.
+
+An effect that the space does not name is not traced. Where black is clipped or read noise is below
+about 0.4 DN, the named levels take their moments from `quantised_moments` instead.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
+from .quantised import Window, quantised_moments
+
+ROUNDING = 1 / 12  # DN^2, variance of rounding where other noise exceeds about half a DN
+
+SYSTEM_GAIN = Parameter("system_gain", symbol="K", unit="DN/e⁻", transform="log")
+RESPONSIVITY = Parameter("responsivity", symbol="R", unit="DN/photon", transform="log")
+SIGNAL_RATE = Parameter("signal_rate", symbol="R_t", unit="DN/s", transform="log")
+OFFSET = Parameter("black_level", symbol="μ_y.dark", unit="DN")
+READ_NOISE = Parameter("read_noise", symbol="σ_d", unit="e⁻", transform="log")
+DARK_CURRENT = Parameter("dark_current", symbol="μ_I", unit="e⁻/s")
+COMPRESSION = Parameter("compression", symbol="c₁", unit="1")
+COMPRESSION_2 = Parameter("compression_2", symbol="c₂", unit="1")
+LIGHT_OFFSET = Parameter("light_offset", symbol="δ", unit="photons")
+SHUTTER_OFFSET = Parameter("light_offset", symbol="δ", unit="s")
+LIGHT_SCATTER = Parameter("light_scatter", symbol="τ_H", unit="1", transform="log")
+VARIANCE_SCATTER = Parameter("variance_scatter", symbol="τ_V", unit="1", transform="log")
+BLACK_SCATTER = Parameter("black_scatter", symbol="τ₀", unit="DN", transform="log")
+SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")
+
+
+class NoiseData(eqx.Module):
+    """Bright and dark levels in one row. lit: 1 for bright, 0 for dark. light: photons per pixel,
+    or seconds where no photon count is known. light_step: what the light was rounded to, None where
+    it was not. top_signal: X in DN. window: of the levels that need exact moments, None where none
+    does."""
+
+    light: Float[Array, " levels"]
+    lit: Float[Array, " levels"]
+    exposure: Float[Array, " levels"]
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    frames: Float[Array, " levels"]
+    pixels: Float[Array, ""]
+    top_signal: Float[Array, ""]
+    light_step: Float[Array, ""] | None = None
+    window: Window | None = None
+    photons_known: bool = eqx.field(static=True, default=True)
+
+
+class Moments(eqx.Module):
+    """Cumulants of one pixel's digital number: mean, variance, third and fourth; DN, DN^2 ..."""
+
+    mean: Float[Array, "..."]
+    variance: Float[Array, "..."]
+    third: Float[Array, "..."]
+    fourth: Float[Array, "..."]
+
+
+class Residuals(eqx.Module):
+    """Standardised residuals, each standard normal if the model holds."""
+
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+
+
+def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
+    """h(x) for a signal x in DN."""
+    if "compression" not in values:
+        return x
+    loss = values["compression"] * x / top
+    if "compression_2" in values:
+        loss = loss + values["compression_2"] * (x / top) ** 2
+    return x * (1 - loss)
+
+
+def level_moments(
+    values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
+) -> Moments:
+    """The model at ONE level, away from the ends of the scale."""
+    gain, read = values["system_gain"], values["read_noise"]
+    electrons = expected_electrons(values, data, light, lit, exposure)
+    x = gain * electrons
+    h, slope = jax.jvp(lambda s: compressed(values, s, data.top_signal), (x,), (jnp.ones_like(x),))
+    step = slope * gain
+    return Moments(
+        mean=values["black_level"] + h,
+        variance=step**2 * electrons + (gain * read) ** 2 + ROUNDING,
+        third=step**3 * electrons,
+        fourth=step**4 * electrons,
+    )
+
+
+def expected_electrons(
+    values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
+) -> Array:
+    """mu at ONE level."""
+    responsivity = values[RESPONSIVITY.name if data.photons_known else SIGNAL_RATE.name]
+    if "light_offset" in values:
+        light = light + lit * values["light_offset"]
+    electrons = responsivity / values["system_gain"] * light
+    if "dark_current" in values:
+        electrons = electrons + values["dark_current"] * exposure
+    return electrons
+
+
+def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
+    """The model at all levels, with `light` (levels,) in place of the recorded one."""
+    moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
+        light, data.lit, data.exposure
+    )
+    window = data.window
+    if window is None:
+        return moments
+    index = jnp.asarray(window.levels)
+    electrons = jax.vmap(lambda p, lit, t: expected_electrons(values, data, p, lit, t))(
+        light[index], data.lit[index], data.exposure[index]
+    )
+    exact = jax.vmap(
+        lambda mu, own: quantised_moments(
+            mu, values["system_gain"], values["read_noise"], values["black_level"], own
+        )
+    )(electrons, window)
+    return jax.tree.map(
+        lambda all_levels, low: all_levels.at[index].set(low), moments, Moments(*exact)
+    )
+
+
+def log_likelihood_terms(
+    values: dict[str, Array], data: NoiseData
+) -> tuple[Float[Array, " levels"], Residuals]:
+    """Log density of each level's (mean, variance), and its standardised residuals."""
+    n, frames = data.pixels, data.frames
+    light_variance = None
+    if "light_scatter" in values:
+        light_variance = (values["light_scatter"] * data.light) ** 2
+    if data.light_step is not None:
+        rounded = data.lit * data.light_step**2 / 12
+        light_variance = rounded if light_variance is None else light_variance + rounded
+
+    if light_variance is None:
+        model = predicted_moments(values, data, data.light)
+        light_mean = light_both = light_spread = 0.0
+    else:
+        model, rate = jax.jvp(
+            lambda light: predicted_moments(values, data, light),
+            (data.light,),
+            (jnp.ones_like(data.light),),
+        )
+        light_mean = rate.mean**2 * light_variance
+        light_both = rate.mean * rate.variance * light_variance
+        light_spread = rate.variance**2 * light_variance
+
+    mean_variance = model.variance / (n * frames) + light_mean
+    if "black_scatter" in values:
+        mean_variance = mean_variance + values["black_scatter"] ** 2
+    covariance = model.third / (n * frames) + light_both
+    spread = (2 * model.variance**2 / (frames - 1) + model.fourth / frames) / n + light_spread
+
+    if "variance_scatter" in values:
+        spread = spread + (values["variance_scatter"] * model.variance) ** 2
+    deviation = data.mean - model.mean
+    slope = covariance / mean_variance
+    expected = model.variance + slope * deviation
+    shape = expected**2 / (spread - slope * covariance)  # half the degrees of freedom
+
+    excess = data.variance / expected - 1
+    deviance = excess - jnp.log1p(excess)
+    # Stirling's series normalises the Gamma density; its next term is below 2e-7 for 50 pixels.
+    log_gamma = -shape * deviance + jnp.log(shape) / 2 - 1 / (12 * shape)
+    log_normal = -(deviation**2) / (2 * mean_variance) - jnp.log(mean_variance) / 2
+    residuals = Residuals(
+        mean=deviation / jnp.sqrt(mean_variance),
+        variance=jnp.sign(excess) * jnp.sqrt(2 * shape * jnp.maximum(deviance, 0)),
+    )
+    return log_normal + log_gamma, residuals
+
+
+def log_density(
+    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
+) -> Array:
+    """Log posterior density of an unconstrained vector, up to a constant; args = (space, data,
+    weight).
+
+    weight: on the log likelihood, the inverse of the factor by which misfit inflates a covariance.
+    Scatters have a flat prior themselves, not their logarithms: toward a scatter of 0 the
+    likelihood levels off, and a flat prior on the logarithm would leave the posterior improper.
+    """
+    space, data, weight = args
+    flat = sum(vector[i] for i, name in enumerate(names(space)) if name in SCATTERS)
+    return -weight * cost(vector, (space, data)) + flat + log_prior(space, vector)
+
+
+def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:
+    """Negative log likelihood, up to a constant; args = (space, data)."""
+    space, data = args
+    terms, _ = log_likelihood_terms(named(space, vector), data)
+    return -jnp.sum(terms)
+
+
+def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:
+    """Natural values by name."""
+    natural = to_natural(space, vector)
+    return {name: natural[i] for i, name in enumerate(names(space))}

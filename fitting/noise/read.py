@@ -1,0 +1,209 @@
+"""Reading photon transfer: frames of a rig reduced one at a time, or a table of sums."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.sensor import photon_rate
+
+from ..observation import read_frame, split_channels
+from ..rig import Dark, Flat, Rig, load_rig, require
+from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, linear_levels, rounding_step
+from .levels_table import read_table
+
+FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
+DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
+
+
+def read_photon_transfer(
+    path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
+) -> PhotonTransfer:
+    """A rig's `[[flat]]` and `[[dark]]` frames, or a table of sums with the suffix `.csv`.
+
+    bits: of the camera, for a table (default: inferred where the table saturates). channel: site of
+    a Bayer mosaic to use (default: the first green). `InputError` for what cannot be used.
+    """
+    file = Path(path)
+    if file.suffix.lower() == ".csv":
+        measurement = read_table(file, bits)
+    else:
+        measurement = reduce_rig(load_rig(file), channel=channel)
+    _check(file, measurement)
+    return measurement
+
+
+def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
+    """Reduces all frames of a rig, one frame in memory at a time."""
+    require(rig, "flat", "dark", purpose="photon transfer")
+    flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
+    darks = _pooled(rig.dark)
+    light = [_light(rig, flat) for flat in flats]
+    known = [value is not None for value in light]
+    if any(known) and not all(known):
+        first = flats[known.index(False)].files[0]
+        raise InputError(
+            f"{rig.folder}: the flat of {first} has no photons, but others have; give photons (or "
+            "irradiance) for every [[flat]] or for none."
+        )
+    if not all(known) and len({flat.exposure for flat in flats}) < 3:
+        raise InputError(
+            f"{rig.folder}: the flats have neither photons nor three different exposures; give "
+            "photons (or irradiance) for every [[flat]], or vary the exposure."
+        )
+    channel = channel or ("grey" if rig.camera.pattern is None else "green 1")
+    bright = _reduced(rig, flats, channel)
+    dark = _reduced(rig, darks, channel)
+    if float(bright.pixels) != float(dark.pixels):
+        raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
+    amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
+    bright = replace(bright, light=jnp.asarray(amounts))
+    remarks = []
+    if rig.camera.pattern is not None:
+        remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
+    gap = jnp.abs(dark.exposure[None, :] / bright.exposure[:, None] - 1)
+    if float(gap.min(axis=1).max()) > DARK_MATCH:
+        remarks.append(
+            "Some flats have no dark frames of their own exposure; the nearest were subtracted, so "
+            "dark current between the two exposures counts as light."
+        )
+    return PhotonTransfer(
+        bright=bright,
+        dark=dark,
+        dark_of=jnp.argmin(gap, axis=1),
+        light_step=jnp.asarray(rounding_step(amounts) if all(known) else 0.0),
+        photons_known=all(known),
+        full_scale=rig.camera.clip_level,
+        remarks=tuple(remarks),
+    )
+
+
+def _pooled(darks: Sequence[Dark]) -> list[Dark]:
+    """Entries of one exposure as one, ascending."""
+    files: dict[float, tuple[str, ...]] = {}
+    for dark in darks:
+        files[dark.exposure] = files.get(dark.exposure, ()) + dark.files
+    return [Dark(files=files[exposure], exposure=exposure) for exposure in sorted(files)]
+
+
+def _light(rig: Rig, flat: Flat) -> float | None:
+    """Photons per pixel of a flat, from its irradiance where that is what is known."""
+    if flat.photons is not None or flat.irradiance is None:
+        return flat.photons
+    camera = rig.camera
+    if camera.wavelength is None or camera.pixel_pitch is None:
+        raise InputError(
+            f"{rig.folder}: an irradiance needs camera.wavelength and camera.pixel_pitch to become "
+            "photons; add both, or give photons."
+        )
+    irradiance = jnp.asarray([flat.irradiance])
+    wavelength, area = jnp.asarray(camera.wavelength), jnp.asarray(camera.pixel_pitch**2)
+    return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
+
+
+def _reduced(rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str) -> Levels:
+    rows = [_level(rig, entry.files, channel) for entry in entries]
+    if len({row[-1] for row in rows}) > 1:
+        raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
+    mean, variance, spatial, frames, pixels = np.array(rows, float).T
+    return Levels(
+        light=jnp.zeros(len(rows)),
+        exposure=jnp.asarray([entry.exposure for entry in entries]),
+        mean=jnp.asarray(mean),
+        variance=jnp.asarray(variance),
+        frames=jnp.asarray(frames),
+        pixels=jnp.asarray(pixels[0]),
+        spatial_variance=jnp.asarray(spatial),
+    )
+
+
+def _level(rig: Rig, files: Sequence[str], channel: str) -> tuple[float, ...]:
+    """(mean, temporal variance, spatial variance, frames, pixels) of one level."""
+    # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
+    first = _plane(rig, files[0], channel)
+    total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
+    for name in files[1:]:
+        frame = _plane(rig, name, channel)
+        if frame.shape != first.shape:
+            raise InputError(
+                f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {first.shape}; all frames "
+                "of one level need the same size."
+            )
+        deviation = frame - first
+        total += deviation
+        squares += deviation**2
+        shifts.append(float(deviation.mean()))
+    count, pixels = len(files), first.size
+    if pixels < FEWEST_PIXELS:
+        raise InputError(
+            f"{rig.path(files[0])}: has {pixels} pixels; a variance needs at least {FEWEST_PIXELS}."
+        )
+    average = first + total / count
+    temporal = (count * squares - total**2) / (count * (count - 1))
+    # Light that drifts between the frames moves all pixels together: that is no pixel noise.
+    own = float(temporal.mean()) - float(np.var(shifts, ddof=1))
+    variance = max(own, 0.0) * pixels / (pixels - 1)
+    return float(average.mean()), variance, float(average.var(ddof=1)), float(count), float(pixels)
+
+
+def _plane(rig: Rig, name: str, channel: str) -> np.ndarray:
+    frame = read_frame(rig.path(name), rig.camera)
+    if frame.ndim == 3:
+        raise InputError(
+            f"{rig.path(name)}: is a colour picture {frame.shape}; photon transfer needs raw data, "
+            "grey or a mosaic with camera.pattern."
+        )
+    planes = split_channels(frame, rig.camera)
+    if channel not in planes:
+        raise InputError(f"{rig.path(name)}: has no channel {channel!r}; use {', '.join(planes)}.")
+    return planes[channel]
+
+
+def _check(file: Path, measurement: PhotonTransfer) -> None:
+    """`InputError` for a measurement from which no photon transfer can be had."""
+    bright, dark = measurement.bright, measurement.dark
+    for name, levels in (("flat", bright), ("dark", dark)):
+        if bool(jnp.any(levels.exposure <= 0)):
+            raise InputError(f"{file}: a {name} has no positive exposure; give it in seconds.")
+        if bool(jnp.any(levels.frames < 2)):
+            raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
+        if bool(jnp.any(levels.variance < 0)):
+            raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
+    if bool(jnp.any(bright.light < 0)):
+        raise InputError(f"{file}: a flat has negative light; correct its photons.")
+    if len(np.unique(np.asarray(bright.light))) < FEWEST_LEVELS:
+        raise InputError(
+            f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
+            "are needed, so vary the exposure or the light."
+        )
+    if measurement.photons_known and float(bright.light.max()) <= 0:
+        raise InputError(f"{file}: no flat has any photons; give the light of each level.")
+    if bool(jnp.all(dark.variance == 0)):
+        where = "0 DN" if float(dark.mean.max()) == 0 else f"{float(dark.mean.max()):g} DN"
+        raise InputError(
+            f"{file}: every dark frame reads {where} in every pixel, so black is clipped or the "
+            "frames are copies; raise the camera's black level and give independent frames."
+        )
+    if bool(jnp.all(bright.variance == 0)):
+        raise InputError(
+            f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
+            "give independent frames at lower light."
+        )
+    signal = bright.mean - dark.mean[measurement.dark_of]
+    if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
+        raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
+    if (measurement.full_scale or 0) > 255 and float(bright.mean.max()) <= 255:
+        raise InputError(
+            f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
+            "light."
+        )
+    usable = linear_levels(measurement)
+    if len(usable) < FEWEST_LEVELS:
+        raise InputError(
+            f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
+            f"{FEWEST_LEVELS} are needed, so add flats at lower light."
+        )

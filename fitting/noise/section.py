@@ -1,0 +1,151 @@
+"""A noise calibration as its reader sees it: the sheet line by line, findings and pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..inference.estimates import Estimate, not_determined
+from ..inference.parameters import names
+from ..inference.posterior import estimates
+from ..report.section import Section, Table
+from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
+from .emva1288 import (
+    NEED_PHOTONS,
+    NEED_SATURATION,
+    QUANTITIES,
+    Quantity,
+)
+from .figures import noise_pictures
+from .findings import findings
+from .pattern import SEEN
+
+
+def section(calibration: NoiseCalibration) -> Section:
+    """Estimates, findings, tables and pictures for a report."""
+    chosen = calibration.chosen
+    return Section(
+        kind="noise",
+        title="Camera noise by photon transfer",
+        estimates=_sheet_estimates(calibration),
+        findings=findings(calibration),
+        pictures=noise_pictures(calibration),
+        tables=(_models_table(calibration),),
+        posteriors={"": calibration.posterior},
+        settings={
+            "bright levels used by the likelihood": len(calibration.usable),
+            "bright levels of the standard's gain": int(calibration.within.sensitivity.sum()),
+            "dark levels": calibration.measurement.dark.mean.size,
+            "pixels": int(calibration.measurement.bright.pixels),
+            "parameters": ", ".join(names(chosen.space)),
+            "exact moments of clipping and rounding": chosen.data.window is not None,
+            "covariance inflated by": chosen.inflation,
+        },
+    )
+
+
+def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
+    """The sheet line by line, both methods, then the likelihood's own parameters."""
+    by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
+    values, errors = calibration.standard.values, calibration.standard.errors
+    listed: list[Estimate] = []
+    for quantity in QUANTITIES:
+        name = quantity.name
+        if name in ("dsnu", "prnu"):
+            listed += _pattern_estimates(calibration, quantity)
+            continue
+        if name in values:
+            value, error = float(values[name]), float(errors[name])
+            listed.append(sheet_estimate(quantity, value, error, STANDARD))
+        if name in by_likelihood:
+            listed.append(by_likelihood[name])
+        missing = _missing_method(name, name in values, name in by_likelihood)
+        if missing is not None:
+            reason = _why_missing(calibration, name)
+            listed.append(
+                not_determined(name, quantity.symbol, quantity.unit, reason, method=missing)
+            )
+    own = [replace(found, method=LIKELIHOOD) for found in estimates(calibration.posterior)]
+    return (*listed, *(found for found in own if found.name not in by_likelihood))
+
+
+def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
+    """The method that lacks a figure, "" for both, None for neither; the likelihood's one dark
+    current, from means and variances together, is a parameter and no line of the sheet."""
+    if not standard and not likelihood:
+        return ""
+    return None if likelihood or name.startswith("dark_current") else LIKELIHOOD
+
+
+def _why_missing(calibration: NoiseCalibration, name: str) -> str:
+    if name in NEED_PHOTONS and not calibration.measurement.photons_known:
+        return "the light was not measured; give photons or irradiance for every flat"
+    if name in NEED_SATURATION:
+        return "no level saturates the camera; add brighter flats"
+    if name.startswith("dark_current"):
+        return "the darks have fewer than three different exposures; add darks at other exposures"
+    return "within the noise the camera is linear, so its fitted curve has no linearity error"
+
+
+def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tuple[Estimate, ...]:
+    name, symbol, unit, _ = quantity
+    if calibration.patterns is None:
+        reason = (
+            "a table of temporal sums does not hold the variance from pixel to pixel; give the "
+            "frames in a rig folder"
+        )
+        return (not_determined(name, symbol, unit, reason),)
+    gain = float(calibration.standard.values["system_gain"])
+    gain_error = float(calibration.standard.errors["system_gain"]) / gain
+    by_fit = {estimate.name: estimate for estimate in calibration.sheet}["system_gain"]
+    found = []
+    for pattern, method, k, relative in (
+        (calibration.patterns[0], STANDARD, gain, gain_error),
+        (
+            calibration.patterns[1],
+            LIKELIHOOD,
+            by_fit.value or gain,
+            (by_fit.standard_error or 0.0) / (by_fit.value or gain),
+        ),
+    ):
+        if name == "dsnu":
+            square, error, scale = pattern.dark / k**2, pattern.dark_error / k**2, 1.0
+        else:
+            square, error, scale, relative = pattern.response, pattern.response_error, 100.0, 0.0
+        if square < SEEN * error:
+            bound = scale * np.sqrt(max(square, 0) + SEEN * error)
+            reason = f"hidden under temporal noise, below {bound:.3g} {unit}; take more frames"
+            found.append(not_determined(name, symbol, unit, reason, method=method))
+            continue
+        value = float(np.sqrt(square))
+        spread = np.hypot(error / (2 * value), value * relative)
+        found.append(sheet_estimate(quantity, scale * value, scale * float(spread), method))
+    return tuple(found)
+
+
+def _models_table(calibration: NoiseCalibration) -> Table:
+    rows = []
+    fits = [("linear camera, pixel noise only", calibration.linear)]
+    if calibration.chosen is not calibration.linear:
+        added = [
+            name.replace("_", " ")
+            for name in names(calibration.chosen.space)
+            if name not in names(calibration.linear.space)
+        ]
+        fits.append(("+ " + ", ".join(added), calibration.chosen))
+    for label, fit in fits:
+        rows.append(
+            (
+                label,
+                len(fit.space),
+                fit.chi_square / fit.degrees,
+                fit.p_value,
+                fit.bic,
+                float(fit.values["system_gain"]),
+            )
+        )
+    return Table(
+        "Models fitted by likelihood",
+        ("model", "parameters", "χ² per degree", "p-value", "BIC", "K at zero signal [DN/e⁻]"),
+        tuple(rows),
+        "A good model has χ² per degree of freedom near 1; the smaller BIC is preferred.",
+    )

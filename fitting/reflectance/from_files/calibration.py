@@ -1,0 +1,334 @@
+"""Lobes fitted to measured reflectance: errors on angles that no fit has seen, and how well the
+parameters of one model are known.
+
+Every incidence is left out once, and the fit without it predicts it: those predictions together
+give the held-out errors. The same fits say how the parameters move when a part of the data is
+missing. What they miss is shared by all samples of an incidence, and so is the error of a model
+that is not the surface's: the jackknife over incidences (Tukey 1958; Busing, Meijer & van der
+Leeden, "Delete-m Jackknife for Unequal m", 1999) takes both into its covariance, which is widened
+to the variance of Student's t for the few incidences there are.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision._vector import Vec
+from jaxvision.errors import InputError
+
+from ...inference.clustering import curvature_stretch
+from ...inference.diagnostics import OPEN
+from ...inference.parameters import Parameter, ParameterSpace
+from ...inference.posterior import Posterior, SamplingOptions, for_group, laplace, sample
+from ..models import HIGHEST_INDEX, INDEX, REFLECTANCES, Model, has_lobe, unit_brdf
+from .fit import LobeFit, ModelFit, Objective, compressed, darkness, fit_models, reflected
+from .read import MeasuredBRDF
+
+ROUNDING = 1e-9  # of the signal's RMS: errors below it are rounding, counted as this much
+EDGE = 1e-3  # of the logarithm of a shape: this close to an end of its range it lies there
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of one prediction. rms: of f_r cos(theta_i), sr^-1; relative: over the RMS of what was
+    measured; cube_root: RMS difference of the cube roots, sr^-1/3. by_incidence: `relative`, the
+    RMS of both being that of each incidence's own samples."""
+
+    rms: float
+    relative: float
+    cube_root: float
+    by_incidence: Float[np.ndarray, " incidences"]
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Of every band, with jackknife standard errors."""
+
+    diffuse: Float[np.ndarray, " bands"]
+    specular: Float[np.ndarray, " bands"]
+    diffuse_error: Float[np.ndarray, " bands"]
+    specular_error: Float[np.ndarray, " bands"]
+
+
+@dataclass(frozen=True)
+class BRDFCalibration:
+    """model: the one reported in full. fitted, held_out: errors of every model on the samples of
+    its fit, and of the predictions of incidences that were left out. mean: natural parameters of
+    `space`, amplitudes averaged over bands; covariance: of their logarithms, jackknife, widened.
+    open_parameters: what is not determined, and why; posterior: None where anything is."""
+
+    measured: MeasuredBRDF
+    objective: Objective
+    index: float
+    model: Model
+    fits: dict[Model, ModelFit]
+    fitted: dict[Model, Errors]
+    held_out: dict[Model, Errors]
+    space: ParameterSpace
+    mean: Float[np.ndarray, " parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    amplitudes: Amplitudes
+    open_parameters: dict[str, str]
+    posterior: Posterior | None
+
+
+def calibrate(
+    measured: MeasuredBRDF,
+    *,
+    model: Model | None = None,
+    objective: Objective = "cosine",
+    index: float = INDEX,
+    sampling: SamplingOptions | None = None,
+    seed: int = 0,
+) -> BRDFCalibration:
+    """Fits every model and reports one in full: `model`, or the one of least held-out error.
+
+    index: of refraction, of the clear facets of Torrance-Sparrow. sampling: draw from the posterior
+    of the reported model; None for Laplace.
+    """
+    if not 1 < index < HIGHEST_INDEX:
+        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+    fits = fit_models(measured, objective=objective, index=index)
+    fitted: dict[Model, Errors] = {
+        name: errors(measured, fit.whole.predicted) for name, fit in fits.items()
+    }
+    held_out: dict[Model, Errors] = {
+        name: errors(measured, prediction_of_held_out(measured, fit)) for name, fit in fits.items()
+    }
+    reported = best(held_out, objective) if model is None else model
+    chosen = fits[reported]
+    space = parameter_space(reported)
+    mean = _natural(chosen.whole, space)
+    covariance = _log_covariance(chosen, space)
+    reasons = _open_parameters(space, mean, covariance)
+    posterior = None
+    if not reasons:
+        posterior = _posterior(
+            measured, chosen, space, mean, covariance, index=index, sampling=sampling, seed=seed
+        )
+    return BRDFCalibration(
+        measured=measured,
+        objective=objective,
+        index=index,
+        model=reported,
+        fits=fits,
+        fitted=fitted,
+        held_out=held_out,
+        space=space,
+        mean=mean,
+        covariance=covariance,
+        amplitudes=amplitudes(chosen),
+        open_parameters=reasons,
+        posterior=posterior,
+    )
+
+
+def parameter_space(model: Model) -> ParameterSpace:
+    """diffuse; specular; shape: as far as the model has them, amplitudes averaged over bands."""
+
+    def amplitude(name: str, symbol: str, unit: str) -> Parameter:
+        return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
+
+    row = REFLECTANCES[model]
+    space = [amplitude("diffuse", "k_d", "sr^-1")]
+    if has_lobe(model):
+        space.append(amplitude("specular", "k_s", row.unit))
+    if row.shape is not None:
+        space.append(row.shape)
+    return tuple(space)
+
+
+# ---------------------------------------------------------------- errors
+
+
+def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
+    """Both metrics of a prediction of f_r, sr^-1. What rounding alone misses counts as
+    `ROUNDING` of the signal in either, so that no model wins by it."""
+    signal = reflected(measured, measured.values)
+    missed = reflected(measured, predicted) - signal
+    roots, root_signal = (
+        np.cbrt(np.maximum(reflected(measured, v), 0)) for v in (predicted, measured.values)
+    )
+
+    def mean_square(x: np.ndarray, chosen: slice | np.ndarray = slice(None)) -> float:
+        return float(np.average((x[chosen] ** 2).mean(axis=1), weights=measured.weights[chosen]))
+
+    of_incidence = [measured.incidence == i for i in range(len(measured.incidences))]
+    rms, cube_root = np.sqrt(mean_square(missed)), np.sqrt(mean_square(roots - root_signal))
+    scale = np.sqrt(mean_square(signal))
+    if rms < ROUNDING * scale:
+        rms, cube_root = ROUNDING * scale, ROUNDING * np.sqrt(mean_square(root_signal))
+    return Errors(
+        rms=rms,
+        relative=rms / scale,
+        cube_root=cube_root,
+        by_incidence=np.sqrt(
+            [mean_square(missed, own) / mean_square(signal, own) for own in of_incidence]
+        ),
+    )
+
+
+def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:
+    """f_r of every sample by the fit that has not seen its incidence, sr^-1."""
+    predicted = np.empty_like(measured.values)
+    for i, without in enumerate(fit.without):
+        own = measured.incidence == i
+        predicted[own] = without.predicted[own]
+    return predicted
+
+
+def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
+    """The model of least error in the metric of the objective, of equal ones the first."""
+
+    def metric(model: Model) -> float:
+        return scores[model].rms if objective == "cosine" else scores[model].cube_root
+
+    return min(scores, key=metric)
+
+
+# ---------------------------------------------------------------- uncertainty
+
+
+def _natural(fit: LobeFit, space: ParameterSpace) -> Float[np.ndarray, " parameters"]:
+    known = {"diffuse": fit.diffuse.mean(), "specular": fit.specular.mean()}
+    return np.array([known.get(parameter.name, fit.shape) for parameter in space], np.float64)
+
+
+def _jackknife(
+    replicates: Float[np.ndarray, "incidences parameters"],
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Covariance from estimates with one incidence left out, widened for their number."""
+    count = len(replicates)
+    deviations = replicates - replicates.mean(axis=0)
+    freedom = count - 1
+    widening = freedom / (freedom - 2)
+    return widening * freedom / count * deviations.T @ deviations
+
+
+def _log_covariance(
+    fit: ModelFit, space: ParameterSpace
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Of the logarithms: amplitudes, which may vanish without an incidence, by their relative
+    deviations."""
+    whole = _natural(fit.whole, space)
+    left_out = np.stack([_natural(one, space) for one in fit.without])
+    scale = np.where(whole > 0, whole, 1)
+    logs = (left_out - whole) / scale
+    for i, parameter in enumerate(space):
+        if parameter.name not in ("diffuse", "specular"):
+            logs[:, i] = np.log(left_out[:, i])
+    return _jackknife(logs)
+
+
+def amplitudes(fit: ModelFit) -> Amplitudes:
+    """Spectra of both amplitudes."""
+    diffuse, specular = (
+        np.sqrt(np.diagonal(_jackknife(np.stack([getattr(one, name) for one in fit.without]))))
+        for name in ("diffuse", "specular")
+    )
+    return Amplitudes(fit.whole.diffuse, fit.whole.specular, diffuse, specular)
+
+
+def _open_parameters(
+    space: ParameterSpace, mean: np.ndarray, covariance: np.ndarray
+) -> dict[str, str]:
+    """Parameters that the samples do not determine, and why."""
+    reasons: dict[str, str] = {}
+    for i, parameter in enumerate(space):
+        low, high = parameter.lower, parameter.upper
+        if parameter.name in ("diffuse", "specular"):
+            if mean[i] <= 0:
+                reasons[parameter.name] = "the best fit has none: its amplitude is zero"
+        elif mean[i] < low * (1 + EDGE) or mean[i] > high / (1 + EDGE):
+            end = "lower" if mean[i] < low * (1 + EDGE) else "upper"
+            reasons[parameter.name] = (
+                f"the best fit lies at the {end} end of its range, {mean[i]:.3g}"
+            )
+        if parameter.name not in reasons and covariance[i, i] > OPEN**2:
+            reasons[parameter.name] = (
+                "it changes by more than a factor of e with the incidences that are left out"
+            )
+    if "specular" in reasons and space[-1].name not in reasons:
+        reasons[space[-1].name] = "without a lobe it has no meaning"
+    return reasons
+
+
+class Scaled(eqx.Module):
+    """Data of `log_density`: the samples, the spectra that the two mean amplitudes multiply, and
+    the stretch that gives the density the jackknife's curvature."""
+
+    model: Model = eqx.field(static=True)
+    index: float = eqx.field(static=True)
+    cube_root: bool = eqx.field(static=True)
+    wi: Vec
+    wo: Vec
+    values: Float[Array, "n bands"]
+    precision: Float[Array, " n"]
+    diffuse: Float[Array, " bands"]
+    specular: Float[Array, " bands"]
+    darkness: Float[Array, ""]
+    mode: Float[Array, " parameters"]
+    stretch: Float[Array, "parameters parameters"]
+
+
+def log_density(vector: Float[Array, " parameters"], data: Scaled) -> Float[Array, ""]:
+    """Minus half the weighted squares, the spectra of the amplitudes keeping their form."""
+    natural = jnp.exp(data.mode + data.stretch @ (vector - data.mode))
+    cosine = data.wi.z[:, None]
+    predicted = jnp.broadcast_to(natural[0] * data.diffuse[None], data.values.shape)
+    if data.model != "lambert":
+        unit = unit_brdf(data.model, natural[-1], data.wi, data.wo, data.index)[:, None]
+        if has_lobe(data.model):
+            predicted = predicted + natural[1] * data.specular[None] * unit
+        else:
+            predicted = predicted * unit
+    missed = cosine * (predicted - data.values)
+    if data.cube_root:
+        measured = jnp.maximum(cosine * data.values, 0)
+        missed = jnp.cbrt(cosine * predicted + data.darkness) - jnp.cbrt(measured + data.darkness)
+    return -jnp.sum(data.precision[:, None] * missed**2) / 2
+
+
+def _posterior(
+    measured: MeasuredBRDF,
+    fit: ModelFit,
+    space: ParameterSpace,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    *,
+    index: float,
+    sampling: SamplingOptions | None,
+    seed: int,
+) -> Posterior:
+    mode = jnp.asarray(np.log(mean))
+    whole = fit.whole
+    squares = reflected(measured, whole.predicted - measured.values)
+    if fit.objective == "cube-root":
+        squares = compressed(measured, whole.predicted) - compressed(measured, measured.values)
+    variance = float(np.average((squares**2).mean(axis=1), weights=measured.weights))
+    flat = np.ones_like(whole.diffuse)
+    data = Scaled(
+        model=fit.model,
+        index=index,
+        cube_root=fit.objective == "cube-root",
+        wi=measured.wi,
+        wo=measured.wo,
+        values=jnp.asarray(measured.values),
+        precision=jnp.asarray(measured.weights / variance),
+        diffuse=jnp.asarray(whole.diffuse / mean[0]),
+        specular=jnp.asarray(whole.specular / mean[1] if has_lobe(fit.model) else flat),
+        darkness=jnp.asarray(darkness(measured)),
+        mode=mode,
+        stretch=jnp.eye(len(space)),
+    )
+    if sampling is None:
+        return laplace(log_density, space, mode, data, covariance=covariance, seed=seed)
+    curvature = np.linalg.inv(laplace(log_density, space, mode, data).covariance)
+    stretch = jnp.asarray(curvature_stretch(curvature, covariance))
+    stretched = eqx.tree_at(lambda d: d.stretch, data, stretch)
+    options = for_group(sampling, measured.name)
+    return sample(log_density, space, mode, covariance, stretched, options=options)

@@ -1,0 +1,236 @@
+"""What a reader of fitted measured reflectance must be told: who wins, by how much, how sure."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...inference.diagnostics import listed
+from ...inference.posterior import convergence_in_words
+from ..models import CLEAR, LABELS, REFLECTANCES, Axis, Model, facet_sentence, shape_of
+from .calibration import BRDFCalibration, Errors, best
+from .fit import Objective
+
+ALIKE = 0.03  # relative difference of two errors within which neither wins
+OVERFIT = 1.5  # held-out over fitted error from which a reader is told
+PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
+    ("phong", "blinn"),
+    ("normalised-phong", "normalised-blinn"),
+)
+AXES: tuple[Axis, ...] = ("half", "mirror")
+METRICS: dict[Objective, str] = {
+    "cosine": "cosine-weighted RMS",
+    "cube-root": "cube-root error",
+}
+
+
+def metric(errors: Errors, objective: Objective) -> float:
+    """The error that belongs to an objective, in the form a reader compares: relative RMS, or
+    sr^-1/3."""
+    return errors.relative if objective == "cosine" else errors.cube_root
+
+
+def in_words(errors: Errors, objective: Objective) -> str:
+    """An error as a report says it: percent of the signal, or sr^(-1/3) of the cube roots."""
+    value = metric(errors, objective)
+    return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
+
+
+def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
+    """The best model with a lobe about one axis."""
+    own: dict[Model, Errors] = {
+        model: e for model, e in scores.items() if REFLECTANCES[model].axis == axis
+    }
+    return best(own, objective)
+
+
+def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
+    """All sentences about one material."""
+    return (
+        _verdict(calibration),
+        _pairs(calibration),
+        *_generalisation(calibration),
+        *_facets(calibration),
+        *_open(calibration),
+        *_ends(calibration),
+        _intervals(calibration),
+        *calibration.measured.findings,
+    )
+
+
+def _verdict(calibration: BRDFCalibration) -> str:
+    objective, held_out = calibration.objective, calibration.held_out
+    winner = best(held_out, objective)
+    least = metric(held_out[winner], objective)
+    equal: list[Model] = [
+        m for m in held_out if metric(held_out[m], objective) <= (1 + ALIKE) * least
+    ]
+    names = listed([LABELS[m] for m in equal])
+    verb = "predict best and equally well" if len(equal) > 1 else "predicts best"
+    rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
+    others: list[Model] = [m for m in (*rivals, "lambert") if m not in equal]
+    against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
+    against = f", against {against}" if others else ""
+    unit = " of the signal's" if objective == "cosine" else ""
+    return (
+        f"At angles of incidence that no fit has seen, {names} {verb}: {METRICS[objective]} "
+        f"{in_words(held_out[winner], objective)}{unit}{against}."
+    )
+
+
+def _described(model: Model) -> str:
+    match REFLECTANCES[model].axis:
+        case "mirror":
+            return f"the best lobe about the mirror direction ({LABELS[model]})"
+        case "half":
+            return f"the best lobe about the half vector ({LABELS[model]})"
+    return LABELS[model]
+
+
+def _pairs(calibration: BRDFCalibration) -> str:
+    """The axis by itself: pairs of lobes that differ in nothing else."""
+    objective, held_out = calibration.objective, calibration.held_out
+    told = []
+    for mirror, half in PAIRS:
+        result = _winner(*(metric(held_out[m], objective) for m in (half, mirror)))
+        relation = {"half": "beats", "mirror": "loses to", "neither": "does as well as"}[result]
+        told.append(
+            f"{LABELS[half]} {relation} {LABELS[mirror]} ({in_words(held_out[half], objective)} "
+            f"against {in_words(held_out[mirror], objective)})"
+        )
+    return f"Half vector against mirror direction, all else equal: {'; '.join(told)}."
+
+
+def _generalisation(calibration: BRDFCalibration) -> list[str]:
+    model, objective = calibration.model, calibration.objective
+    unseen = metric(calibration.held_out[model], objective)
+    seen = metric(calibration.fitted[model], objective)
+    if unseen < OVERFIT * seen:
+        return []
+    worst = int(np.argmax(calibration.held_out[model].by_incidence))
+    return [
+        f"{LABELS[model]} errs {unseen / seen:.1f} times more at incidences it has not seen than "
+        f"at those of its fit, most at {np.degrees(calibration.measured.incidences[worst]):.0f}°: "
+        "what it says there depends on having been measured there."
+    ]
+
+
+def _facets(calibration: BRDFCalibration) -> list[str]:
+    return [facet_sentence(calibration.index)] if calibration.model in CLEAR else []
+
+
+def _open(calibration: BRDFCalibration) -> list[str]:
+    return [
+        f"{name} of {LABELS[calibration.model]} is not determined: {why}."
+        for name, why in calibration.open_parameters.items()
+    ]
+
+
+def _ends(calibration: BRDFCalibration) -> list[str]:
+    """Other models whose shape ran to an end of its range."""
+    stuck = []
+    for model, fit in calibration.fits.items():
+        if fit.whole.shape is None or model == calibration.model:
+            continue
+        shape = shape_of(model)
+        if not 1.001 * shape.lower < fit.whole.shape < shape.upper / 1.001:
+            stuck.append(f"{LABELS[model]} ({shape.name} {fit.whole.shape:.3g})")
+    if not stuck:
+        return []
+    return [
+        f"At an end of the range of their shape, hence no good description: {', '.join(stuck)}."
+    ]
+
+
+def _intervals(calibration: BRDFCalibration) -> str:
+    count = len(calibration.measured.incidences)
+    first = (
+        f"Standard errors come from leaving out each of the {count} incidences in turn, so they "
+        "hold what the model misses, not only noise."
+    )
+    if calibration.posterior is None:
+        return first
+    return f"{first} {convergence_in_words(calibration.posterior)}"
+
+
+def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
+    """Over several materials: does the half vector win, as the literature has it, and why?"""
+    return (
+        _against_the_literature(calibrations),
+        _axis_alone(calibrations),
+        *_what_fresnel_does(calibrations),
+    )
+
+
+def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
+    objective = calibrations[0].objective
+    wins: dict[str, list[str]] = {"half": [], "mirror": [], "neither": []}
+    for calibration in calibrations:
+        held_out = calibration.held_out
+        half, mirror = (
+            metric(held_out[of_axis(held_out, axis, objective)], objective) for axis in AXES
+        )
+        wins[_winner(half, mirror)].append(readable(calibration.measured.name))
+    sides = {
+        "half": "the best lobe about the half vector wins",
+        "mirror": "the best about the mirror direction",
+        "neither": "neither",
+    }
+    told = "; ".join(
+        f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
+        for side, words in sides.items()
+        if wins[side]
+    )
+    if len(wins["half"]) == len(calibrations):
+        judgement = "confirms"
+    else:
+        judgement = "confirms only in part" if wins["half"] else "does not confirm"
+    return (
+        f"By {METRICS[objective]} at incidences that no fit has seen, {told}. This {judgement} the "
+        "finding of Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half "
+        "vector fit better."
+    )
+
+
+def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
+    objective = calibrations[0].objective
+    results = [
+        _winner(*(metric(c.held_out[m], objective) for m in (half, mirror)))
+        for c in calibrations
+        for mirror, half in PAIRS
+    ]
+    half, mirror = results.count("half"), results.count("mirror")
+    return (
+        "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
+        f"normalisation), the half vector wins {half} of {len(results)} comparisons, the mirror "
+        f"direction {mirror}; the others are even."
+    )
+
+
+def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
+    """Where clear facets win, what is left of it without their Fresnel reflectance."""
+    objective = calibrations[0].objective
+    told = []
+    for calibration in calibrations:
+        held_out = calibration.held_out
+        if (winner := best(held_out, objective)) in CLEAR:
+            with_it, without = (
+                in_words(held_out[m], objective) for m in (winner, "torrance-sparrow-metal")
+            )
+            told.append(f"{readable(calibration.measured.name)} {without} instead of {with_it}")
+    if not told:
+        return []
+    return [
+        "Where Torrance-Sparrow with clear facets wins, the rise of Fresnel reflectance toward "
+        f"grazing angles does most of it: without (metal) it errs on {'; '.join(told)}."
+    ]
+
+
+def _winner(half: float, mirror: float) -> str:
+    if abs(half - mirror) <= ALIKE * min(half, mirror):
+        return "neither"
+    return "half" if half < mirror else "mirror"
+
+
+def readable(name: str) -> str:
+    """A file's name as words."""
+    return name.replace("_", " ")

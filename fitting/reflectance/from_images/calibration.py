@@ -1,0 +1,166 @@
+"""Fits of reflectance models to the lights of a rig, and what they leave open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm
+
+from jaxvision.errors import InputError
+
+from ...inference.diagnostics import OPEN
+from ...inference.posterior import Posterior, SamplingOptions
+from ..models import HIGHEST_INDEX, INDEX, MODELS, Model, shape_of
+from .comparison import ModelScore, compare
+from .fit import ChannelFit, fit_channel, predicted_image
+from .geometry_cells import group
+from .model import Form, parameter_space
+from .posterior import channel_posterior
+from .read import ReflectanceObservation
+from .samples import Selection, select
+
+FEWEST_SAMPLES = 50
+USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe")
+
+
+@dataclass(frozen=True)
+class ReflectanceCalibration:
+    """fits: of every model, by channel. open_parameters: of `model`, by channel, what is not
+    determined, with the reason; posteriors: of the channels where nothing is open.
+    fitted, held_out: the samples that the fits saw and those they are tested on."""
+
+    observation: ReflectanceObservation
+    model: Model
+    fits: dict[Model, tuple[ChannelFit, ...]]
+    scores: tuple[ModelScore, ...]
+    open_parameters: dict[str, dict[str, str]]
+    posteriors: dict[str, Posterior]
+    fitted: Selection
+    held_out: Selection
+    minimum_cosine: float
+
+    @property
+    def reported(self) -> tuple[ChannelFit, ...]:
+        return self.fits[self.model]
+
+
+def calibrate(
+    observation: ReflectanceObservation,
+    *,
+    model: Model,
+    compare_all: bool = False,
+    index: float = INDEX,
+    sampling: SamplingOptions | None = None,
+    ambient: bool = False,
+    fit_gamma: bool = False,
+    minimum_cosine: float = 0.0,
+) -> ReflectanceCalibration:
+    """Fits `model` and its usual rivals, or every model (`compare_all`), to the lights that are
+    not held out.
+
+    index: of refraction, of the clear facets of Torrance-Sparrow.
+    sampling: draw from the posterior of `model`; None for Laplace. ambient: a constant per channel
+    is added to the light, read off the attached shadows too. fit_gamma: the encoding exponent is
+    free (a known `camera.gamma` is then ignored). minimum_cosine: samples at a smaller n.l are left
+    out, for shapes whose grazing light is uncertain. `InputError` where too few samples are left.
+    """
+    if not 0 <= minimum_cosine < 1:
+        raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
+    if not 1 < index < HIGHEST_INDEX:
+        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+    forms: dict[Model, Form] = {
+        name: Form(name, ambient, fit_gamma, index)
+        for name in MODELS
+        if compare_all or name in (*USUAL, model)
+    }
+    fitted, held_out = (
+        select(observation, held_out=kept, form=forms[model], minimum_cosine=minimum_cosine)
+        for kept in (False, True)
+    )
+    if len(fitted.light) < FEWEST_SAMPLES:
+        raise InputError(
+            f"only {len(fitted.light)} samples have n.l > {minimum_cosine:g} under the fitted "
+            "lights; lower minimum_cosine, enlarge the mask or add lights."
+        )
+    cells = group(
+        fitted.light,
+        observation.cosine[fitted.light, fitted.pixel],
+        observation.mirror_angle[fitted.light, fitted.pixel],
+    )
+    fits: dict[Model, tuple[ChannelFit, ...]] = {
+        name: tuple(
+            fit_channel(observation, channel, form, fitted, cells)
+            for channel in range(len(observation.channels))
+        )
+        for name, form in forms.items()
+    }
+    reasons = {
+        fit.channel: open_parameters(fit, matt)
+        for fit, matt in zip(fits[model], fits["lambert"], strict=True)
+    }
+    return ReflectanceCalibration(
+        observation=observation,
+        model=model,
+        fits=fits,
+        scores=compare(observation, fits, fitted, held_out),
+        open_parameters=reasons,
+        posteriors={
+            fit.channel: channel_posterior(fit, cells, sampling=sampling)
+            for fit in fits[model]
+            if not reasons[fit.channel]
+        },
+        fitted=fitted,
+        held_out=held_out,
+        minimum_cosine=minimum_cosine,
+    )
+
+
+def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
+    """Parameters of the requested form that the data do not determine, and why.
+
+    A lobe counts as seen when BIC prefers the fit to Lambert's, `without_lobe`: the best of many
+    lobes always fits a little better, whatever its own curvature claims (Davies, Biometrika 64,
+    1977).
+    """
+    wanted = [parameter.name for parameter in parameter_space(fit.requested)]
+    present = [parameter.name for parameter in fit.space]
+    reasons = dict.fromkeys(
+        (name for name in wanted if name not in present),
+        "the best fit has none: its amplitude is zero",
+    )
+    size = fit.samples.dn.size / fit.design_effect
+    gain = 2 * (fit.log_likelihood - without_lobe.log_likelihood) / fit.design_effect
+    if fit.form.model != "lambert" and gain < 2 * np.log(size):
+        unseen = (
+            "no highlight is seen: a fit without one does as well"
+            if "specular" in present
+            else "the surface looks smooth: Lambert's model does as well"
+        )
+        lost = ("specular", shape_of(fit.form.model).name)
+        reasons |= dict.fromkeys((name for name in lost if name in present), unseen)
+    if fit.robustness is None:
+        for name, inflation in zip(present, fit.identifiability.inflation, strict=True):
+            if not np.isfinite(inflation):
+                reasons.setdefault(name, "the data leave it open (see the findings)")
+        return reasons
+    for name, variance in zip(present, np.diagonal(fit.robustness.covariance), strict=True):
+        if variance > OPEN**2:
+            factor = np.exp(min(float(norm.ppf(0.975) * np.sqrt(variance)), 30.0))
+            why = f"its 95 % interval reaches from 1/{factor:.2g} to {factor:.2g} times"
+            reasons.setdefault(name, why)
+    return reasons
+
+
+def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
+    """(measured - predicted) / predicted, summed over the lights and channels that a pixel is lit
+    and unsaturated in; NaN where there is none."""
+    observation = calibration.observation
+    difference, total = np.zeros((2, observation.cosine.shape[1]))
+    lit = observation.cosine > calibration.minimum_cosine
+    for channel, fit in enumerate(calibration.reported):
+        for light in range(len(observation.files)):
+            used = lit[light] & (observation.dn[channel, light] < observation.clip)
+            predicted = predicted_image(observation, fit, light)
+            difference += np.where(used, observation.dn[channel, light] - predicted, 0)
+            total += np.where(used, predicted - observation.black, 0)
+    return np.where(total > 0, difference / np.where(total > 0, total, 1), np.nan)

@@ -1,0 +1,282 @@
+"""Pictures of a reflectance calibration."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
+from .calibration import ReflectanceCalibration, mean_residual
+from .fit import ChannelFit, predicted_image
+from .model import decoded, encoding_gamma, lobe
+from .read import ReflectanceObservation
+from .samples import Selection, make_samples
+
+COLOURS = {"red": "tab:red", "green": "tab:green", "blue": "tab:blue", "grey": "0.25"}
+MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
+DISPLAY_GAMMA = 2.2
+SHOWN_LIGHTS = 2  # of each kind
+OFF_HIGHLIGHT = 0.02  # of the lobe's peak: less than this is away from the highlight
+MOST_POINTS = 200_000
+FEW_MODELS = 4  # compared in a narrow figure
+
+
+def images_figure(calibration: ReflectanceCalibration) -> Figure:
+    """Rows: measured, predicted, difference; columns: lights."""
+    observation = calibration.observation
+    lights = _shown_lights(observation)
+    columns = len(lights)
+    figure = Figure(figsize=(1.2 + 2.2 * columns, 6.6), layout="constrained")
+    axes = figure.subplots(3, columns, squeeze=False)
+    differences = []
+    for column, light in enumerate(lights):
+        measured = observation.dn[:, light] - observation.black
+        predicted = np.stack(
+            [predicted_image(observation, fit, light) for fit in calibration.reported]
+        )
+        predicted = predicted - observation.black
+        white = np.quantile(predicted[:, observation.cosine[light] > 0], 0.995)
+        for row, values in enumerate((measured, predicted)):
+            axes[row, column].imshow(_picture(observation, values / white))
+        clipped = observation.saturated[:, light].any(axis=0)
+        left = 100 * (measured - predicted).mean(axis=0) / white
+        differences.append(_plane(observation, np.where(clipped, np.nan, left)))
+        kind = "held out" if observation.held_out[light] else "fitted"
+        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=8)
+    largest = max(float(np.nanquantile(np.abs(differences), 0.99)), 0.1)
+    scale = TwoSlopeNorm(0, -largest, largest)
+    for axis, difference in zip(axes[2], differences, strict=True):
+        axis.imshow(difference, cmap=_diverging(), norm=scale)
+    for row, label in enumerate(("measured", "predicted", "difference")):
+        axes[row, 0].set_ylabel(label)
+    for axis in axes.flat:
+        axis.set(xticks=[], yticks=[])
+    figure.colorbar(
+        ScalarMappable(scale, _diverging()),
+        ax=axes,
+        label="% of white",
+        extend="both",
+        shrink=0.3,
+        anchor=(0, 0),
+        aspect=12,
+    )
+    return figure
+
+
+def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
+    """Diffuse and specular term, each with the other taken away."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    diffuse, specular = figure.subplots(1, 2)
+    for fit in calibration.reported:
+        _draw_terms(calibration, fit, diffuse, specular)
+    diffuse.set(
+        xlabel="n·l, cosine of incidence",
+        ylabel="signal per unit light [DN]",
+        title="away from the highlight",
+        ylim=(0, None),
+    )
+    specular.set(
+        xlabel="angle to the mirror direction [degrees]",
+        ylabel="signal less diffuse term, per unit light [DN]",
+        title="highlight",
+    )
+    diffuse.legend(fontsize=8, loc="upper left")
+    specular.axhline(0, color="0.7", lw=0.8)
+    return figure
+
+
+def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
+    """Bars of the relative RMS per channel and model."""
+    scores = calibration.scores
+    channels = calibration.observation.channels
+    models = tuple(calibration.fits)
+    many = len(models) > FEW_MODELS
+    figure = Figure(figsize=(10.5, 4.6) if many else (6.8, 3.8), layout="constrained")
+    axis = figure.subplots()
+    width = 0.8 / len(models)
+    tested = any(score.predicted_error is not None for score in scores)
+    for i, model in enumerate(models):
+        own = [score for score in scores if score.model == model]
+        places = np.arange(len(channels)) + (i - (len(models) - 1) / 2) * width
+        fitted = [100 * score.fitted_error for score in own]
+        heights = [
+            100 * (score.fitted_error if score.predicted_error is None else score.predicted_error)
+            for score in own
+        ]
+        axis.bar(places, heights, 0.9 * width, label=LABELS[model], color=f"C{i}")
+        for place, height, line in zip(places, heights, fitted, strict=True):
+            top = (place, max(height, line))
+            axis.annotate(
+                f"{height:.1f}",
+                top,
+                (0, 3),
+                fontsize=8,
+                ha="center",
+                rotation=90 if many else 0,
+                textcoords="offset points",
+            )
+        if tested:
+            axis.hlines(fitted, places - 0.45 * width, places + 0.45 * width, color="k", lw=2)
+    if tested:
+        axis.plot([], [], color="k", lw=2, label="on the fitted lights")
+    axis.set_xticks(range(len(channels)), channels)
+    axis.set_ylabel("relative RMS [%]")
+    axis.margins(y=0.12)
+    figure.legend(
+        *axis.get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=4
+    )
+    return figure
+
+
+def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
+    """Mean relative residual of every pixel."""
+    percent = 100 * mean_residual(calibration)
+    largest = max(float(np.nanquantile(np.abs(percent), 0.98)), 0.1)
+    figure = Figure(figsize=(5.4, 4.4), layout="constrained")
+    axis = figure.subplots()
+    observation = calibration.observation
+    rows, columns = observation.rows, observation.columns
+    shown = axis.imshow(
+        _plane(observation, percent),
+        extent=(columns.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5, rows.min() - 0.5),
+        cmap=_diverging(),
+        norm=TwoSlopeNorm(0, -largest, largest),
+    )
+    axis.set(xlabel="column [pixel]", ylabel="row [pixel]")
+    figure.colorbar(shown, ax=axis, label="measured − predicted [%]", extend="both")
+    return figure
+
+
+def _shown_lights(observation: ReflectanceObservation) -> list[int]:
+    """Of each kind, a light near the view, where the highlight is whole, and an oblique one."""
+    lit = (observation.cosine > 0).mean(axis=1)
+    chosen = []
+    for kept in (False, True):
+        of_kind = np.flatnonzero(observation.held_out == kept)
+        ordered = of_kind[np.argsort(-lit[of_kind])]
+        chosen += [*ordered[:: max(len(ordered) - 1, 1)][:SHOWN_LIGHTS]]
+    return [int(light) for light in chosen]
+
+
+def _draw_terms(
+    calibration: ReflectanceCalibration, fit: ChannelFit, diffuse: Axes, specular: Axes
+) -> None:
+    values, cosine, angle, unit = _per_unit_light(calibration, fit)
+    colour, marker = COLOURS[fit.channel], MARKERS[fit.channel]
+    natural = dict(zip((p.name for p in fit.space), fit.natural, strict=True))
+    shown = has_lobe(fit.form.model)
+    rough = fit.samples.geometry is not None and not shown
+    body = natural["diffuse"] * (unit if rough else np.maximum(cosine, 0))
+    glossy = unit / unit.max() if shown else np.zeros_like(unit)
+    away = glossy < OFF_HIGHLIGHT
+    edges = np.linspace(0, 1, 26)
+    _draw_medians(diffuse, cosine[away], values[away], edges, colour, marker)
+    if rough:
+        _draw_medians(diffuse, cosine, body, edges, colour, label=fit.channel)
+    else:
+        diffuse.plot([0, 1], [0, natural["diffuse"]], color=colour, label=fit.channel)
+    reach = _lobe_reach(angle, glossy)
+    edges = reach * np.linspace(0, 1, 31) ** 1.3
+    _draw_medians(specular, np.degrees(angle), values - body, np.degrees(edges), colour, marker)
+    if not shown:
+        return
+    highlight = natural["specular"] * unit
+    if REFLECTANCES[fit.form.model].axis == "mirror":
+        order = np.argsort(angle)
+        near = order[angle[order] <= reach][:: max(1, len(order) // 20_000)]
+        specular.plot(np.degrees(angle[near]), highlight[near], color=colour)
+    else:
+        _draw_medians(specular, np.degrees(angle), highlight, np.degrees(edges), colour)
+
+
+def _per_unit_light(
+    calibration: ReflectanceCalibration, fit: ChannelFit
+) -> tuple[Float[np.ndarray, " samples"], ...]:
+    """Decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted, unsaturated
+    samples (a regular choice of them where there are many)."""
+    observation = calibration.observation
+    step = max(1, len(calibration.fitted.light) // MOST_POINTS)
+    selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
+    channel = observation.channels.index(fit.channel)
+    samples = make_samples(observation, channel, fit.form, selection)
+    vector = jnp.asarray(fit.vector)
+    gamma = encoding_gamma(vector, samples)
+    linear = np.asarray(decoded(samples.dn, samples.black, samples.white, gamma))
+    ambient = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}.get("ambient", 0.0)
+    unit = np.zeros(len(linear))
+    if samples.geometry is not None:
+        place = [p.name for p in fit.space].index(shape_of(fit.form.model).name)
+        unit = np.asarray(lobe(fit.form, samples.geometry, jnp.exp(vector[place])))
+    angle = observation.mirror_angle[selection.light, selection.pixel]
+    lit = np.asarray(samples.cosine) > 0
+    trusted = lit & (observation.dn[channel, selection.light, selection.pixel] < observation.clip)
+    values = (linear - ambient) / np.asarray(samples.irradiance)
+    return values[trusted], np.asarray(samples.cosine)[trusted], angle[trusted], unit[trusted]
+
+
+def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
+    """Angle at which the highlight has gone, and a bit more; a radian without a highlight."""
+    inside = unit > OFF_HIGHLIGHT
+    return float(min(1.3 * angle[inside].max(), np.pi)) if inside.any() else 1.0
+
+
+def _draw_medians(
+    axis: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    edges: np.ndarray,
+    colour: str,
+    marker: str | None = None,
+    *,
+    label: str | None = None,
+) -> None:
+    """Medians in bins: markers with bars over the middle 68 %, or without a marker a line."""
+    place = np.digitize(x, edges) - 1
+    rows = [
+        (np.median(x[chosen]), *np.quantile(y[chosen], [0.16, 0.5, 0.84]))
+        for chosen in (place == i for i in range(len(edges) - 1))
+        if chosen.sum() >= 5
+    ]
+    if not rows:
+        return
+    middle, low, median, high = np.array(rows).T
+    if marker is None:
+        axis.plot(middle, median, color=colour, label=label)
+        return
+    axis.errorbar(
+        middle, median, [median - low, high - median], fmt=marker, ms=3, lw=0.8, color=colour
+    )
+
+
+def _picture(
+    observation: ReflectanceObservation, values: Float[np.ndarray, "channels pixels"]
+) -> Float[np.ndarray, "h w 3"]:
+    """Linear values as an sRGB-like picture, grey where there is one channel."""
+    displayed = np.clip(values, 0, 1) ** (1 / DISPLAY_GAMMA)
+    picture = np.zeros((*observation.shape, 3))
+    picture[observation.rows, observation.columns] = np.broadcast_to(
+        displayed.T, (values.shape[1], 3)
+    )
+    return _cropped(observation, picture)
+
+
+def _plane(
+    observation: ReflectanceObservation, values: Float[np.ndarray, " pixels"]
+) -> Float[np.ndarray, "h w"]:
+    plane = np.full(observation.shape, np.nan)
+    plane[observation.rows, observation.columns] = values
+    return _cropped(observation, plane)
+
+
+def _cropped(observation: ReflectanceObservation, image: np.ndarray) -> np.ndarray:
+    rows, columns = observation.rows, observation.columns
+    return image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+
+
+def _diverging():
+    import matplotlib
+
+    return matplotlib.colormaps["RdBu_r"].with_extremes(bad="0.6")

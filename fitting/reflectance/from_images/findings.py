@@ -1,0 +1,192 @@
+"""What a reader of a reflectance calibration must be told, in sentences and as a table."""
+
+import numpy as np
+
+from ...inference.posterior import convergence_in_words
+from ...report.section import Table
+from ..models import CLEAR, facet_sentence
+from .calibration import ReflectanceCalibration, mean_residual
+from .fit import ChannelFit
+
+NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
+SIDES = {"upper": (0, 1), "lower": (0, -1), "left": (-1, 0), "right": (1, 0)}
+SIDE_STARTS = 0.5  # component of the normal from which a pixel belongs to a side
+OUTLINE = 0.4  # component of the normal toward the camera below which it belongs to the outline
+SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light, as a part of k_d, worth a word
+FEWEST_SHADOWED = 100
+COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
+
+
+def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
+    """Misfit, identifiability, saturation, convergence and structure in the residuals."""
+    return (
+        *calibration.observation.findings,
+        *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
+        *_facet_finding(calibration),
+        *_sampling_findings(calibration),
+        *_colour_finding(calibration),
+        *_part_findings(calibration),
+        *_shadow_finding(calibration),
+    )
+
+
+def misfit_table(calibration: ReflectanceCalibration) -> Table:
+    """Chi-square with and without the misfit, and the design effects, by channel."""
+
+    def row(fit: ChannelFit) -> tuple:
+        robust = fit.robustness
+        return (
+            fit.channel,
+            fit.sensor_chi_square,
+            fit.chi_square,
+            fit.spread.relative,
+            None if robust is None else robust.by_light,
+            None if robust is None else robust.by_pixel,
+            round(fit.samples.dn.size / fit.design_effect),
+        )
+
+    return Table(
+        title="Noise and misfit",
+        columns=(
+            "channel",
+            "χ²/dof, sensor alone",
+            "χ²/dof, with misfit",
+            "relative misfit",
+            "design effect in images",
+            "design effect in pixels",
+            "effective samples",
+        ),
+        rows=tuple(row(fit) for fit in calibration.reported),
+        caption="A dash stands for what is unknown or not needed; a design effect of 1 means "
+        "independent residuals.",
+    )
+
+
+def _name(calibration: ReflectanceCalibration, fit: ChannelFit) -> str:
+    return f"{fit.channel}: " if len(calibration.observation.channels) > 1 else ""
+
+
+def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> list[str]:
+    name, found = _name(calibration, fit), []
+    if not fit.converged:
+        found.append(f"{name}The fit did not converge; do not use its numbers.")
+    found += [f"{name}{sentence}" for sentence in fit.identifiability.sentences]
+    found += [
+        f"{name}{parameter} is not determined: {why}."
+        for parameter, why in calibration.open_parameters[fit.channel].items()
+    ]
+    if fit.samples.saturated is not None and (clipped := int(np.sum(fit.samples.saturated))):
+        found.append(
+            f"{name}{clipped} of {fit.samples.dn.size} samples are saturated; they count as "
+            f"'at least {float(fit.samples.clip):g} DN'."
+        )
+    if fit.sensor_chi_square is not None and fit.spread.relative is not None:
+        found.append(
+            f"{name}Residuals are larger than the sensor's noise (chi-square per degree of freedom "
+            f"{fit.sensor_chi_square:.2f}); an error of {fit.spread.relative:.2%} of the signal "
+            "explains them: unequal pixels (PRNU), uneven light or a surface that is not the "
+            "model's."
+        )
+    if fit.robustness is not None and np.isnan(fit.robustness.by_light):
+        found.append(
+            f"{name}With {len(np.unique(fit.selection.light))} fitted lights it cannot be judged "
+            "how far the pixels of one image share an error (of its light, say); the intervals "
+            "assume that they do not and may be far too narrow, so use more lights."
+        )
+    if fit.design_effect > 1:
+        assert fit.robustness is not None
+        found.append(
+            f"{name}Residuals move together (design effect {fit.robustness.by_light:.3g} within "
+            f"images, {fit.robustness.by_pixel:.3g} within pixels), so {fit.samples.dn.size} "
+            f"samples say as much as {fit.samples.dn.size / fit.design_effect:.0f} independent "
+            f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider."
+        )
+    return found
+
+
+def _facet_finding(calibration: ReflectanceCalibration) -> list[str]:
+    if calibration.model not in CLEAR:
+        return []
+    return [facet_sentence(calibration.reported[0].requested.index)]
+
+
+def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:
+    sampled = {n: p for n, p in calibration.posteriors.items() if p.method == "emcee"}
+    if sampled:
+        return [f"{name}: {convergence_in_words(p)}" for name, p in sampled.items()]
+    return [convergence_in_words(p) for p in list(calibration.posteriors.values())[:1]]
+
+
+def _colour_finding(calibration: ReflectanceCalibration) -> list[str]:
+    """A clear surface reflects the light's own colour: unequal k_s under calibrated intensities is
+    worth a word."""
+    fits = calibration.reported
+    if len(fits) != 3 or any("specular" not in [p.name for p in fit.space] for fit in fits):
+        return []
+    if any(fit.channel not in calibration.posteriors for fit in fits):
+        return []
+    natural = np.array([fit.natural[1] for fit in fits])
+    log_variance = [calibration.posteriors[fit.channel].covariance[1, 1] for fit in fits]
+    ratio = natural / natural[1]
+    low, high = np.argmin(natural), np.argmax(natural)
+    z = np.log(natural[high] / natural[low]) / np.sqrt(log_variance[low] + log_variance[high])
+    if z < COLOURED:
+        return []
+    return [
+        f"The highlight is coloured: k_s red : green : blue = {ratio[0]:.2f} : 1 : {ratio[2]:.2f}, "
+        f"{z:.0f} standard errors from neutral; a clear coat reflects the light's own colour, so "
+        "either the surface is metallic, the intensities are off, or the highlight's shape is not "
+        "the model's."
+    ]
+
+
+def _part_findings(calibration: ReflectanceCalibration) -> list[str]:
+    """The outline, and the side of the object that the model misses most, if worth a word."""
+    residual, normals = mean_residual(calibration), calibration.observation.normals
+    seen = np.isfinite(residual)
+    parts = {"outline": normals[:, 2] < OUTLINE}
+    for side, (x, y) in SIDES.items():
+        toward = normals[:, 0] * x + normals[:, 1] * y > SIDE_STARTS
+        parts[f"{side} part"] = toward & ~parts["outline"]
+    means = {
+        part: float(np.mean(residual[chosen & seen]))
+        for part, chosen in parts.items()
+        if (chosen & seen).any()
+    }
+    sides = [part for part in means if part != "outline"]
+    worst = [max(sides, key=lambda part: abs(means[part]))] if sides else []
+    told = [part for part in ("outline", *worst) if abs(means.get(part, 0.0)) > NOTABLE_RESIDUAL]
+    return [
+        f"Averaged over all lights, the {part} of the object is {abs(means[part]):.1%} "
+        + (
+            "brighter than predicted: light that the rig does not name (inter-reflection from a "
+            "stand or table, stray light) or a surface that is not the model's."
+            if means[part] > 0
+            else "darker than predicted: shadow, or a surface that is not the model's."
+        )
+        for part in told
+    ]
+
+
+def _shadow_finding(calibration: ReflectanceCalibration) -> list[str]:
+    """Light in attached shadows, which no source of the rig reaches."""
+    observation = calibration.observation
+    if calibration.reported[0].form.ambient or observation.gamma is not None:
+        return []
+    light, pixel = np.nonzero(observation.cosine < SHADOWED)
+    if len(light) < FEWEST_SHADOWED:
+        return []
+    glow = [
+        np.mean(observation.dn[i, light, pixel] - observation.black)
+        / np.mean(observation.intensity[i, light] * observation.falloff[light, pixel])
+        / fit.natural[0]
+        for i, fit in enumerate(calibration.reported)
+    ]
+    if max(glow) < GLOW:
+        return []
+    return [
+        "Attached shadows are not black: on average they hold "
+        f"{' / '.join(f'{100 * part:.2g}' for part in glow)} % of what the diffuse term gives in "
+        "full light, which reaches them by another way (inter-reflection, stray light, a black "
+        "level set too low); the fit leaves shadows out."
+    ]

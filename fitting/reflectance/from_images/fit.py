@@ -1,0 +1,266 @@
+"""One channel, one model: variable projection, weighted least squares, maximum likelihood.
+
+Variable projection finds the global optimum of the plain squares without a start. Its residuals
+give the spread, and with it the weights, of the fit proper: one step of feasible generalised least
+squares. (More steps would let a wrong model discount the very highlights that it misses.) Where
+pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out, or
+trusting them, would bias the highlight.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision._types import as_float
+
+from ...inference.bounded import minimise_in_box
+from ...inference.clustering import Robustness, cluster_robust
+from ...inference.diagnostics import Identifiability, identifiability
+from ...inference.least_squares import minimise_residuals
+from ...inference.newton import minimise
+from ...inference.parameters import ParameterSpace, to_natural
+from ...inference.separable import fit_separable, non_negative_amplitudes
+from ..models import has_lobe, shape_of
+from .geometry_cells import Grouping, average
+from .model import (
+    Form,
+    Samples,
+    decoded,
+    encoding_gamma,
+    encoding_slope,
+    linear_signal,
+    lobe,
+    log_likelihoods,
+    negative_log_likelihood,
+    parameter_space,
+    predicted_dn,
+    residuals,
+    scores,
+)
+from .read import ReflectanceObservation
+from .samples import Selection, make_samples
+from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread, variance
+
+GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
+GRID = 64  # shapes tried; a valley of the cost is several of these wide
+REACH = 1.0  # half width of the bounded search, in log parameters
+SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """A fitted channel. Its form lacks the terms whose best amplitude is zero. vector: on the
+    unconstrained scale of `space`; information: there, as if all samples were independent.
+    robustness: covariance that does not assume so, None where the data leave a direction open.
+    chi_square: per degree of freedom, with the spread of the weights; sensor_chi_square: with the
+    sensor's noise alone, None if unknown. log_likelihood: with the spread of the final residuals.
+    """
+
+    channel: str
+    requested: Form
+    samples: Samples
+    selection: Selection
+    space: ParameterSpace
+    vector: Float[np.ndarray, " parameters"]
+    information: Float[np.ndarray, "parameters parameters"]
+    robustness: Robustness | None
+    identifiability: Identifiability
+    spread: Spread
+    chi_square: float
+    sensor_chi_square: float | None
+    log_likelihood: float
+    converged: bool
+
+    @property
+    def form(self) -> Form:
+        return self.samples.form
+
+    @property
+    def natural(self) -> Float[np.ndarray, " parameters"]:
+        """Parameters in their own units."""
+        return np.asarray(to_natural(self.space, jnp.asarray(self.vector)))
+
+    @property
+    def design_effect(self) -> float:
+        return 1.0 if self.robustness is None else self.robustness.design_effect
+
+
+def fit_channel(
+    observation: ReflectanceObservation,
+    channel: int,
+    form: Form,
+    selection: Selection,
+    grouping: Grouping,
+) -> ChannelFit:
+    """Best fit of one channel, with everything needed to judge it. `grouping`: cells of the
+    selection, on which all but the last digits are found."""
+    samples = make_samples(observation, channel, form, selection)
+    sensor = None
+    if observation.gain is not None and observation.read_noise is not None:
+        sensor = sensor_spread(observation.gain, observation.read_noise)
+    cells, start = project(average(samples, grouping))
+    geometry = None if cells.geometry is None else samples.geometry
+    samples = replace(samples, form=cells.form, geometry=geometry)
+    first = minimise_residuals(residuals, start, cells).vector
+    samples, spread = _weighted(first, samples, sensor)
+    near = minimise_residuals(residuals, first, average(samples, grouping)).vector
+    vector, information, converged = _optimum(near, samples)
+
+    space = parameter_space(samples.form)
+    information = np.asarray(information, np.float64)
+    judged = identifiability(space, information)
+    robustness = None
+    if judged.determined:
+        gradients = np.asarray(scores(vector, samples), np.float64)
+        robustness = cluster_robust(gradients, information, selection.light, selection.pixel)
+    residual, signal, slope = _residual_signal_slope(vector, samples)
+    likeliest, _ = _weighted(vector, samples, sensor)
+    dof = len(residual) - len(space)
+    return ChannelFit(
+        channel=observation.channels[channel],
+        requested=form,
+        samples=samples,
+        selection=selection,
+        space=space,
+        vector=np.asarray(vector, np.float64),
+        information=information,
+        robustness=robustness,
+        identifiability=judged,
+        spread=spread,
+        chi_square=chi_square_per_dof(residual, signal, slope, spread, dof),
+        sensor_chi_square=None
+        if sensor is None
+        else chi_square_per_dof(residual, signal, slope, sensor, dof),
+        log_likelihood=float(jnp.sum(log_likelihoods(vector, likeliest))),
+        converged=bool(converged),
+    )
+
+
+def predicted_image(
+    observation: ReflectanceObservation, fit: ChannelFit, light: int
+) -> Float[np.ndarray, " pixels"]:
+    """Digital numbers that the fit predicts for all pixels of the object under one light, without
+    noise and not above the clip level."""
+    pixels = np.arange(observation.cosine.shape[1])
+    selection = Selection(np.full_like(pixels, light), pixels)
+    channel = observation.channels.index(fit.channel)
+    samples = make_samples(observation, channel, fit.form, selection)
+    predicted = predicted_dn(jnp.asarray(fit.vector), samples)
+    return np.minimum(np.asarray(predicted, np.float64), observation.clip)
+
+
+def project(samples: Samples) -> tuple[Samples, Float[Array, " parameters"]]:
+    """The global optimum of the weighted squares of the unsaturated samples, for linearised
+    deviations, and the samples with a form that has lost every term whose amplitude is zero."""
+    if not samples.form.free_gamma:
+        _, *terms = _projected(samples, samples.gamma)
+        return _present_terms(samples, terms, None)
+    tried = [(gamma, _projected(samples, as_float(gamma))) for gamma in GAMMAS]
+    gamma, (_, *terms) = min(tried, key=lambda attempt: float(attempt[1][0]))
+    return _present_terms(samples, terms, gamma)
+
+
+@eqx.filter_jit
+def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
+    """(cost, amplitudes of [diffuse, ambient, lobe], log shape) at a given encoding."""
+    form = samples.form
+    linear = decoded(samples.dn, samples.black, samples.white, gamma)
+    slope = encoding_slope(linear, samples.white, gamma)
+    weights = (slope / samples.deviation) ** 2
+    if samples.saturated is not None:
+        weights = jnp.where(samples.saturated, 0, weights)
+    constant = jnp.ones_like(linear) if form.ambient else jnp.zeros_like(linear)
+    # A rough diffuse surface is a single term: its amplitude is the searched column's.
+    body = samples.cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
+    fixed = jnp.stack([samples.irradiance * body, constant])
+    if form.model == "lambert":
+        gram, moment = (weights[None] * fixed) @ fixed.T, fixed @ (weights * linear)
+        amplitudes, reduction = non_negative_amplitudes(gram, moment)
+        return (
+            linear @ (weights * linear) + reduction,
+            jnp.append(amplitudes, jnp.zeros((), linear.dtype)),
+            jnp.zeros((), linear.dtype),
+        )
+    shape = shape_of(form.model)
+    found = fit_separable(
+        fixed,
+        _lobe_column,
+        linear,
+        samples,
+        lower=float(np.log(shape.lower)),
+        upper=float(np.log(shape.upper)),
+        weights=weights,
+        grid=GRID,
+    )
+    return found.cost, found.amplitudes, found.nonlinear
+
+
+def _lobe_column(log_shape: Array, samples: Samples) -> Array:
+    assert samples.geometry is not None
+    unit = lobe(samples.form, samples.geometry, jnp.exp(log_shape))
+    return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
+
+
+def _present_terms(
+    samples: Samples, terms: Sequence[Array], gamma: float | None
+) -> tuple[Samples, Array]:
+    (diffuse, ambient, specular), log_shape = np.asarray(terms[0]), terms[1]
+    rough = samples.form.model != "lambert" and not has_lobe(samples.form.model)
+    if rough:
+        diffuse, specular = specular, 0.0
+    elif specular == 0 and samples.form.model != "lambert":
+        samples = replace(samples, form=replace(samples.form, model="lambert"), geometry=None)
+    if ambient == 0 and samples.form.ambient:
+        samples = replace(samples, form=replace(samples.form, ambient=False))
+    form = samples.form
+    smallest = SMALLEST_SHARE * max(diffuse, specular)
+    vector = [np.log(max(diffuse, smallest))]
+    vector += [np.log(specular)] if has_lobe(form.model) else []
+    vector += [float(log_shape)] if form.model != "lambert" else []
+    vector += [np.log(ambient)] if form.ambient else []
+    vector += [np.log(gamma)] if gamma is not None else []
+    return samples, jnp.asarray(vector, samples.dn.dtype)
+
+
+def _residual_signal_slope(
+    vector: Array, samples: Samples
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measured - predicted (DN), linear signal and d DN / d X of the unsaturated samples."""
+    trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
+    signal = linear_signal(vector, samples)
+    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    left = samples.dn - predicted_dn(vector, samples)
+    residual, signal, slope = (np.asarray(x, np.float64)[trusted] for x in (left, signal, slope))
+    return residual, signal, slope
+
+
+def _weighted(vector: Array, samples: Samples, sensor: Spread | None) -> tuple[Samples, Spread]:
+    """The samples with deviations from the spread of their residuals."""
+    spread = fit_spread(*_residual_signal_slope(vector, samples), sensor=sensor)
+    signal = linear_signal(vector, samples)
+    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    deviation = np.sqrt(variance(spread, np.asarray(signal), slope=np.asarray(slope)))
+    return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype)), spread
+
+
+def _optimum(vector: Array, samples: Samples) -> tuple[Array, Array, bool]:
+    """The optimum on all samples, the information there, and whether it was reached.
+
+    Newton's method from next to it; where saturated pixels lie in between, a bounded search first.
+    """
+    found = minimise(negative_log_likelihood, vector, samples)
+    if not found.converged:
+        box = minimise_in_box(
+            negative_log_likelihood,
+            vector,
+            vector - REACH,
+            vector + REACH,
+            samples,
+            scale=float(samples.dn.size),
+        )
+        found = minimise(negative_log_likelihood, box.vector, samples)
+    return found.vector, found.information, bool(found.converged)

@@ -1,0 +1,98 @@
+"""Many pixels as few cells: samples of one light that share their geometry, averaged.
+
+A fit's work then no longer grows with the number of pixels. A cell is a sample at the mean
+geometry with the mean digital number; what the curvature of the model inside the cell does to its
+mean is a correction known at any given parameters, so that there cells and pixels agree exactly.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .model import Samples, predicted_dn
+
+COSINE_STEP = 0.05  # of a cell in n.l
+FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror direction, 0.11 at 1 rad
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """Which samples share a cell: its index for each, and the number of cells."""
+
+    cell: Int[np.ndarray, " samples"]
+    count: int
+
+
+def group(
+    light: Int[np.ndarray, " samples"],
+    cosine: Float[np.ndarray, " samples"],
+    mirror_angle: Float[np.ndarray, " samples"],
+) -> Grouping:
+    """Cells of (light, n.l, mirror angle), finest where a highlight may be."""
+    row = np.floor(cosine / COSINE_STEP).astype(np.int64)
+    column = np.floor(np.log1p(mirror_angle / FINE_ANGLE) / np.log(ANGLE_RATIO)).astype(np.int64)
+    row, column = row - row.min(), column - column.min()
+    key = (light * (row.max() + 1) + row) * (column.max() + 1) + column
+    _, cell = np.unique(key, return_inverse=True)
+    return Grouping(cell, int(cell.max()) + 1)
+
+
+def average(
+    samples: Samples,
+    grouping: Grouping,
+    *,
+    exact_at: Float[Array, " parameters"] | None = None,
+) -> Samples:
+    """The cells of the unsaturated samples, each weighted by its inverse variance.
+
+    A cell without any gets an enormous deviation, so that the number of cells stays the same for
+    all channels. With `exact_at` a cell predicts there what its pixels do on average.
+    """
+    trusted = _trusted(samples)
+    weight = np.where(trusted, 1 / np.asarray(samples.deviation, np.float64) ** 2, 0)
+    total = np.bincount(grouping.cell, weight, grouping.count)
+    filled = total > 0
+
+    def mean(values: Array) -> Array:
+        sums = np.bincount(grouping.cell, weight * np.asarray(values), grouping.count)
+        return jnp.asarray(sums / np.where(filled, total, 1), samples.dn.dtype)
+
+    deviation = 1 / np.sqrt(np.where(filled, total, 1e-24))
+    cells = replace(
+        samples,
+        cosine=mean(samples.cosine),
+        geometry=jax.tree.map(mean, samples.geometry),
+        irradiance=mean(samples.irradiance),
+        dn=mean(samples.dn),
+        deviation=jnp.asarray(deviation, samples.dn.dtype),
+        saturated=None,
+    )
+    if exact_at is None:
+        return cells
+    offset = mean(predicted_dn(exact_at, samples)) - predicted_dn(exact_at, cells)
+    return replace(cells, offset=offset)
+
+
+def saturated_only(samples: Samples) -> Samples | None:
+    """The saturated samples by themselves; None if there are none."""
+    if samples.saturated is None or not bool(np.any(samples.saturated)):
+        return None
+    chosen = jnp.asarray(np.flatnonzero(samples.saturated))
+    return replace(
+        samples,
+        cosine=samples.cosine[chosen],
+        geometry=jax.tree.map(lambda x: x[chosen], samples.geometry),
+        irradiance=samples.irradiance[chosen],
+        dn=samples.dn[chosen],
+        deviation=samples.deviation[chosen],
+        saturated=samples.saturated[chosen],
+    )
+
+
+def _trusted(samples: Samples) -> Bool[np.ndarray, " samples"]:
+    if samples.saturated is None:
+        return np.ones(samples.dn.shape, bool)
+    return ~np.asarray(samples.saturated)

@@ -1,0 +1,315 @@
+"""Images of a known shape under known lights, as samples: for every light and pixel the digital
+number, the cosine of incidence, the angle to the mirror direction and the irradiance.
+
+The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
+direction is the same everywhere. Angles are radians, digital numbers as stored.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxvision._numerics import angle_between, dot, log_cos_between, norm, normalize
+from jaxvision.errors import InputError
+from jaxvision.geometry import mirror_direction
+from jaxvision.io import read_image
+
+from ...observation import read_frame, read_mask
+from ...rig import Geometry, Light, Rig, SphereGeometry, require
+
+VIEW = (0.0, 0.0, 1.0)
+PURPOSE = "a reflectance calibration"
+HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
+FEWEST_LIGHTS_TO_SPLIT = 4
+FEWEST_PIXELS = 50
+NOT_UNIT = 1e-2  # deviation of a normal's length from 1 that is no rounding
+
+
+@dataclass(frozen=True)
+class ReflectanceObservation:
+    """What was measured, for the pixels of the object.
+
+    dn: stored digital numbers. intensity: of each light as the rig gives it; falloff: what the
+    distance leaves of it at a pixel (1 for distant lights; m^-2 for point lights), so that
+    intensity x falloff is the irradiance on a surface facing the light. wi: unit, toward the
+    light. cosine: n.l, negative in
+    attached shadows. mirror_angle: between view and mirror direction, rad; log_cos_mirror: log of
+    its cosine. black, clip: DN. white: DN of full scale above black. gamma, gain (DN per electron),
+    read_noise (electrons): None where unknown. rows, columns: of the pixels in images of `shape`.
+    """
+
+    channels: tuple[str, ...]
+    files: tuple[str, ...]
+    dn: Float[np.ndarray, "channels lights pixels"]
+    intensity: Float[np.ndarray, "channels lights"]
+    falloff: Float[np.ndarray, "lights pixels"]
+    wi: Float[np.ndarray, "lights pixels 3"]
+    cosine: Float[np.ndarray, "lights pixels"]
+    mirror_angle: Float[np.ndarray, "lights pixels"]
+    log_cos_mirror: Float[np.ndarray, "lights pixels"]
+    normals: Float[np.ndarray, "pixels 3"]
+    held_out: Bool[np.ndarray, " lights"]
+    rows: Int[np.ndarray, " pixels"]
+    columns: Int[np.ndarray, " pixels"]
+    shape: tuple[int, int]
+    black: float
+    white: float
+    clip: float
+    gamma: float | None
+    gain: float | None
+    read_noise: float | None
+    findings: tuple[str, ...]
+
+    @property
+    def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
+        return self.dn >= self.clip
+
+
+def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
+    """Reads and checks all that the rig's `[[light]]` and `[geometry]` entries name.
+
+    Lights marked `held_out` are kept for testing; if none is and there are at least four, every
+    fourth is. Normals are scaled to unit length. `InputError` for images that are missing, of
+    unequal size, dark or clipped throughout, for shapes that do not fit and for too few pixels.
+    """
+    require(rig, "light", "geometry", purpose=PURPOSE)
+    assert rig.geometry is not None
+    if rig.camera.pattern is not None:
+        raise InputError(
+            f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; {PURPOSE} needs "
+            "demosaicked images (or one plane), so convert them and remove the pattern."
+        )
+    frames = _read_frames(rig)
+    shape = (frames.shape[2], frames.shape[3])
+    rows, columns, normals = _surface(rig, rig.geometry, shape)
+    wi, falloff = _light_field(rig, normals)
+    cosine, log_cos_mirror, mirror_angle = _angles(normals, wi)
+    black = rig.camera.black_level or 0.0
+    held_out, how = _held_out(rig)
+    observation = ReflectanceObservation(
+        channels=("grey",) if len(frames) == 1 else ("red", "green", "blue"),
+        files=tuple(light.file for light in rig.light),
+        dn=frames[:, :, rows, columns],
+        intensity=_intensities(rig, len(frames)),
+        falloff=falloff,
+        wi=wi,
+        cosine=cosine,
+        mirror_angle=mirror_angle,
+        log_cos_mirror=log_cos_mirror,
+        normals=normals,
+        held_out=held_out,
+        rows=rows,
+        columns=columns,
+        shape=shape,
+        black=black,
+        white=rig.camera.full_scale - black,
+        clip=rig.camera.clip_level,
+        gamma=rig.camera.gamma if rig.camera.gamma != 1 else None,
+        gain=rig.camera.gain,
+        read_noise=rig.camera.read_noise,
+        findings=(*how, *_assumptions(rig)),
+    )
+    _refuse_unusable(rig, observation)
+    return observation
+
+
+def _read_frames(rig: Rig) -> Float[np.ndarray, "channels lights h w"]:
+    frames = [read_frame(rig.path(light.file), rig.camera) for light in rig.light]
+    for light, frame in zip(rig.light, frames, strict=True):
+        if frame.shape != frames[0].shape:
+            raise InputError(
+                f"{rig.path(light.file)}: is {frame.shape}, but {rig.light[0].file} is "
+                f"{frames[0].shape}; all images under the lights need the same size."
+            )
+    stack = np.stack(frames)
+    if stack.ndim == 3:
+        return stack[None]
+    if stack.shape[3] != 3:
+        raise InputError(
+            f"{rig.path(rig.light[0].file)}: has {stack.shape[3]} channels; give one or three."
+        )
+    return np.moveaxis(stack, 3, 0)
+
+
+def _surface(
+    rig: Rig, geometry: Geometry, shape: tuple[int, int]
+) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
+    """Rows, columns and unit normals of the pixels that show the object."""
+    mask = None
+    if geometry.mask is not None:
+        mask = read_mask(rig.path(geometry.mask), shape)
+    if geometry.sphere is not None:
+        normals, seen = _sphere_normals(geometry.sphere, shape)
+    else:
+        assert geometry.normals is not None
+        normals, seen = _stored_normals(rig, geometry.normals, shape, mask)
+    if mask is not None:
+        seen = seen & mask
+    rows, columns = np.nonzero(seen)
+    if len(rows) < FEWEST_PIXELS:
+        raise InputError(
+            f"{rig.folder}: mask and geometry leave {len(rows)} pixels of the object; {PURPOSE} "
+            f"needs at least {FEWEST_PIXELS}, so check the mask, the sphere and the image size."
+        )
+    return rows, columns, normals[rows, columns]
+
+
+def _sphere_normals(
+    sphere: SphereGeometry, shape: tuple[int, int]
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """Normals of an orthographic sphere; pixels that its outline may cross are left out."""
+    row, column = np.indices(shape, dtype=np.float64)
+    x = (column - sphere.centre[0]) / sphere.radius
+    y = (sphere.centre[1] - row) / sphere.radius
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    return np.stack([x, y, z], axis=-1), np.hypot(x, y) < 1 - 1 / sphere.radius
+
+
+def _stored_normals(
+    rig: Rig, name: str, shape: tuple[int, int], mask: np.ndarray | None
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    path = rig.path(name)
+    normals = np.asarray(read_image(path), np.float64)
+    if normals.shape != (*shape, 3):
+        raise InputError(
+            f"{path}: the normals are {normals.shape}, the images are {shape}; give one normal "
+            "(x right, y up, z toward the camera) per pixel."
+        )
+    length = np.linalg.norm(normals, axis=-1)
+    claimed = (length != 0) if mask is None else mask
+    wrong = claimed & ~(np.abs(length - 1) < NOT_UNIT)
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise InputError(
+            f"{path}: {int(wrong.sum())} normals of the object are not of length 1, the first "
+            f"(length {length[row, column]:.4g}) in row {row}, column {column}; normalise them or "
+            "mask those pixels."
+        )
+    unit = normals / np.where(claimed, length, 1)[..., None]
+    return unit, claimed & (unit[..., 2] > 0)
+
+
+def _light_field(
+    rig: Rig, normals: Float[np.ndarray, "pixels 3"]
+) -> tuple[Float[np.ndarray, "lights pixels 3"], Float[np.ndarray, "lights pixels"]]:
+    """Unit vectors toward each light and the fall-off of its intensity, at every pixel."""
+    directions, falloffs = [], []
+    for light in rig.light:
+        if light.direction is not None:
+            unit = np.asarray(normalize(jnp.asarray(light.direction)))
+            directions.append(np.broadcast_to(unit, normals.shape))
+            falloffs.append(np.ones(len(normals)))
+            continue
+        toward = np.asarray(light.position) - _radius_in_metres(rig, light) * normals
+        distance = np.asarray(norm(jnp.asarray(toward)))
+        directions.append(toward / distance[:, None])
+        falloffs.append(distance**-2.0)
+    return np.stack(directions), np.stack(falloffs)
+
+
+def _radius_in_metres(rig: Rig, light: Light) -> float:
+    sphere = rig.geometry.sphere if rig.geometry is not None else None
+    if sphere is None or sphere.radius_m is None:
+        raise InputError(
+            f"{rig.folder}: light {light.file} has a position in metres, which needs the object's "
+            "place in metres too; give geometry.sphere with radius_m, or use a direction."
+        )
+    assert light.position is not None
+    if np.linalg.norm(light.position) <= sphere.radius_m:
+        raise InputError(
+            f"{rig.folder}: light {light.file} lies inside the sphere of radius "
+            f"{sphere.radius_m:g} m; correct its position (metres from the sphere's centre)."
+        )
+    return sphere.radius_m
+
+
+@jax.jit
+def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, ...]:
+    mirrored = mirror_direction(normals, wi)
+    view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
+    return dot(normals, wi), log_cos_between(mirrored, view), angle_between(mirrored, view)
+
+
+def _angles(normals: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, ...]:
+    """n.l, log of the mirror angle's cosine, and the mirror angle, each (lights, pixels)."""
+    per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
+    return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
+
+
+def _intensities(rig: Rig, channels: int) -> Float[np.ndarray, "channels lights"]:
+    columns = []
+    for light in rig.light:
+        if len(light.intensity) not in (1, channels):
+            raise InputError(
+                f"{rig.folder}: light {light.file} has {len(light.intensity)} intensities, but the "
+                f"images have {channels} channels; give one intensity per channel."
+            )
+        columns.append(np.broadcast_to(light.intensity, channels))
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
+    chosen = np.array([light.held_out for light in rig.light])
+    if chosen.all():
+        raise InputError(
+            f"{rig.folder}: every light is held out, so none is left to fit; set held_out = false "
+            "for most of them."
+        )
+    if chosen.any():
+        return chosen, ()
+    if len(chosen) < FEWEST_LIGHTS_TO_SPLIT:
+        return chosen, (
+            f"With {len(chosen)} lights none was kept back, so the fit's prediction of other "
+            "lights is untested; add lights.",
+        )
+    chosen[HOLD_OUT_EVERY - 1 :: HOLD_OUT_EVERY] = True
+    return chosen, (
+        f"The rig holds no light out, so every fourth ({int(chosen.sum())} of {len(chosen)}) was "
+        "kept from the fit to test its prediction.",
+    )
+
+
+def _assumptions(rig: Rig) -> tuple[str, ...]:
+    if rig.camera.black_level is not None:
+        return ()
+    return ("The rig gives no camera.black_level, so a black level of 0 DN was assumed.",)
+
+
+def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
+    lit = observation.cosine > 0
+    for name, of_light in zip(observation.files, lit, strict=True):
+        if not of_light.any():
+            raise InputError(
+                f"{rig.folder}: light {name} reaches no visible pixel; its direction must point "
+                "from the object toward the light (x right, y up, z toward the camera)."
+            )
+    for channel, dn in zip(observation.channels, observation.dn, strict=True):
+        _refuse_clipped_or_dark(rig, observation, channel, dn[lit])
+    for i, name in enumerate(observation.files):
+        seen = np.stack([dn[i][lit[i]] for dn in observation.dn])
+        if (seen >= observation.clip).all() or (seen <= observation.black + 1).all():
+            state = "saturated" if (seen >= observation.clip).all() else "dark"
+            raise InputError(
+                f"{rig.folder}: every lit pixel of {name} is {state}; take that image again or "
+                "remove its [[light]] entry."
+            )
+
+
+def _refuse_clipped_or_dark(
+    rig: Rig, observation: ReflectanceObservation, channel: str, lit_dn: Float[np.ndarray, " lit"]
+) -> None:
+    clipped = float(np.mean(lit_dn >= observation.clip))
+    if clipped > 0.9:
+        raise InputError(
+            f"{rig.folder}: {clipped:.0%} of the lit pixels of the {channel} channel are saturated "
+            f"(at or above {observation.clip:g} DN); expose less, or correct camera.saturation."
+        )
+    if np.median(lit_dn) - observation.black < 1:
+        raise InputError(
+            f"{rig.folder}: the lit pixels of the {channel} channel are dark (median "
+            f"{np.median(lit_dn):g} DN over a black level of {observation.black:g} DN); expose "
+            "more, or correct camera.black_level."
+        )

@@ -1,0 +1,138 @@
+"""Reflectance of a known shape under known lights: one of `reflectance_models`, per channel.
+
+Several models are fitted to the same lights and compared on the others; the one asked for is
+reported in full, with what stands in the way of believing it.
+"""
+
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...inference.clustering import cluster_robust
+from ...inference.estimates import Estimate, gaussian_estimate, not_determined
+from ...inference.posterior import estimates
+from ...report.section import Picture, Section
+from ..models import CLEAR, LABELS
+from . import figures
+from .calibration import ReflectanceCalibration
+from .comparison import comparison_table, verdict
+from .findings import findings, misfit_table
+from .fit import ChannelFit
+from .model import parameter_space, scores
+
+
+def section(calibration: ReflectanceCalibration) -> Section:
+    """Estimates, findings, tables and pictures of a calibration."""
+    observation = calibration.observation
+    held_out = int(observation.held_out.sum())
+    return Section(
+        kind="brdf",
+        title=f"Reflectance: {LABELS[calibration.model]}",
+        estimates=_estimates(calibration),
+        findings=(
+            verdict(calibration.scores, held_out),
+            *findings(calibration),
+        ),
+        pictures=_pictures(calibration),
+        tables=(comparison_table(calibration.scores, held_out), misfit_table(calibration)),
+        posteriors=calibration.posteriors,
+        settings={
+            "model": calibration.model,
+            "lights fitted": int((~observation.held_out).sum()),
+            "lights held out": held_out,
+            "pixels of the object": observation.cosine.shape[1],
+            "samples per channel": len(calibration.fitted.light),
+            "smallest n.l": calibration.minimum_cosine,
+            "black level [DN]": observation.black,
+            "clip level [DN]": observation.clip,
+            "gamma": observation.gamma or 1.0,
+            **_facet_settings(calibration),
+        },
+    )
+
+
+def _facet_settings(calibration: ReflectanceCalibration) -> dict[str, float]:
+    if calibration.model not in CLEAR:
+        return {}
+    return {"index of refraction": calibration.reported[0].requested.index}
+
+
+def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
+    rows: list[Estimate] = []
+    for fit in calibration.reported:
+        if fit.channel in calibration.posteriors:
+            rows += estimates(calibration.posteriors[fit.channel], group=fit.channel)
+            continue
+        rows += _partial_estimates(fit, calibration.open_parameters[fit.channel])
+    return tuple(rows)
+
+
+def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
+    """What is determined, given the best values of what is not; and the reasons for the rest."""
+    known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
+    errors = np.zeros(len(fit.space))
+    if known:
+        gradients = np.asarray(scores(jnp.asarray(fit.vector), fit.samples), np.float64)[known]
+        among = fit.information[np.ix_(known, known)]
+        robust = cluster_robust(gradients, among, fit.selection.light, fit.selection.pixel)
+        errors[known] = np.sqrt(np.diagonal(robust.covariance))
+    rows = [
+        gaussian_estimate(
+            fit.space[i].name,
+            fit.space[i].symbol,
+            fit.space[i].unit,
+            fit.natural[i],
+            fit.natural[i] * errors[i],
+            method="Laplace",
+            group=fit.channel,
+            log_scale=True,
+        )
+        for i in known
+    ]
+    units = {parameter.name: parameter for parameter in parameter_space(fit.requested)}
+    rows += [
+        not_determined(name, units[name].symbol, units[name].unit, why, group=fit.channel)
+        for name, why in reasons.items()
+    ]
+    return rows
+
+
+def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
+    model = LABELS[calibration.model]
+    return (
+        Picture(
+            "images",
+            "Measured, predicted, and what is left",
+            f"Two lights of the fit and two held-out ones, {model}. Last row: measured less "
+            "predicted in per cent of the brightest predicted pixel (red: the photograph is "
+            "brighter); saturated pixels are grey.",
+            partial(figures.images_figure, calibration),
+        ),
+        Picture(
+            "lobes",
+            "The two terms of the model against their angle",
+            "Left: signal per unit of light, away from the highlight, against n.l: the diffuse "
+            "term is a straight line. Right: what the diffuse term leaves over, against the angle "
+            "to the mirror direction: the highlight. Dots: medians of the fitted lights, bars: "
+            "middle 68 % of the pixels; lines: the fit (medians of it where it does not depend on "
+            "that angle alone).",
+            partial(figures.lobes_figure, calibration),
+        ),
+        Picture(
+            "comparison",
+            "Error of the prediction, by model",
+            "Relative RMS of the predicted images: bars on lights that no fit has seen, black "
+            "lines on the fitted lights. Lower is better; a bar well above its line would be "
+            "over-fitting.",
+            partial(figures.comparison_figure, calibration),
+        ),
+        Picture(
+            "residual_map",
+            "Where the model misses, averaged over all lights",
+            "Measured less predicted, in per cent of the predicted light that each pixel sent over "
+            "all images and channels. Structure here is not noise: light or shape that the model "
+            "does not have.",
+            partial(figures.residual_map_figure, calibration),
+        ),
+    )

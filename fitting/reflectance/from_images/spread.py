@@ -1,0 +1,106 @@
+"""The variance of pixels about a fit: the sensor's noise and what the model misses.
+
+A linear signal X (DN) scatters with the variance
+
+    floor + shot X + (relative X)^2
+
+in which floor and shot are the sensor's, and `relative` is what the model misses: the pixels' own
+gains (PRNU), or a surface that is not the model's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+
+QUANTISATION = 1 / 12  # DN^2: rounding to integers
+BINS = 64
+EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectation
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Variance of the linear signal. floor: DN^2; shot: DN (the system gain, DN per electron);
+    relative: fraction of the signal, None where the data do not ask for it."""
+
+    floor: float
+    shot: float
+    relative: float | None
+
+
+def variance(
+    spread: Spread,
+    signal: Float[np.ndarray, " samples"],
+    *,
+    slope: Float[np.ndarray, " samples"] | float = 1.0,
+) -> Float[np.ndarray, " samples"]:
+    """Variance of the stored digital number (DN^2), rounding included; `slope`: d DN / d X."""
+    linear = spread.floor + spread.shot * np.maximum(signal, 0)
+    if spread.relative is not None:
+        linear = linear + (spread.relative * signal) ** 2
+    return slope**2 * linear + QUANTISATION
+
+
+def sensor_spread(gain: float, read_noise: float) -> Spread:
+    """The spread of a known sensor: gain in DN per electron, read noise in electrons."""
+    return Spread((gain * read_noise) ** 2, gain, None)
+
+
+def chi_square_per_dof(
+    residual: np.ndarray, signal: np.ndarray, slope: np.ndarray | float, spread: Spread, dof: int
+) -> float:
+    """Mean squared residual (DN) in units of its variance, `dof` being what is counted."""
+    return float(np.sum(residual**2 / variance(spread, signal, slope=slope)) / dof)
+
+
+def fit_spread(
+    residual: Float[np.ndarray, " samples"],
+    signal: Float[np.ndarray, " samples"],
+    slope: Float[np.ndarray, " samples"],
+    *,
+    sensor: Spread | None,
+) -> Spread:
+    """The spread that makes residuals (DN) likeliest, from their mean squares in bins of signal.
+
+    With a known `sensor` only the relative term is fitted, and only where chi-square exceeds what
+    the sensor explains by three standard deviations; without one, a constant and a relative term
+    are.
+    """
+    counts, squares, x, d = _binned(residual, signal, slope)
+    total = counts.sum()
+    if sensor is not None:
+        excess = np.sum(counts * squares / variance(sensor, x, slope=d)) / total - 1
+        if excess < EXCESS * np.sqrt(2 / total):
+            return sensor
+
+    def spread_of(logs: np.ndarray) -> Spread:
+        if sensor is not None:
+            return Spread(sensor.floor, sensor.shot, float(np.exp(logs[0])))
+        return Spread(float(np.exp(2 * logs[1])), 0.0, float(np.exp(logs[0])))
+
+    def deviance(logs: np.ndarray) -> float:
+        v = variance(spread_of(logs), x, slope=d)
+        return float(np.sum(counts * (np.log(v) + squares / v)) / total)
+
+    typical = np.log(np.sqrt(np.average(squares / d**2, weights=counts)))
+    brightest = np.log(np.maximum(x.max(), 1.0))
+    start = [typical - brightest, typical - 1]
+    bounds = [(typical - brightest - 12, 2.0), (typical - 12, typical + 2)]
+    count = 2 if sensor is None else 1
+    found = scipy.optimize.minimize(deviance, start[:count], bounds=bounds[:count])
+    return spread_of(found.x)
+
+
+def _binned(
+    residual: np.ndarray, signal: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Counts, mean squares, mean signals and rms slopes in bins of equally many samples."""
+    order = np.argsort(signal)
+    edges = np.unique(np.linspace(0, len(order), min(BINS, len(order)) + 1).astype(int))
+    counts = np.diff(edges)
+
+    def means(values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values[order], edges[:-1]) / counts
+
+    return counts, means(residual**2), means(signal), np.sqrt(means(slope**2))

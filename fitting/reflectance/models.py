@@ -1,0 +1,181 @@
+"""The reflectance models that can be fitted: one row each, the equations being `jaxvision.brdf`'s.
+
+A model is a diffuse part k_d plus k_s times a lobe of one shape parameter. Adding one takes a row:
+its record with unit k_s, and the shape's name, unit and range. Lobes lie about the mirror direction
+or about the half vector; a rough diffuse surface has a shape but no lobe.
+
+The facets of Torrance-Sparrow are Beckmann or GGX with Smith's height-correlated shadowing. Their
+Fresnel term is that of a clear dielectric of a given index, never fitted: k_s and the reflectance
+along the normal only enter as their product, save at grazing angles. Facets of `metal` (GGX)
+reflect alike at all angles, as a metal nearly does.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxvision._vector import Vec
+from jaxvision.brdf import evaluate, shading
+from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
+from jaxvision.brdf.fresnel import Dielectric
+from jaxvision.brdf.gaussian_lobe import GaussianLobe
+from jaxvision.brdf.oren_nayar import OrenNayar
+from jaxvision.brdf.phong import NormalisedPhong, Phong
+from jaxvision.brdf.torrance_sparrow import Distribution, TorranceSparrow
+from jaxvision.scene import Material
+
+from ..inference.parameters import Parameter
+
+Model = Literal[
+    "lambert",
+    "oren-nayar",
+    "phong",
+    "normalised-phong",
+    "gaussian-lobe",
+    "blinn",
+    "normalised-blinn",
+    "torrance-sparrow",
+    "torrance-sparrow-ggx",
+    "torrance-sparrow-metal",
+]
+Axis = Literal["mirror", "half", "none"]
+
+INDEX = 1.5  # of refraction: glass, varnish, most plastics
+HIGHEST_INDEX = 10.0  # of refraction: beyond any material
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """One model. axis: what the lobe is centred on. shape, material: its parameter, and the record
+    of a shape and an index of refraction with unit amplitude and no other part; None for Lambert.
+    unit: of k_s in a BRDF."""
+
+    label: str
+    axis: Axis
+    shape: Parameter | None = None
+    material: Callable[[Array, float], Material] | None = None
+    unit: str = "sr^-1"
+
+
+def _shape(name: str, symbol: str, unit: str, *, lower: float, upper: float) -> Parameter:
+    return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=lower, upper=upper)
+
+
+def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
+    """k_d = 0 and k_s = 1 in front of a record of (diffuse, specular, shape)."""
+
+    def material(shape: Array, index: float) -> Material:
+        del index
+        return record(jnp.zeros(1, shape.dtype), jnp.ones(1, shape.dtype), shape)
+
+    return material
+
+
+def _facets(
+    distribution: Distribution, *, clear: bool = True
+) -> Callable[[Array, float], Material]:
+    def material(shape: Array, index: float) -> Material:
+        return TorranceSparrow(
+            jnp.zeros(1, shape.dtype),
+            jnp.ones(1, shape.dtype),
+            shape,
+            interface=Dielectric(jnp.full(1, index, shape.dtype)) if clear else None,
+            distribution=distribution,
+        )
+
+    return material
+
+
+def _rough_body(shape: Array, index: float) -> Material:
+    del index
+    return OrenNayar(jnp.ones(1, shape.dtype), shape)
+
+
+_EXPONENT = _shape("exponent", "n", "1", lower=0.5, upper=20_000.0)
+_CONCENTRATION = _shape("concentration", "c", "1/rad", lower=0.5, upper=100.0)
+_FACET_ROUGHNESS = _shape("roughness", "α", "1", lower=0.005, upper=1.5)
+_BODY_ROUGHNESS = _shape("roughness", "σ", "rad", lower=0.01, upper=1.5)
+
+REFLECTANCES: dict[Model, Reflectance] = {
+    "lambert": Reflectance("Lambert", "none"),
+    "oren-nayar": Reflectance("Oren-Nayar", "none", _BODY_ROUGHNESS, _rough_body),
+    "phong": Reflectance("Phong", "mirror", _EXPONENT, _lobe(Phong)),
+    "normalised-phong": Reflectance(
+        "normalised Phong", "mirror", _EXPONENT, _lobe(NormalisedPhong), "1"
+    ),
+    "gaussian-lobe": Reflectance("Gaussian lobe", "mirror", _CONCENTRATION, _lobe(GaussianLobe)),
+    "blinn": Reflectance("Blinn", "half", _EXPONENT, _lobe(Blinn)),
+    "normalised-blinn": Reflectance(
+        "normalised Blinn", "half", _EXPONENT, _lobe(NormalisedBlinn), "1"
+    ),
+    "torrance-sparrow": Reflectance(
+        "Torrance-Sparrow (Beckmann)", "half", _FACET_ROUGHNESS, _facets("beckmann"), "1"
+    ),
+    "torrance-sparrow-ggx": Reflectance(
+        "Torrance-Sparrow (GGX)", "half", _FACET_ROUGHNESS, _facets("ggx"), "1"
+    ),
+    "torrance-sparrow-metal": Reflectance(
+        "Torrance-Sparrow (GGX, metal)",
+        "half",
+        _FACET_ROUGHNESS,
+        _facets("ggx", clear=False),
+        "1",
+    ),
+}
+
+MODELS: tuple[Model, ...] = tuple(REFLECTANCES)
+LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.items()}
+CLEAR: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-ggx")  # with an index
+
+
+def facet_sentence(index: float) -> str:
+    """What a reader of a fit with clear facets must know."""
+    along_normal = ((index - 1) / (index + 1)) ** 2
+    return (
+        f"Clear facets have the index of refraction {index:g} (Fresnel reflectance "
+        f"{along_normal:.3f} along the normal), given, not fitted: k_s and it enter as a product, "
+        "so a k_s that is off speaks of another index or of facets that do not cover the surface."
+    )
+
+
+def has_lobe(model: Model) -> bool:
+    """Whether a specular term stands beside the diffuse one."""
+    return REFLECTANCES[model].axis != "none"
+
+
+def shape_of(model: Model) -> Parameter:
+    """The shape parameter of any model but Lambert's."""
+    shape = REFLECTANCES[model].shape
+    assert shape is not None, model
+    return shape
+
+
+def unit_brdf(
+    model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
+) -> Float[Array, " n"]:
+    """f_r of unit amplitude for pairs of local directions, components (n,): sr^-1 per amplitude."""
+    return _over_pairs(evaluate, model, shape, wi, wo, index)
+
+
+def unit_shading(
+    model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
+) -> Float[Array, " n"]:
+    """What unit amplitude makes of the irradiance on a surface facing the light: (n,)."""
+    return _over_pairs(shading, model, shape, wi, wo, index)
+
+
+def _over_pairs(
+    of_pair: Callable[[Material, Vec, Vec], Array],
+    model: Model,
+    shape: Array,
+    wi: Vec,
+    wo: Vec,
+    index: float,
+) -> Array:
+    build = REFLECTANCES[model].material
+    assert build is not None, model
+    return jax.vmap(of_pair, (None, 0, 0))(build(shape, index), wi, wo)[:, 0]

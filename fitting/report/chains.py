@@ -1,0 +1,112 @@
+"""The draws of a posterior: written as NetCDF, and drawn as corner plot and walkers' paths."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+
+from jaxvision.io import replaced_on_success
+
+from ..inference.parameters import names
+from ..inference.posterior import Posterior
+from .formatting import format_axis
+from .section import Picture, Section
+
+MOST_WALKERS = 16  # paths drawn; more only blacken the panel
+
+
+def corner_figure(posterior: Posterior) -> Figure:
+    """Every pair of parameters with 68 and 95 % regions, quantiles on the diagonal."""
+    import corner
+
+    labels = [format_axis(p.symbol, p.unit) for p in posterior.space]
+    size = 1.6 + 1.5 * len(labels)
+    figure = corner.corner(
+        posterior.samples,
+        labels=labels,
+        quantiles=[0.16, 0.5, 0.84],
+        levels=(0.68, 0.95),
+        smooth=1.0,
+        plot_datapoints=False,
+        label_kwargs={"fontsize": 9},
+        max_n_ticks=3,
+        labelpad=0.12,
+        fig=Figure(figsize=(size, size)),
+    )
+    for axis in figure.axes:
+        for direction in (axis.xaxis, axis.yaxis):
+            if isinstance(direction.get_major_formatter(), ScalarFormatter):
+                direction.get_major_formatter().set_useOffset(False)
+    return figure
+
+
+def trace_figure(posterior: Posterior) -> Figure:
+    """Some walkers' paths after burn-in: a settled chain looks like even noise."""
+    count = len(posterior.space)
+    figure = Figure(figsize=(8, 1.1 * count + 0.8), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(count, 1, sharex=True))
+    for i, (axis, parameter) in enumerate(zip(axes, posterior.space, strict=True)):
+        axis.plot(posterior.draws[:MOST_WALKERS, :, i].T, color="tab:blue", alpha=0.3, lw=0.5)
+        axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=8)
+        axis.tick_params(labelsize=8)
+    axes[-1].set_xlabel("step after burn-in")
+    return figure
+
+
+def write_chains(path: Path, posteriors: dict[str, Posterior]) -> None:
+    """Draws of every posterior in one NetCDF file, as the groups `posterior` and `sample_stats` of
+    ArviZ' layout (dimensions chain, draw); with several posteriors each variable name is preceded
+    by its own (`red_exponent`)."""
+    import xarray
+
+    variables, statistics, attributes = {}, {}, {}
+    for name, posterior in posteriors.items():
+        prefix = "" if len(posteriors) == 1 else f"{name.replace(' ', '_')}_"
+        dimensions = (f"{prefix}chain", f"{prefix}draw") if prefix else ("chain", "draw")
+        for i, label in enumerate(names(posterior.space)):
+            variables[f"{prefix}{label}"] = (
+                dimensions,
+                posterior.draws[:, :, i],
+                {"units": posterior.space[i].unit},
+            )
+        if posterior.log_density is not None:
+            statistics[f"{prefix}lp"] = (dimensions, posterior.log_density)
+        attributes[f"{prefix}method"] = posterior.method
+        attributes[f"{prefix}seed"] = posterior.seed
+    with replaced_on_success(path) as unfinished:
+        xarray.Dataset(variables, attrs=attributes).to_netcdf(
+            unfinished, mode="w", group="posterior", engine="h5netcdf"
+        )
+        if statistics:
+            xarray.Dataset(statistics).to_netcdf(
+                unfinished, mode="a", group="sample_stats", engine="h5netcdf"
+            )
+
+
+def chain_pictures(section: Section) -> list[Picture]:
+    """The corner plot of each posterior of a section, and the paths of a sampled one."""
+    pictures = []
+    for group, posterior in section.posteriors.items():
+        which = f" ({group})" if group else ""
+        if len(posterior.space) > 1:
+            pictures.append(
+                Picture(
+                    f"corner_{group}",
+                    f"Joint uncertainty{which}",
+                    f"{posterior.method} posterior: 68 and 95 % regions of every pair of "
+                    "parameters; a slanted ellipse is a pair the data partly confuse.",
+                    partial(corner_figure, posterior),
+                )
+            )
+        if posterior.method == "emcee":
+            pictures.append(
+                Picture(
+                    f"trace_{group}",
+                    f"Walkers{which}",
+                    "Paths of some walkers after burn-in; a settled chain looks like even noise.",
+                    partial(trace_figure, posterior),
+                )
+            )
+    return pictures

@@ -1,0 +1,113 @@
+"""The terminal: progress on standard error, results as tables or JSON on standard output."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+from rich.table import Table as RichTable
+
+from ..inference.estimates import Estimate
+from ..inference.posterior import Progress as ProgressCallback
+from .formatting import format_cell, format_interval, format_unit, format_value
+from .section import Section, Table
+
+PLAIN_WIDTH = 170  # columns where the output is no terminal and so has no width of its own
+
+
+def output() -> Console:
+    """Standard output, wide enough for whole tables when it is piped."""
+    return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
+
+
+class Reporter:
+    """Progress of a long command: named steps, each with an optional bar."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    @contextmanager
+    def step(self, description: str) -> Iterator[ProgressCallback]:
+        """Shows `description` while the block runs; call what it yields with (done, total)."""
+        task = self._progress.add_task(description, total=None)
+
+        def advance(done: int, total: int) -> None:
+            self._progress.update(task, completed=done, total=total)
+
+        yield advance
+        self._progress.update(task, total=1, completed=1)
+        if not self._progress.console.is_terminal:
+            self._progress.console.print(f"{description}: done")
+
+
+@contextmanager
+def reporting() -> Iterator[Reporter]:
+    """Progress on standard error; plain lines where that is no terminal."""
+    console = Console(stderr=True, highlight=False)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield Reporter(progress)
+
+
+def print_section(console: Console, section: Section) -> None:
+    """The estimates of a calibration as a table, its findings as sentences under it."""
+    console.print()
+    if section.estimates:
+        console.print(estimate_table(section.title, section.estimates))
+    for estimate in section.estimates:
+        if estimate.reason:
+            console.print(
+                f"  {_label(estimate)}: not determined: {estimate.reason}", soft_wrap=True
+            )
+    for table in section.tables:
+        console.print(plain_table(table))
+    for finding in section.findings:
+        console.print(f"• {finding}", soft_wrap=True)
+
+
+def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
+    """What is determined, a row each."""
+    table = RichTable(title=title, title_justify="left", title_style="bold")
+    grouped = any(estimate.group for estimate in estimates)
+    heads = ["quantity", "value ± s.e.", "unit", "68 %", "95 %", "method"]
+    for head in (["channel"] if grouped else []) + heads:
+        table.add_column(head, no_wrap=head in ("value ± s.e.", "68 %", "95 %"))
+    for estimate in estimates:
+        if estimate.reason:
+            continue
+        cells = [
+            estimate.name.replace("_", " "),
+            format_value(estimate),
+            format_unit(estimate.unit),
+            format_interval(estimate, 68),
+            format_interval(estimate, 95),
+            estimate.method,
+        ]
+        table.add_row(*([estimate.group] if grouped else []), *(_escaped(cell) for cell in cells))
+    return table
+
+
+def plain_table(content: Table) -> RichTable:
+    """A results table as it stands, its caption under it."""
+    table = RichTable(
+        title=_escaped(content.title),
+        title_justify="left",
+        title_style="bold",
+        caption=_escaped(content.caption) or None,
+        caption_justify="left",
+    )
+    for column in content.columns:
+        table.add_column(_escaped(column))
+    for row in content.rows:
+        table.add_row(*(_escaped(format_cell(cell)) for cell in row))
+    return table
+
+
+def _label(estimate: Estimate) -> str:
+    name = estimate.name.replace("_", " ")
+    return f"{name} ({estimate.method})" if estimate.method else name
+
+
+def _escaped(cell: str) -> str:
+    return cell.replace("[", r"\[")

@@ -1,0 +1,76 @@
+"""Numbers as a reader wants them: rounded to what their uncertainty supports."""
+
+import math
+import re
+
+from ..inference.estimates import Estimate
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+DIGITS = 2  # significant digits of an uncertainty
+
+
+def decimals_for(uncertainty: float) -> int | None:
+    """Decimal places that keep two significant digits of `uncertainty`; None where it is zero or
+    not finite."""
+    if not math.isfinite(uncertainty) or uncertainty <= 0:
+        return None
+    return DIGITS - 1 - math.floor(math.log10(uncertainty))
+
+
+def format_number(value: float, decimals: int | None) -> str:
+    """`value` rounded to `decimals` places (negative: tens, hundreds ...; None: six digits)."""
+    if decimals is None or not math.isfinite(value):
+        return f"{value:.6g}"
+    if decimals > 7 or abs(value) >= 1e7:
+        exponent = math.floor(math.log10(abs(value))) if value else 0
+        return f"{value:.{max(decimals + exponent, 1)}e}"
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def format_value(estimate: Estimate) -> str:
+    """`value ± standard error` without the unit, or a dash where it is not determined."""
+    if estimate.value is None:
+        return "–"
+    if estimate.standard_error is None:
+        return f"{estimate.value:.6g}"
+    places = decimals_for(estimate.standard_error)
+    value, error = (format_number(x, places) for x in (estimate.value, estimate.standard_error))
+    return f"{value} ± {error}"
+
+
+def format_interval(estimate: Estimate, level: int) -> str:
+    """The 68 or 95 % interval as `[low, high]`, empty where there is none."""
+    interval = estimate.interval_68 if level == 68 else estimate.interval_95
+    if interval is None:
+        return ""
+    deviations = 2 if level == 68 else 4
+    places = decimals_for((interval[1] - interval[0]) / deviations)
+    low, high = (format_number(end, places) for end in interval)
+    return f"[{low}, {high}]"
+
+
+def format_unit(unit: str) -> str:
+    """`sr^-1` as sr⁻¹; the unit one is left unsaid."""
+    if unit == "1":
+        return ""
+    return re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), unit)
+
+
+def split_symbol(symbol: str) -> tuple[str, str]:
+    """A symbol such as `σ_d` as its letter and its subscript (empty if it has none)."""
+    letter, _, subscript = symbol.partition("_")
+    return letter, subscript
+
+
+def format_axis(symbol: str, unit: str) -> str:
+    """An axis label: the symbol set as mathematics, its unit in brackets."""
+    letter, subscript = split_symbol(symbol)
+    mathematics = f"${letter}_{{\\rm {subscript}}}$" if subscript else f"${letter}$"
+    return f"{mathematics} [{format_unit(unit)}]" if format_unit(unit) else mathematics
+
+
+def format_cell(cell: object) -> str:
+    """A table cell: floats to four significant digits, None as a dash, anything else as is."""
+    if cell is None:
+        return "–"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

@@ -1,0 +1,164 @@
+"""A calibration written down: `report.html` (self-contained), `results.json`, and the posterior
+draws as NetCDF in ArviZ' layout. Everything is prepared first and written last, so that a failure
+leaves nothing half-written."""
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxvision.io import replaced_on_success
+
+from .chains import chain_pictures, write_chains
+from .formatting import format_cell, format_interval, format_unit, format_value, split_symbol
+from .section import Picture, Section, Table
+
+PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
+DOTS_PER_INCH = 130
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those whose numbers enter a result."""
+    return {name: version(name) for name in PACKAGES}
+
+
+def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
+    """Estimates with units and intervals, findings, tables, settings, versions and seed as JSON
+    text; what is not determined is null, with its reason."""
+    content = {
+        "created": _now(),
+        "seed": seed,
+        "versions": versions(),
+        "settings": settings,
+        "sections": [
+            {
+                "kind": section.kind,
+                "title": section.title,
+                "estimates": [asdict(estimate) for estimate in section.estimates],
+                "findings": section.findings,
+                "tables": [asdict(table) for table in section.tables],
+                "settings": section.settings,
+            }
+            for section in sections
+        ],
+    }
+    return json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def as_html(sections: Sequence[Section], *, title: str) -> str:
+    """The report as one HTML page with its pictures inside."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fitting.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        title=title,
+        created=_now(),
+        versions=versions(),
+        sections=[_section_cells(section) for section in sections],
+    )
+
+
+def write_report(
+    folder: Path,
+    sections: Sequence[Section],
+    *,
+    title: str,
+    seed: int,
+    settings: dict[str, Any],
+) -> list[Path]:
+    """Writes `report.html`, `results.json` and, for each section with posteriors,
+    `<kind>_chains.nc` into `folder` (made if needed); returns their paths."""
+    page = as_html(sections, title=title)
+    data = as_json(sections, seed=seed, settings=settings)
+    written = []
+    for name, text in (("report.html", page), ("results.json", data)):
+        with replaced_on_success(folder / name) as partial:
+            partial.write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    for section in sections:
+        if section.posteriors:
+            path = folder / f"{section.kind}_chains.nc"
+            write_chains(path, section.posteriors)
+            written.append(path)
+    return written
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _finite(content: Any) -> Any:
+    """JSON without NaN: arrays as lists, non-finite numbers as null."""
+    match content:
+        case dict():
+            return {str(key): _finite(value) for key, value in content.items()}
+        case list() | tuple():
+            return [_finite(value) for value in content]
+        case np.ndarray():
+            return _finite(content.tolist())
+        case bool() | str() | int() | None:
+            return content
+        case float() | np.floating():
+            return float(content) if np.isfinite(content) else None
+        case np.integer():
+            return int(content)
+        case Path():
+            return content.name
+    return str(content)
+
+
+def _section_cells(section: Section) -> dict[str, Any]:
+    return {
+        "kind": section.kind,
+        "title": section.title,
+        "findings": section.findings,
+        "grouped": any(estimate.group for estimate in section.estimates),
+        "estimates": [
+            {
+                "group": estimate.group,
+                "name": estimate.name.replace("_", " "),
+                "symbol": split_symbol(estimate.symbol),
+                "unit": format_unit(estimate.unit),
+                "method": estimate.method,
+                "reason": estimate.reason,
+                "value": format_value(estimate),
+                "interval_68": format_interval(estimate, 68),
+                "interval_95": format_interval(estimate, 95),
+            }
+            for estimate in section.estimates
+        ],
+        "tables": [_table_cells(table) for table in section.tables],
+        "pictures": [_picture_cells(p) for p in (*section.pictures, *chain_pictures(section))],
+        "settings": {name: format_cell(value) for name, value in section.settings.items()},
+    }
+
+
+def _table_cells(table: Table) -> dict[str, Any]:
+    return {
+        "title": table.title,
+        "columns": table.columns,
+        "rows": [[format_cell(cell) for cell in row] for row in table.rows],
+        "caption": table.caption,
+    }
+
+
+def _picture_cells(picture: Picture) -> dict[str, str]:
+    buffer = io.BytesIO()
+    picture.draw().savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return {
+        "title": picture.title,
+        "caption": picture.caption,
+        "png": base64.b64encode(buffer.getvalue()).decode(),
+    }

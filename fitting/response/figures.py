@@ -1,0 +1,200 @@
+"""Pictures of a response calibration: curves, departures from gamma, exposure offsets, the merged
+map and its coverage."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxvision.point_ops import srgb_encode
+
+from .calibration import ChannelResponse, ResponseCalibration
+
+COLOURS = {
+    "red": "tab:red",
+    "green": "tab:green",
+    "green 1": "tab:green",
+    "green 2": "tab:olive",
+    "blue": "tab:blue",
+    "grey": "0.3",
+}
+MOST_GROUPS = 9
+DOTS = 1500  # pixels drawn per channel
+SHORT_FILE_NAME = 24
+
+
+def curve_figure(calibration: ResponseCalibration) -> Figure:
+    """Log exposure against code, one panel per group, with data, band and gamma."""
+    figure, panels = _panels(calibration, height=4.0)
+    for axis, (_, channels) in panels:
+        for channel in channels:
+            _draw_curve(axis, channel)
+        axis.set(xscale="log", yscale="log")
+        axis.set_xlabel("code above black (DN)")
+        axis.set_ylabel("exposure (mid-scale = 1)")
+        axis.legend(fontsize=8, loc="upper left")
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def _draw_curve(axis: Axes, channel: ChannelResponse) -> None:
+    curve, colour = channel.curve, COLOURS[channel.plane.channel]
+    z = curve.codes - curve.bins.black
+    g, seen = curve.log_exposure, curve.seen
+    rng = np.random.default_rng(0)
+    flat = channel.plane.codes.reshape(len(channel.plane.exposures), -1)
+    pick = rng.choice(flat.shape[1], min(DOTS // 4, flat.shape[1]), replace=False)
+    covered = channel.radiance.coverage.ravel()[pick] > 1
+    x = flat[:, pick[covered]].astype(float)
+    y = channel.radiance.radiance.ravel()[pick[covered]] * channel.plane.exposures[:, None]
+    usable = (curve.bins.lookup[x.astype(int)] >= 0) & (y > np.exp(g[0]))
+    axis.plot(
+        x[usable] - curve.bins.black, y[usable], ".", ms=2, alpha=0.15, color=colour, zorder=1
+    )
+    band = 1.96 * curve.standard_error
+    axis.fill_between(
+        z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
+    )
+    gamma = channel.gamma.gamma.value or np.nan
+    label = f"{channel.plane.channel}, γ = {gamma:.3g}"
+    axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=1.5, label=label)
+    axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
+    pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))
+    axis.plot(z, np.exp(pure), color=colour, lw=0.8, ls="--")
+
+
+def departure_figure(calibration: ResponseCalibration) -> Figure:
+    """Departure of the measured curve from the best gamma (left) and from sRGB (right)."""
+    shown = calibration.channels[: 4 * MOST_GROUPS]
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for channel in shown:
+        curve, colour = channel.curve, COLOURS[channel.plane.channel]
+        band = np.where(curve.seen, 1.96 * curve.standard_error, np.nan)
+        judged = curve.standard_error < 0.1
+        for axis, gap in ((left, channel.gamma.departure), (right, channel.gamma.srgb_departure)):
+            gap = np.where(judged, gap, np.nan)
+            axis.plot(curve.codes, 100 * gap, color=colour, lw=1.2, label=channel.plane.label)
+            axis.fill_between(
+                curve.codes, 100 * (gap - band), 100 * (gap + band), color=colour, alpha=0.2, lw=0
+            )
+    for axis, name in ((left, "the best gamma"), (right, "sRGB")):
+        axis.axhline(0, color="0.4", lw=0.8)
+        axis.set(xlabel="code (DN)", title=f"against {name}")
+        axis.grid(alpha=0.3)
+    left.set_ylabel("departure in ln exposure (%)")
+    if len(shown) <= 4 and any(channel.plane.label for channel in shown):
+        left.legend(fontsize=8)
+    return figure
+
+
+def offsets_figure(calibration: ResponseCalibration) -> Figure:
+    """Offset of every image's exposure from its nominal time, one panel per group."""
+    figure, panels = _panels(calibration, height=3.0)
+    for axis, (_, channels) in panels:
+        for i, channel in enumerate(channels):
+            curve = channel.curve
+            nudge = 1 + 0.04 * (i - (len(channels) - 1) / 2)
+            axis.errorbar(
+                curve.exposures * nudge,
+                100 * curve.shutter_offsets,
+                yerr=196 * curve.shutter_offset_errors,
+                fmt="o",
+                ms=4,
+                lw=1,
+                color=COLOURS[channel.plane.channel],
+                label=channel.plane.channel,
+            )
+        axis.axhline(0, color="0.4", lw=0.8)
+        axis.set_xscale("log")
+        axis.set(xlabel="nominal exposure time (s)", ylabel="offset in ln t (%)")
+        axis.legend(fontsize=8)
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def radiance_figure(
+    calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
+) -> Figure:
+    """The tone-mapped map of each group, of which `images` names one at least, beside its middle
+    exposure."""
+    shown = list(images.items())[:MOST_GROUPS]
+    tall = shown[0][1].shape[0] / shown[0][1].shape[1]
+    figure = Figure(figsize=(8, 4 * tall * len(shown) + 0.6), layout="constrained")
+    axes = figure.subplots(len(shown), 2, squeeze=False)
+    for (left, right), (group, image) in zip(axes, shown, strict=True):
+        left.imshow(tone_mapped(image), cmap="gray", vmin=0, vmax=1)
+        single, seconds = _middle_exposure(calibration, group)
+        right.imshow(single, cmap="gray", vmin=0, vmax=1)
+        left.set_title(f"{group} merged map".strip(), fontsize=10)
+        right.set_title(f"{seconds:.4g} s alone", fontsize=10)
+        for axis in (left, right):
+            axis.set_axis_off()
+    return figure
+
+
+def coverage_figure(calibration: ResponseCalibration) -> Figure:
+    """How many exposures each pixel rests on, in the worst channel of its group."""
+    groups = _groups(calibration)[:MOST_GROUPS]
+    columns = min(3, len(groups))
+    rows = -(-len(groups) // columns)
+    figure = Figure(figsize=(4.6 * columns, 4.2 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    drawn = None
+    most = max(len(channels[0].plane.exposures) for _, channels in groups)
+    for axis, (group, channels) in zip(axes, groups, strict=False):
+        worst = np.min([channel.radiance.coverage for channel in channels], axis=0)
+        drawn = axis.imshow(worst, vmin=0, vmax=most, cmap="viridis", interpolation="nearest")
+        axis.set_title(group, fontsize=10)
+    for axis in axes:
+        axis.set_axis_off()
+    assert drawn is not None
+    figure.colorbar(drawn, ax=list(axes), label="exposures used", shrink=0.8)
+    return figure
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """Reinhard's global operator: r / (1 + r) of the radiance over its log average, encoded as
+    sRGB; values in 0..1."""
+    positive = np.maximum(radiance.astype(np.float64), 1e-12)
+    relative = 0.36 * positive / np.exp(np.mean(np.log(positive)))
+    return np.asarray(srgb_encode(jnp.asarray(relative / (1 + relative))))
+
+
+def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.ndarray, float]:
+    planes = [p for p in calibration.stack.planes if p.group == group]
+    middle = len(planes[0].exposures) // 2
+    by_name = {
+        plane.channel: plane.codes[middle] / calibration.stack.full_scale for plane in planes
+    }
+    seconds = float(planes[0].exposures[middle])
+    if "grey" in by_name:
+        return by_name["grey"], seconds
+    green = by_name["green"] if "green" in by_name else by_name["green 1"]
+    return np.clip(np.stack([by_name["red"], green, by_name["blue"]], axis=-1), 0, 1), seconds
+
+
+def _groups(
+    calibration: ResponseCalibration,
+) -> list[tuple[str, list[ChannelResponse]]]:
+    groups: dict[str, list[ChannelResponse]] = {}
+    for channel in calibration.channels:
+        groups.setdefault(channel.plane.group, []).append(channel)
+    return list(groups.items())
+
+
+def _panels(
+    calibration: ResponseCalibration, *, height: float
+) -> tuple[Figure, list[tuple[Axes, tuple[str, list[ChannelResponse]]]]]:
+    groups = _groups(calibration)[:MOST_GROUPS]
+    columns = min(3, len(groups))
+    rows = -(-len(groups) // columns)
+    width = 6.4 if columns == 1 else 4.4 * columns
+    figure = Figure(figsize=(width, height * rows + 0.4), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes[len(groups) :]:
+        axis.set_axis_off()
+    for axis, (group, _) in zip(axes, groups, strict=False):
+        axis.set_title(group, fontsize=10)
+    return figure, list(zip(axes, groups, strict=False))

@@ -1,0 +1,110 @@
+"""What a response calibration has to say, in sentences: shape, shutter times, what was left out."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..inference.posterior import convergence_in_words
+from .calibration import ChannelResponse, ResponseCalibration
+from .curve import ResponseCurve
+
+PURE = 0.05  # departure in ln exposure up to which a response counts as a pure gamma
+SURE = 0.02  # standard error of ln exposure up to which a departure is judged
+QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
+EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
+FEW_FREE = 2  # visible shutter errors below which the prior speaks
+
+
+def largest_departure(
+    curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
+) -> tuple[float, float]:
+    """(|departure| in ln exposure, code) where it is largest, among the codes between 5 and 95 % of
+    the range that are known to 2 % and whose pixels are known to 10 %."""
+    share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
+    central = (share > EDGES[0]) & (share < EDGES[1])
+    known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
+    judged = central & curve.seen & known & np.isfinite(departure)
+    if not judged.any():
+        return float("nan"), float("nan")
+    size = np.where(judged, np.abs(departure), -1)
+    return float(size.max()), float(curve.codes[np.argmax(size)])
+
+
+def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
+    channels = calibration.channels
+    found = [_shape_in_words(channels), *_shutter_in_words(channels)]
+    found += [
+        f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
+        "codes share an exposure; look for misaligned images or a moving scene."
+        for channel in channels
+        if not channel.curve.monotone
+    ]
+    black = sorted({channel.plane.black for channel in channels})
+    if black[-1] >= 0.5:
+        levels = " and ".join(f"{level:g}" for level in {black[0]: 0, black[-1]: 0})
+        found.append(f"Black lies at {levels} DN; codes at or below it were left out.")
+    for channel in channels:
+        dropped = len(channel.plane.exposures) - len(channel.curve.exposures)
+        if dropped:
+            found.append(
+                f"{channel.plane.label or 'The stack'}: {dropped} of "
+                f"{len(channel.plane.exposures)} exposures share no unclipped pixels with another "
+                "and were not used."
+            )
+    for plane, reason in calibration.skipped:
+        found.append(f"{plane.label or 'The stack'} was not calibrated: {reason}")
+    for channel in channels:
+        found += [f"{channel.plane.label}: {text}" for text in channel.gamma.findings]
+        if calibration.sampling is not None:
+            found.append(f"{channel.plane.label}: {convergence_in_words(channel.gamma.posterior)}")
+    return tuple(text for text in found if text)
+
+
+def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
+    sizes = [largest_departure(c.curve, c.gamma.departure) for c in channels]
+    worst = int(np.nanargmax([size for size, _ in sizes])) if np.isfinite(sizes).any() else 0
+    size, code = sizes[worst]
+    where = channels[worst].plane.label or "the grey channel"
+    if not np.isfinite(size):
+        return "No code is known well enough to judge how far the response is a pure gamma."
+    if size <= PURE:
+        return (
+            f"A pure gamma describes the response: the measured curve departs from it by at most "
+            f"{np.expm1(size):.1%} in exposure ({where}, code {code:g})."
+        )
+    srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
+    better = (
+        f"; the sRGB curve fits better, to within {np.expm1(srgb):.1%}" if srgb < size / 2 else ""
+    )
+    many = sum(s > PURE for s, _ in sizes)
+    return (
+        f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
+        f"curve departs by up to {np.expm1(size):.0%} in exposure ({where}, code {code:g})"
+        f"{better}. Use the curve rather than gamma."
+    )
+
+
+def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
+    found = []
+    shaky = [c for c in channels if c.curve.shutter_error is not None]
+    few = [c for c in channels if len(c.curve.exposures) - 2 < FEW_FREE]
+    if shaky:
+        worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
+        found.append(
+            f"In {len(shaky)} of {len(channels)} channels the images disagree on their exposure "
+            f"times by more than pixel noise, at most {worst.curve.shutter_error:.1%} rms "
+            f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
+            "misfit of the curve. The intervals include it, and channels of one image share it."
+        )
+    elif not few:
+        found.append(
+            "The exposure times agree with the images within pixel noise; no shutter error is seen."
+        )
+    if few:
+        found.append(
+            f"{len(few[0].curve.exposures)} exposures show next to nothing of the shutter's error: "
+            "the intervals of gamma rest on the assumption of about 1 % (a factor of 4.5 either "
+            "way); take more exposures."
+        )
+    return found

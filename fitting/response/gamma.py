@@ -1,0 +1,275 @@
+"""The gamma of a response, f(x) = x^(1/gamma), with the shutter's error in its uncertainty.
+
+With a pure gamma, g(z) = gamma ln(z - black) + const: one column of the code-pair statistics, so
+that all pixels enter through a handful of sums (`code_pairs.py`) and a step of a sampler costs
+microseconds. Their score keeps the slope free of the attenuation that noisy and rounded codes
+cause in a log regression.
+
+The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its part
+delta = c (ln t - mean) cannot be told from another gamma and moves it by the factor 1 + c with
+Var(c) = tau^2 / sum (ln t - mean)^2; the rest shows in the images and tells tau. So
+
+    gamma | tau ~ N(q / P, 1 / P + (q / P)^2 tau^2 / sum (ln t - mean)^2),
+
+P and q being the information and the score of gamma once the visible shutter errors are
+integrated out, and the interval integrates over ln tau: Student's t when the images dominate, the
+prior on tau when they are few.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import norm
+
+from jaxvision._types import as_float
+from jaxvision.point_ops import srgb_decode
+
+from ..inference.diagnostics import identifiability
+from ..inference.estimates import Estimate
+from ..inference.parameters import (
+    Parameter,
+    ParameterSpace,
+    log_prior,
+    to_natural,
+    to_unconstrained,
+)
+from ..inference.posterior import Posterior, SamplingOptions, estimates, laplace, sample
+from .curve import ResponseCurve, shutter_basis, spread_of_times
+
+# Of ln tau, mean and standard deviation: about 1 %, within a factor of 4.5 at one sigma.
+SHUTTER_PRIOR = float(np.log(0.01)), 1.5
+GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log", lower=0.05, upper=20.0)
+SHUTTER_ERROR = Parameter(
+    "shutter_error",
+    symbol="τ",
+    unit="",
+    transform="log",
+    lower=1e-6,
+    upper=1.0,
+    prior_mean=SHUTTER_PRIOR[0],
+    prior_sd=SHUTTER_PRIOR[1],
+)
+SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
+ENDS = (0.025, 0.16, 0.84, 0.975)
+
+
+class GammaSums(eqx.Module):
+    """What the pixels say about gamma: the energy of (gamma, visible shutter errors d, 1) is
+    gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d."""
+
+    cc: Float[Array, ""]
+    ct: Float[Array, ""]
+    cd: Float[Array, " free"]
+    td: Float[Array, " free"]
+    dd: Float[Array, "free free"]
+    score_c: Float[Array, ""]
+    score_d: Float[Array, " free"]
+    spread: Float[Array, ""]
+
+
+class GivenShutter(eqx.Module):
+    """Gamma for a known tau: mean and variance, and the log evidence for that tau."""
+
+    mean: Float[Array, ""]
+    variance: Float[Array, ""]
+    log_evidence: Float[Array, ""]
+
+
+@dataclass(frozen=True)
+class GammaFit:
+    """gamma and tau with their intervals; posterior: over (gamma, tau). departure: ln X of the
+    measured curve less that of the best gamma, over the bins (NaN where no pixel was seen), and the
+    same for the sRGB curve."""
+
+    gamma: Estimate
+    shutter_error: Estimate
+    posterior: Posterior
+    departure: Float[np.ndarray, " bins"]
+    srgb_departure: Float[np.ndarray, " bins"]
+    dispersion: float
+    findings: tuple[str, ...]
+
+
+def fit_gamma(
+    curve: ResponseCurve,
+    *,
+    label: str = "",
+    sampling: SamplingOptions | None = None,
+    seed: int = 0,
+) -> GammaFit:
+    """The gamma that explains the pixels behind a response curve.
+
+    Without `sampling` the intervals integrate over tau exactly and the posterior is Laplace's;
+    with it both come from emcee. label: names the channel in the results.
+    """
+    column = log_code_means(curve)
+    dispersion = _dispersion(curve, column)
+    sums = _gamma_sums(curve, column, dispersion)
+    log_tau, weights, given = _over_shutter(sums)
+    best = int(np.argmax(weights))
+    start = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
+    mode = _mode(to_unconstrained(SPACE, start), sums)
+    found = laplace(log_density, SPACE, mode, sums, seed=seed)
+    if sampling is not None:
+        found = sample(log_density, SPACE, mode, found.covariance, sums, options=sampling)
+        gamma, tau = _from_draws(found, label)
+    else:
+        gamma = _mixture(np.asarray(given.mean), np.asarray(given.variance), weights, label)
+        tau = _weighted(np.exp(log_tau), weights, label)
+    assert gamma.value is not None
+    information = np.linalg.inv(found.covariance)
+    return GammaFit(
+        gamma=gamma,
+        shutter_error=tau,
+        posterior=found,
+        departure=_departure(curve, gamma.value * np.log(curve.codes - curve.bins.black)),
+        srgb_departure=_departure(curve, _srgb(curve)),
+        dispersion=dispersion,
+        findings=identifiability(SPACE, information).sentences,
+    )
+
+
+def log_code_means(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
+    """Mean of ln(z - black) over each bin, for light log-uniform across it."""
+    ends = np.log(np.maximum(curve.bins.edges - curve.bins.black, 1e-3))
+    means = (ends[1:] + ends[:-1]) / 2
+    return means - means[len(means) // 2]
+
+
+def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
+    """gamma and the evidence for one shutter error tau, the visible errors integrated out."""
+    free = sums.td.size
+    precision = sums.dd + jnp.eye(free, dtype=tau.dtype) / tau**2
+    factor = jnp.linalg.cholesky(precision)
+    along = jax.scipy.linalg.solve_triangular(factor, sums.cd, lower=True)
+    pull = jax.scipy.linalg.solve_triangular(factor, sums.score_d - sums.td, lower=True)
+    information = sums.cc - along @ along
+    mean = (sums.score_c - sums.ct - along @ pull) / information
+    evidence = (
+        pull @ pull / 2
+        + mean**2 * information / 2
+        - jnp.log(information) / 2
+        - jnp.sum(jnp.log(jnp.diagonal(factor)))
+        - free * jnp.log(tau)
+    )
+    return GivenShutter(mean, 1 / information + (mean * tau) ** 2 / sums.spread, evidence)
+
+
+def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
+    """Log posterior of (ln gamma, ln tau), flat in gamma, up to a constant."""
+    gamma, tau = to_natural(SPACE, vector)
+    given = given_shutter(sums, tau)
+    miss = (gamma - given.mean) ** 2 / given.variance
+    return (
+        -miss / 2
+        - jnp.log(given.variance) / 2
+        + given.log_evidence
+        + vector[0]
+        + log_prior(SPACE, vector)
+    )
+
+
+@jax.jit
+def _mode(start: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, " parameters"]:
+    """Newton's method from a start already within a grid cell of the mode."""
+    gradient, hessian = jax.grad(log_density), jax.hessian(log_density)
+
+    def step(_: Array, x: Array) -> Array:
+        return x - jnp.clip(jnp.linalg.solve(hessian(x, sums), gradient(x, sums)), -0.3, 0.3)
+
+    return jax.lax.fori_loop(0, 20, step, start)
+
+
+def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
+    """How much the best gamma misfits the pixels beyond their noise: its chi-square over that of
+    the free curve, at least 1. Stretches the intervals of a curve that is no gamma."""
+    matrix, size = curve.statistics.matrix, len(column)
+    log_t = np.log(curve.exposures) + curve.shutter_offsets
+    gamma = -(column @ matrix[:size, size:] @ log_t) / (column @ matrix[:size, :size] @ column)
+    of_gamma = np.concatenate([gamma * column, log_t])
+    of_curve = np.concatenate([curve.bin_means, log_t])
+    return max(1.0, float((of_gamma @ matrix @ of_gamma) / (of_curve @ matrix @ of_curve)))
+
+
+def _gamma_sums(curve: ResponseCurve, column: np.ndarray, dispersion: float) -> GammaSums:
+    size, matrix = len(column), curve.statistics.matrix / dispersion
+    score = curve.statistics.score / dispersion
+    log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
+    mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
+    return GammaSums(
+        cc=as_float(column @ matrix[:size, :size] @ column),
+        ct=as_float(mixed @ log_t),
+        cd=as_float(mixed @ basis),
+        td=as_float(log_t @ times @ basis),
+        dd=as_float(basis.T @ times @ basis),
+        score_c=as_float(score[:size] @ column),
+        score_d=as_float(score[size:] @ basis),
+        spread=as_float(spread_of_times(curve.exposures)),
+    )
+
+
+@jax.jit
+def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
+    return jax.vmap(lambda x: given_shutter(sums, jnp.exp(x)))(log_tau)
+
+
+def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
+    """(grid of ln tau, its posterior weights, gamma at each)."""
+    log_tau = np.linspace(np.log(SHUTTER_ERROR.lower), np.log(SHUTTER_ERROR.upper), 1001)
+    given = _tabulate(sums, jnp.asarray(log_tau))
+    prior = -(((log_tau - SHUTTER_PRIOR[0]) / SHUTTER_PRIOR[1]) ** 2) / 2
+    log_weight = np.asarray(given.log_evidence) + prior
+    weights = np.exp(log_weight - log_weight.max())
+    return log_tau, weights / weights.sum(), given
+
+
+def _mixture(mean: np.ndarray, variance: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
+    """Mean, standard deviation and quantiles of a mixture of Gaussians."""
+    centre = float(weights @ mean)
+    spread = float(np.sqrt(weights @ (variance + (mean - centre) ** 2)))
+    grid = centre + spread * np.linspace(-40, 40, 8001)
+    heavy = weights > 1e-10
+    z = (grid[:, None] - mean[heavy]) / np.sqrt(variance[heavy])
+    low95, low68, high68, high95 = np.interp(ENDS, norm.cdf(z) @ weights[heavy], grid)
+    return Estimate(
+        "gamma", "γ", "", centre, spread, (low68, high68), (low95, high95), "marginal", label
+    )
+
+
+def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
+    low95, low68, middle, high68, high95 = np.interp(
+        [*ENDS[:2], 0.5, *ENDS[2:]], np.cumsum(weights), values
+    )
+    spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
+    return Estimate(
+        "shutter_error",
+        "τ",
+        "",
+        float(middle),
+        spread,
+        (low68, high68),
+        (low95, high95),
+        "marginal",
+        label,
+    )
+
+
+def _from_draws(found: Posterior, label: str) -> tuple[Estimate, Estimate]:
+    gamma, tau = estimates(found, group=label)
+    return gamma, tau
+
+
+def _srgb(curve: ResponseCurve) -> np.ndarray:
+    encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
+    return np.log(np.asarray(srgb_decode(jnp.asarray(encoded))))
+
+
+def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:
+    """Measured less modelled log exposure, a common factor aside, where pixels were seen."""
+    gap = np.where(curve.seen, curve.log_exposure - model, np.nan)
+    weight = np.where(curve.seen, 1 / np.maximum(curve.standard_error, 1e-3) ** 2, 0)
+    return gap - np.nansum(weight * gap) / weight.sum()

@@ -1,0 +1,171 @@
+"""Exposure stacks: one still scene at several exposure times, as planes of integer codes.
+
+A plane is one colour channel or one site of a Bayer mosaic of one group of images. Codes stay the
+integers of the files (uint16), so sixteen 8-bit colour images of 768 x 512 take 38 MB.
+"""
+
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt16
+
+from jaxvision.errors import InputError
+
+from ..observation import read_frame, read_stack, split_channels
+from ..rig import Camera, Exposure, Rig, require
+
+LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
+BRIGHTER = 1.9
+FEWEST_ALIKE = 0.005  # share of the pixels that such a level rests on
+LOWEST_STUCK = 0.01  # quantile of the stuck codes
+
+Codes = UInt16[np.ndarray, "exposures h w"]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One channel of one group. exposures: seconds, ascending, of the `codes` (exposures, h, w);
+    mask: true where the scene may be used; black: DN without light; clip: DN from which a pixel is
+    saturated."""
+
+    group: str
+    channel: str
+    files: tuple[str, ...]
+    exposures: Float[np.ndarray, " exposures"]
+    codes: Codes
+    mask: Bool[np.ndarray, "h w"]
+    black: float
+    clip: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.group} {self.channel}".strip()
+
+
+@dataclass(frozen=True)
+class ExposureStack:
+    """All planes of a rig."""
+
+    planes: tuple[Plane, ...]
+    bits: int
+
+    @property
+    def full_scale(self) -> int:
+        return 2**self.bits - 1
+
+
+def read_exposure_stack(rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None) -> ExposureStack:
+    """The rig's `[[exposure]]` images, group by group, taken apart into planes.
+
+    The black level is the camera's, else the mean of the `[[dark]]` frames, else the code of the
+    dark pixels that stay alike however long the exposure; the clip level is the camera's
+    saturation, else read off the bright pixels that do. `mask` keeps the pixels where it is true,
+    of full images (a mosaic site keeps its own). `InputError` for a group without two different
+    exposure times, for images of different size, for values that are no integers, and for a mask
+    of another size or with nothing in it.
+    """
+    require(rig, "exposure", purpose="a response calibration")
+    ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
+    known_black = _black_level(rig)
+    planes: list[Plane] = []
+    for group, entries in groupby(ordered, key=lambda entry: entry.group):
+        planes += _planes(rig, group, tuple(entries), mask, known_black)
+    return ExposureStack(tuple(planes), rig.camera.bits)
+
+
+def _planes(
+    rig: Rig,
+    group: str,
+    entries: tuple[Exposure, ...],
+    mask: np.ndarray | None,
+    known_black: float | None,
+) -> list[Plane]:
+    times = np.array([entry.exposure for entry in entries])
+    where = f"{rig.folder}: the exposures" + (f" of group {group!r}" if group else "")
+    if len(entries) < 2:
+        raise InputError(f"{where} are a single image; a response needs at least two.")
+    if times[-1] < times[0] * (1 + 1e-6):
+        raise InputError(
+            f"{where} all last {times[0]:g} s; give at least two different exposure times."
+        )
+    frames = [_codes(rig, entry.file) for entry in entries]
+    for entry, frame in zip(entries, frames, strict=True):
+        if frame.shape != frames[0].shape:
+            raise InputError(
+                f"{rig.path(entry.file)}: is {frame.shape}, but {entries[0].file} is "
+                f"{frames[0].shape}; all images of one stack need the same size."
+            )
+    scene = _scene_mask(mask, frames[0].shape[:2], where)
+    files = tuple(entry.file for entry in entries)
+    channels = [split_channels(frame, rig.camera) for frame in frames]
+    masks = _mask_planes(scene, rig.camera, tuple(channels[0]))
+    planes = []
+    for name in channels[0]:
+        codes = np.stack([frame[name] for frame in channels])
+        black = floor_level(codes, times, rig.camera) if known_black is None else known_black
+        clip = rig.camera.saturation or ceiling_level(codes, times, rig.camera)
+        planes.append(Plane(group, name, files, times, codes, masks[name], black, clip))
+    return planes
+
+
+def floor_level(codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera) -> float:
+    """Black level (DN) read off the pixels whose code stays within one step while the exposure
+    grows at least eightfold; 0 where there are too few of them."""
+    longer = np.flatnonzero(exposures >= LONGER * exposures[0])
+    if not len(longer):
+        return 0.0
+    before, after = codes[0].astype(int), codes[longer[0]].astype(int)
+    dark = (np.abs(after - before) <= 1) & (after < camera.clip_level / 4)
+    return float(np.median(before[dark])) if dark.sum() > FEWEST_ALIKE * dark.size else 0.0
+
+
+def ceiling_level(
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera
+) -> float:
+    """Clip level (DN) read off the pixels beyond half scale whose code stays within one step while
+    the exposure grows by 1.9 at least: nearly the lowest of them, full scale where there are too
+    few. Sensors saturate at codes that vary from pixel to pixel."""
+    shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
+    if not len(shorter):
+        return float(camera.full_scale)
+    before, after = codes[shorter[-1]].astype(int), codes[-1].astype(int)
+    stuck = (np.abs(after - before) <= 1) & (before > camera.full_scale / 2)
+    if stuck.sum() <= FEWEST_ALIKE * stuck.size:
+        return float(camera.full_scale)
+    return float(np.quantile(np.minimum(before, after)[stuck], LOWEST_STUCK))
+
+
+def _codes(rig: Rig, name: str) -> UInt16[np.ndarray, "h w *channels"]:
+    frame = read_frame(rig.path(name), rig.camera)
+    codes = frame.astype(np.uint16)
+    if not np.array_equal(codes, frame):
+        raise InputError(
+            f"{rig.path(name)}: holds fractions, not digital numbers; give the integer codes as "
+            "the camera wrote them."
+        )
+    return codes
+
+
+def _scene_mask(mask: np.ndarray | None, shape: tuple[int, ...], where: str) -> np.ndarray:
+    if mask is None:
+        return np.ones(shape, bool)
+    if mask.shape != shape:
+        raise InputError(f"{where} are {shape} pixels, the mask is {mask.shape}; resize it.")
+    if not mask.any():
+        raise InputError(f"{where}: the mask leaves no pixel; make it non-zero on the scene.")
+    return mask
+
+
+def _mask_planes(
+    mask: np.ndarray, camera: Camera, channels: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    if camera.pattern is not None and len(channels) == 4:
+        return split_channels(mask, camera)
+    return dict.fromkeys(channels, mask)
+
+
+def _black_level(rig: Rig) -> float | None:
+    if rig.camera.black_level is not None or not rig.dark:
+        return rig.camera.black_level
+    return float(np.mean([read_stack(rig, entry.files).mean() for entry in rig.dark]))

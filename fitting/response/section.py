@@ -1,0 +1,177 @@
+"""A response calibration as its reader sees it: estimates, findings, tables and pictures."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..inference.estimates import Estimate, not_determined
+from ..report.section import Picture, Section, Table
+from . import figures
+from .calibration import ChannelResponse, ResponseCalibration, radiance_images
+from .findings import PURE, findings, largest_departure
+
+
+def section(calibration: ResponseCalibration) -> Section:
+    """The calibration as its reader sees it."""
+    estimates: list[Estimate] = []
+    for channel in calibration.channels:
+        estimates += _gamma_estimates(channel)
+    for plane, reason in calibration.skipped:
+        estimates.append(not_determined("gamma", "γ", "", reason, group=plane.label))
+    return Section(
+        kind="response",
+        title="Camera response",
+        estimates=tuple(estimates),
+        findings=findings(calibration),
+        pictures=_pictures(calibration),
+        tables=(_channel_table(calibration.channels), _curve_table(calibration.channels)),
+        posteriors={
+            channel.plane.label or "grey": channel.gamma.posterior
+            for channel in calibration.channels
+        },
+        settings=_settings(calibration),
+    )
+
+
+def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
+    """Gamma and the shutter error; neither where the response is no pure gamma, for the misfit
+    would pass for one or the other."""
+    size, _ = largest_departure(channel.curve, channel.gamma.departure)
+    if not size > PURE:
+        return [channel.gamma.gamma, channel.gamma.shutter_error]
+    reason = (
+        f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, misses the "
+        f"measured curve by up to {np.expm1(size):.0%} in exposure; use the curve"
+    )
+    label = channel.plane.label
+    return [
+        not_determined("gamma", "γ", "", reason, group=label),
+        not_determined("shutter_error", "τ", "", "it would hold the misfit of gamma", group=label),
+    ]
+
+
+def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
+    rows = []
+    for channel in channels:
+        gap, _ = largest_departure(channel.curve, channel.gamma.departure)
+        srgb, _ = largest_departure(channel.curve, channel.gamma.srgb_departure)
+        clean = np.mean(channel.radiance.coverage[channel.plane.mask] > 0)
+        rows.append(
+            (
+                channel.plane.label or "grey",
+                len(channel.curve.exposures),
+                channel.curve.statistics.pixels,
+                f"{channel.plane.black:g}",
+                f"{np.expm1(gap):.1%}",
+                f"{np.expm1(srgb):.1%}",
+                f"{channel.gamma.dispersion:.2f}",
+                f"{clean:.1%}",
+            )
+        )
+    return Table(
+        "Channels",
+        (
+            "channel",
+            "exposures",
+            "pixels",
+            "black (DN)",
+            "off gamma",
+            "off sRGB",
+            "χ² ratio",
+            "merged",
+        ),
+        tuple(rows),
+        "Off gamma and off sRGB: largest departure of the measured curve, in exposure, between "
+        "5 and 95 % of the range. χ² ratio: misfit of the best gamma over that of the free curve. "
+        "Merged: pixels with at least one exposure clear of clipping.",
+    )
+
+
+def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
+    shown = channels[:4]
+    codes = shown[0].curve.codes
+    picks = codes[np.linspace(0, len(codes) - 1, 17).astype(int)]
+    rows = []
+    for code in picks:
+        cells: list[Any] = [f"{code:g}"]
+        for channel in shown:
+            place = int(np.argmin(np.abs(channel.curve.codes - code)))
+            value = np.exp(channel.curve.log_exposure[place])
+            error = value * channel.curve.standard_error[place]
+            seen = channel.curve.seen[place]
+            cells.append(f"{value:.4g} ± {error:.1g}" if seen else "(extrapolated)")
+        rows.append(tuple(cells))
+    return Table(
+        "Response curve",
+        ("code (DN)", *(channel.plane.label or "grey" for channel in shown)),
+        tuple(rows),
+        "Exposure of each code relative to mid-scale, with its standard error.",
+    )
+
+
+def _settings(calibration: ResponseCalibration) -> dict[str, Any]:
+    return {
+        "bits": calibration.stack.bits,
+        "seed": calibration.seed,
+        "planes": {
+            channel.plane.label or "grey": {
+                "files": list(channel.plane.files),
+                "exposures": channel.plane.exposures.tolist(),
+                "black": channel.plane.black,
+                "clip": channel.plane.clip,
+                "smoothness": channel.curve.smoothness,
+                "noise": vars(channel.curve.noise),
+                "codes": channel.curve.codes.tolist(),
+                "log_exposure": channel.curve.log_exposure.tolist(),
+                "standard_error": channel.curve.standard_error.tolist(),
+            }
+            for channel in calibration.channels
+        },
+    }
+
+
+def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
+    first = calibration.channels[0]
+    images = radiance_images(calibration) or {first.plane.group: first.radiance.radiance}
+    return (
+        Picture(
+            "response-curve",
+            "Response curve",
+            "Exposure that gives each code, with its 95 % band; dots are pixels, at the radiance "
+            "that all their exposures agree on. Dashed: the best gamma. A straight line on these "
+            "axes is a pure gamma; dotted parts hold no usable pixels and are extrapolated.",
+            partial(figures.curve_figure, calibration),
+        ),
+        Picture(
+            "gamma-departure",
+            "How far the response is from gamma and from sRGB",
+            "Measured exposure over the one that the model gives, with the curve's 95 % band. A "
+            "model that fits stays at zero within the band.",
+            partial(figures.departure_figure, calibration),
+        ),
+        Picture(
+            "exposure-offsets",
+            "Exposure times as the images see them",
+            "Offset of each image's exposure from its nominal time, beyond what a factor or an "
+            "exponent common to all explains; bars are 95 %. Scatter is shutter error, a smooth "
+            "bow a slight misfit of the curve.",
+            partial(figures.offsets_figure, calibration),
+        ),
+        Picture(
+            "radiance-map",
+            "Merged radiance map",
+            "The merged map, tone-mapped by r / (1 + r) of its log average, beside the middle "
+            "exposure alone. Highlights and shadows that clip on the right hold detail on the "
+            "left.",
+            partial(figures.radiance_figure, calibration, images),
+        ),
+        Picture(
+            "coverage",
+            "Exposures behind each pixel",
+            "How many exposures, clear of clipping and noise, each pixel of the map rests on, in "
+            "its worst channel. Zero marks pixels that are only bounded.",
+            partial(figures.coverage_figure, calibration),
+        ),
+    )
