@@ -1,10 +1,11 @@
-"""The records: what emits, reflects, sees and measures light. No behaviour lives here.
+"""The records of a scene and a camera: light, surfaces, views, sensors, development.
 
-Every record is a frozen pytree. Non-static leaves are arrays that keep the caller's floating
-dtype; an effect that is absent is `None` and is never traced. Only shapes, kinds and algorithm
-choices are static, so a sweep over exposure, gain or bit depth compiles once. SI units throughout;
-world axes are right-handed. Shapes below are those of one record: a batch is a record whose leaves
-were stacked along a leading axis, for `vmap`. A wrong shape raises `ValueError`.
+Records hold numbers and have no behaviour. Every record is a frozen pytree. Non-static leaves are
+arrays that keep the caller's floating dtype; an effect that is absent is `None` and is never
+traced. Only shapes, kinds and choices of algorithm are static, so a sweep over exposure, gain or
+bit depth compiles once. SI units throughout; world axes are right-handed. The shapes in the
+docstrings are those of one record: a batch is a record whose leaves are stacked along a leading
+axis, for `vmap`. A wrong shape raises `ValueError`.
 """
 
 from .camera import Camera

@@ -1,4 +1,4 @@
-"""A view, a sensor and a development."""
+"""A camera: view, sensor and development."""
 
 import equinox as eqx
 
@@ -9,7 +9,13 @@ from .views import View
 
 
 class Camera(eqx.Module):
-    """What it sees, how it measures, and how its raw data become a picture (None: they do not)."""
+    """Where each pixel looks, how light is measured, and how raw data become a picture.
+
+    Attributes:
+        view: the projection.
+        sensor: from light to raw data.
+        development: from raw data to a picture, or None: raw data only.
+    """
 
     view: View
     sensor: Sensor

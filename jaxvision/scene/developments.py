@@ -1,4 +1,4 @@
-"""What turns raw numbers into a picture."""
+"""The steps that turn raw data into a picture."""
 
 import equinox as eqx
 import numpy as np
@@ -25,10 +25,12 @@ _LARGEST = float("inf")
 
 
 class Demosaicing(eqx.Module):
-    """How the bands that a pixel did not see are filled in.
+    """Interpolation of the bands that a pixel of a mosaic sensor does not measure.
 
-    `pattern`: rows of band indices, the tile of the colour filter array, as `colour_filters.bayer`
-    gives it. `method`: one of `DEMOSAICINGS`, which `development.demosaic` explains.
+    Attributes:
+        pattern: rows of band indices, the tile of the colour filter array, as
+            `colour_filters.bayer` gives it; static.
+        method: one of `DEMOSAICINGS`, described in `development.demosaic`; static.
     """
 
     pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True)
@@ -40,7 +42,11 @@ class Demosaicing(eqx.Module):
 
 
 class WhiteBalance(eqx.Module):
-    """Gains that are known. `gains`: (bands,) no unit."""
+    """White balance by known gains.
+
+    Attributes:
+        gains: (bands,) no unit, > 0.
+    """
 
     gains: Colour = eqx.field(converter=as_float)
 
@@ -50,8 +56,11 @@ class WhiteBalance(eqx.Module):
 
 
 class GreyWorld(eqx.Module):
-    """Gains that make the picture grey on average. `norm`: () >= 1, of the mean: 1 is the grey
-    world, 6 shades of grey."""
+    """White balance whose gains make the picture grey on average.
+
+    Attributes:
+        norm: () exponent >= 1 of the mean, no unit: 1 is the grey world, 6 shades of grey.
+    """
 
     norm: Scalar = eqx.field(converter=as_float, default=1.0)
 
@@ -61,8 +70,12 @@ class GreyWorld(eqx.Module):
 
 
 class NeutralPatch(eqx.Module):
-    """Gains that make a rectangle of the picture grey. `rows`, `columns`: pixels from the first to
-    before the last."""
+    """White balance whose gains make a rectangle of the picture grey.
+
+    Attributes:
+        rows: (first, last) pixels, the last one excluded; static.
+        columns: (first, last) pixels, the last one excluded; static.
+    """
 
     rows: tuple[int, int] = eqx.field(static=True)
     columns: tuple[int, int] = eqx.field(static=True)
@@ -80,8 +93,13 @@ WhiteBalancing = WhiteBalance | GreyWorld | NeutralPatch
 
 
 class Bilateral(eqx.Module):
-    """Smoothing within edges. `sigma_space`: () pixels. `sigma_range`: () in the picture's unit.
-    `radius`: neighbours up to so many pixels away."""
+    """Denoising by a bilateral filter, which preserves edges.
+
+    Attributes:
+        sigma_space: () pixels, > 0.
+        sigma_range: () > 0, in the picture's unit.
+        radius: of the neighbourhood in pixels, >= 0; static.
+    """
 
     sigma_space: Scalar = eqx.field(converter=as_float)
     sigma_range: Scalar = eqx.field(converter=as_float)
@@ -96,8 +114,14 @@ class Bilateral(eqx.Module):
 
 
 class NonLocalMeans(eqx.Module):
-    """Means of what looks alike. `strength`, `noise`: () in the picture's unit. `patch`: the side
-    that is compared, odd pixels. `radius`: neighbours up to so many pixels away."""
+    """Denoising by averages over similar patches.
+
+    Attributes:
+        strength: () > 0, in the picture's unit.
+        noise: () standard deviation of the noise >= 0, in the picture's unit.
+        patch: side of the compared patches in pixels, odd; static.
+        radius: of the neighbourhood in pixels, >= 0; static.
+    """
 
     strength: Scalar = eqx.field(converter=as_float)
     noise: Scalar = eqx.field(converter=as_float, default=0.0)
@@ -117,7 +141,11 @@ Denoising = Bilateral | NonLocalMeans
 
 
 class Reinhard(eqx.Module):
-    """x / (1 + x). `white`: () relative, the least x that burns out to 1; None burns out none."""
+    """Tone mapping by x / (1 + x).
+
+    Attributes:
+        white: () relative, > 0: the least x that is mapped to 1; None maps only infinity to 1.
+    """
 
     white: Scalar | None = eqx.field(converter=as_optional_float, default=None)
 
@@ -127,12 +155,16 @@ class Reinhard(eqx.Module):
 
 
 class Filmic(eqx.Module):
-    """The ACES film curve as `point_ops.filmic` has it."""
+    """Tone mapping by the ACES film curve, `point_ops.filmic`."""
 
 
 class ToneCurve(eqx.Module):
-    """A monotone spline through points, at least two. `inputs`: (points,) ascending. `outputs`:
-    (points,); both relative."""
+    """Tone mapping by a monotone spline through given points.
+
+    Attributes:
+        inputs: (points,) relative, strictly ascending, at least two.
+        outputs: (points,) relative.
+    """
 
     inputs: Float[Array, " points"] = eqx.field(converter=as_float)
     outputs: Float[Array, " points"] = eqx.field(converter=as_float)
@@ -151,7 +183,11 @@ ToneMap = Reinhard | Filmic | ToneCurve
 
 
 class Gamma(eqx.Module):
-    """Encoding by x ** (1 / gamma). `gamma`: () > 0, no unit."""
+    """Encoding by x ** (1 / gamma).
+
+    Attributes:
+        gamma: () > 0, no unit.
+    """
 
     gamma: Scalar = eqx.field(converter=as_float)
 
@@ -168,8 +204,13 @@ ToneEncoding = Gamma | SRGB
 
 
 class UnsharpMask(eqx.Module):
-    """Detail on top. `sigma`: () pixels, the scale of the detail. `amount`: () no unit. `size`: of
-    the Gaussian in pixels, odd."""
+    """Sharpening by an unsharp mask.
+
+    Attributes:
+        sigma: () pixels, > 0: the scale of the sharpened detail.
+        amount: () no unit.
+        size: side of the Gaussian in pixels, odd; static.
+    """
 
     sigma: Scalar = eqx.field(converter=as_float)
     amount: Scalar = eqx.field(converter=as_float)
@@ -184,8 +225,13 @@ class UnsharpMask(eqx.Module):
 
 
 class JPEG(eqx.Module):
-    """The loss of a JPEG file. `quality`: () 1 to 100, libjpeg's. `subsampling`, `rounding`: of
-    `SUBSAMPLINGS` and `ROUNDINGS`, as in `development.jpeg`."""
+    """The loss of JPEG compression.
+
+    Attributes:
+        quality: () 1 to 100 on libjpeg's scale, no unit.
+        subsampling: one of `SUBSAMPLINGS`, as in `development.jpeg`; static.
+        rounding: one of `ROUNDINGS`, as in `development.jpeg`; static.
+    """
 
     quality: Scalar = eqx.field(converter=as_float)
     subsampling: str = eqx.field(static=True, default="4:2:0", kw_only=True)
@@ -199,16 +245,22 @@ class JPEG(eqx.Module):
 
 
 class Development(eqx.Module):
-    """From raw to picture, in the order of the fields. `None` leaves a step out.
+    """The steps from raw data to a picture, in the order of the fields; `None` leaves a step out.
 
-    `black_level`: () DN subtracted. `white_level`: () DN that becomes 1; None keeps DN.
-    `demosaicing`: from one band a pixel to all. `white_balance`: gains, or how they are found.
-    `saturation`: () where the bands end, in the unit after scaling (1 with a white level): cuts
-    highlights after the gains to neutral white, so it needs a `white_balance`; None cuts nothing.
-    `denoising`. `colour_matrix`:
-    (3, 3) from the camera's RGB to that of the picture. `tone_map`: a curve on linear light.
-    `tone`: `Gamma(2.2)` or `SRGB()`, the encoding. `sharpening` of the encoded picture.
-    `compression`: what a file of it loses.
+    Attributes:
+        black_level: () DN, subtracted.
+        white_level: () DN that becomes 1, above the black level; None keeps DN.
+        demosaicing: from one band per pixel to all.
+        white_balance: gains, or how they are estimated.
+        saturation: () > 0, the level at which the bands clip, in the unit after scaling (1 with a
+            white level): clips highlights to neutral white after the gains, so it needs a
+            `white_balance`.
+        denoising: a filter on linear light.
+        colour_matrix: (3, 3) no unit, from the camera's RGB to that of the picture.
+        tone_map: a curve on linear light.
+        tone: the encoding, `Gamma(2.2)` or `SRGB()`.
+        sharpening: of the encoded picture.
+        compression: the loss of its file.
     """
 
     black_level: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)

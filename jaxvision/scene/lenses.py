@@ -1,4 +1,4 @@
-"""What shapes the light on its way through a lens: its openings, and the bending of its image."""
+"""Apertures, vignetting, diffraction and distortion of a lens."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -18,14 +18,15 @@ _WIDEST_STOP = 1 - 1e-6
 
 
 class CircularAperture(eqx.Module):
-    """A round opening that fills the lens's diameter."""
+    """A round aperture that fills the lens's diameter."""
 
 
 class PolygonalAperture(eqx.Module):
-    """The opening of an iris: a regular polygon whose corners lie on the lens's diameter.
+    """The aperture of an iris: a regular polygon with corners on the lens's diameter.
 
-    `blades`: static, >= 3. `angle`: () rad, of one corner from the camera's right towards down, or
-    None: to the right.
+    Attributes:
+        blades: number of sides, >= 3; static.
+        angle: () rad, of one corner from the camera's right towards down; None is 0, to the right.
     """
 
     blades: int = eqx.field(static=True)
@@ -38,8 +39,12 @@ class PolygonalAperture(eqx.Module):
 
 
 class RectangularAperture(eqx.Module):
-    """A slit or square, along the camera's right and down. `width`, `height`: () relative to the
-    lens's diameter."""
+    """A slit or square along the camera's right and down axes.
+
+    Attributes:
+        width: () > 0, relative to the lens's diameter.
+        height: () > 0, relative to the lens's diameter.
+    """
 
     width: Scalar = eqx.field(converter=as_float)
     height: Scalar = eqx.field(converter=as_float)
@@ -51,8 +56,11 @@ class RectangularAperture(eqx.Module):
 
 
 class AnnularAperture(eqx.Module):
-    """A round opening with a round stop in its middle, as in a mirror lens. `obstruction`: ()
-    diameter of the stop relative to that of the opening, in [0, 1)."""
+    """A round aperture with a central round stop, as in a mirror lens.
+
+    Attributes:
+        obstruction: () in [0, 1), diameter of the stop relative to that of the aperture.
+    """
 
     obstruction: Scalar = eqx.field(converter=as_float)
 
@@ -65,8 +73,13 @@ Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularA
 
 
 class Rim(eqx.Module):
-    """A second, round opening before the lens, the edge of its front element: it cuts off oblique
-    light. `distance`: () m in front of the aperture. `diameter`: () m."""
+    """A round aperture in front of the lens (the edge of its front element) that cuts off oblique
+    light.
+
+    Attributes:
+        distance: () m in front of the aperture, >= 0.
+        diameter: () m, > 0.
+    """
 
     distance: Scalar = eqx.field(converter=as_float)
     diameter: Scalar = eqx.field(converter=as_float)
@@ -79,11 +92,13 @@ class Rim(eqx.Module):
 
 
 class Diffraction(eqx.Module):
-    """The bending of light at a round opening, which spreads each point into an Airy pattern.
+    """Diffraction at a round aperture, which spreads each point into an Airy pattern.
 
-    `wavelength`: () or (bands,) m. `size`: odd, static, the pixels across of the pattern's part
-    that is followed (samples, where a sensor's aperture is oversampled); the light beyond is put
-    back into it (`optics.airy_kernel` says how much that is).
+    Attributes:
+        wavelength: () or (bands,) m, > 0.
+        size: side in pixels of the kernel, odd (in samples where a sensor's aperture is
+            oversampled); static. The light outside it is put back into it: `optics.airy_kernel`
+            says how much that is.
     """
 
     wavelength: Scalar | Colour = eqx.field(converter=as_float)
@@ -96,15 +111,19 @@ class Diffraction(eqx.Module):
 
 
 class Distortion(eqx.Module):
-    """Where a lens images what an ideal one would image at the slope (x, y) of the chief ray:
+    """Polynomial distortion: where the lens images the ray of slope (x, y), relative to an ideal
+    lens.
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
 
-    `radial`: (terms,) k_1, k_2, ...; k_1 < 0 is a barrel, k_1 > 0 a pincushion. `tangential`: (2,)
-    p_1, p_2 of lenses that are not centred, or None. Slopes, and so the coefficients, have no unit.
-    Source: Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with
-    the signs of OpenCV.
+    Attributes:
+        radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.
+        tangential: (2,) p_1, p_2 of a decentred lens, no unit, or None.
+
+    Source:
+        Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with the
+        signs of OpenCV.
     """
 
     radial: Float[Array, " terms"] = eqx.field(converter=as_float)

@@ -1,4 +1,4 @@
-"""What shines: the base of all lights, and the ambient term."""
+"""The base of all lights, and the ambient term."""
 
 import equinox as eqx
 
@@ -6,14 +6,16 @@ from .._types import Colour, as_float, check_shape
 
 
 class Light(eqx.Module):
-    """What shines: the base of every kind of light, whose record and equations share a file in
-    `lights/`."""
+    """Base of every kind of light; the record and the equations of a kind share a file in
+    `lights/`.
+    """
 
 
 class AmbientLight(eqx.Module):
-    """The same light from everywhere, the L_a of Phong shading.
+    """Uniform light from all directions, the L_a of Phong shading.
 
-    `radiance`: (bands,) W m^-2 sr^-1, a colour of its own.
+    Attributes:
+        radiance: (bands,) W m^-2 sr^-1.
     """
 
     radiance: Colour = eqx.field(converter=as_float)

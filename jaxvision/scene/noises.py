@@ -1,8 +1,7 @@
-"""Where a sensor's noise comes from: dark current and its laws of temperature, how electrons are
-counted, and what reading them out adds.
+"""Sources of a sensor's noise: dark current and its laws of temperature, counting, and read-out.
 
-Ranges are checked where a record is made, of numbers that are known then: `ValueError` names the
-field, the value and what is allowed. What is traced passes, and has a defined result.
+Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
+field, the value and the allowed range. Traced values pass unchecked and have a defined result.
 """
 
 import equinox as eqx
@@ -11,8 +10,16 @@ from .._types import Scalar, as_float, check_range, check_shape
 
 
 class DoublingDarkCurrent(eqx.Module):
-    """I = rate 2^((T - T_ref) / doubling), EMVA 1288: `rate`, () e- s^-1 per pixel at
-    `reference_temperature`, doubles with each interval `doubling`; () K each. `temperature`: () K.
+    """Dark current that doubles at equal steps of temperature: I = rate 2^((T - T_ref) / doubling).
+
+    Attributes:
+        rate: () e- s^-1 per pixel at the reference temperature, >= 0.
+        temperature: () K, T > 0.
+        reference_temperature: () K, T_ref > 0.
+        doubling: () K, > 0.
+
+    Source:
+        EMVA 1288.
     """
 
     rate: Scalar = eqx.field(converter=as_float)
@@ -27,10 +34,14 @@ class DoublingDarkCurrent(eqx.Module):
 
 
 class ArrheniusDarkCurrent(eqx.Module):
-    """I = rate exp(-(E / k) (1 / T - 1 / T_ref)): thermal generation over `activation_energy`,
-    () eV, in silicon from half the band gap (0.56, in the depletion region) to all of it (1.12,
-    by diffusion). `rate`: () e- s^-1 per pixel at `reference_temperature`, () K. `temperature`:
-    () K.
+    """Dark current of thermal generation: I = rate exp(-(E / k) (1 / T - 1 / T_ref)).
+
+    Attributes:
+        rate: () e- s^-1 per pixel at the reference temperature, >= 0.
+        temperature: () K, T > 0.
+        reference_temperature: () K, T_ref > 0.
+        activation_energy: () eV, E >= 0: in silicon from half the band gap (0.56, generation in the
+            depletion region) to all of it (1.12, diffusion).
     """
 
     rate: Scalar = eqx.field(converter=as_float)
@@ -48,8 +59,12 @@ DarkCurrent = DoublingDarkCurrent | ArrheniusDarkCurrent
 
 
 class HotPixels(eqx.Module):
-    """Pixels with more dark current. `fraction`: () of the pixels, in [0, 1]. `rate`: () e- s^-1,
-    the mean of their excess, which is distributed exponentially."""
+    """Pixels with excess dark current, which is distributed exponentially.
+
+    Attributes:
+        fraction: () of the pixels, in [0, 1], no unit.
+        rate: () e- s^-1, mean of the excess, >= 0.
+    """
 
     fraction: Scalar = eqx.field(converter=as_float)
     rate: Scalar = eqx.field(converter=as_float)
@@ -62,26 +77,36 @@ class HotPixels(eqx.Module):
 
 
 class PoissonShotNoise(eqx.Module):
-    """Electrons are counted: a Poisson draw replaces the mean."""
+    """Electrons are counted exactly: a Poisson draw replaces the mean."""
 
 
 class FastPoissonShotNoise(eqx.Module):
-    """Electrons are counted by inverting the Poisson distribution: whole numbers, many times faster
-    to draw than `PoissonShotNoise`, and with gradients along the draw. Its distribution is within
-    1.4e-4 of Poisson's in total variation at every mean up to 1e5 (`count` says how)."""
+    """Electrons are counted by inverting the Poisson distribution.
+
+    Draws whole numbers, many times faster than `PoissonShotNoise`, with gradients along the draw.
+    Within 1.4e-4 of the Poisson distribution in total variation at every mean up to 1e5;
+    `sensor.count` gives the details.
+    """
 
 
 class GaussianShotNoise(eqx.Module):
-    """A Gaussian of variance equal to the mean; good from about 20 electrons up, and below that
-    it can go negative."""
+    """A Gaussian draw of variance equal to the mean.
+
+    Accurate from about 20 electrons up; below, draws can be negative.
+    """
 
 
 ShotNoise = PoissonShotNoise | FastPoissonShotNoise | GaussianShotNoise
 
 
 class ResetNoise(eqx.Module):
-    """The kT/C noise of a sense node that is reset before each read-out and not sampled then.
-    `capacitance`: () F. `temperature`: () K."""
+    """The kT/C noise of a sense node that is reset before each read-out, without correlated
+    sampling.
+
+    Attributes:
+        capacitance: () F, >= 0.
+        temperature: () K, >= 0.
+    """
 
     capacitance: Scalar = eqx.field(converter=as_float)
     temperature: Scalar = eqx.field(converter=as_float)
@@ -93,10 +118,12 @@ class ResetNoise(eqx.Module):
 
 
 class HeavyTailedReadNoise(eqx.Module):
-    """Read noise whose tail is longer than a Gaussian's: a mixture of two Gaussians.
+    """Read noise with a longer tail than a Gaussian: a mixture of two Gaussians.
 
-    `rms`: () e- of most read-outs. `tail_rms`: () e- of the others. `tail_fraction`: () how many
-    are others, in [0, 1].
+    Attributes:
+        rms: () e- of most read-outs, >= 0.
+        tail_rms: () e- of the others, >= 0.
+        tail_fraction: () share of the others, in [0, 1], no unit.
     """
 
     rms: Scalar = eqx.field(converter=as_float)
@@ -112,10 +139,14 @@ class HeavyTailedReadNoise(eqx.Module):
 
 
 class TelegraphNoise(eqx.Module):
-    """Pixels with a trap that is full half of the time. Read twice and subtracted (correlated
-    double sampling), such a pixel is off by -amplitude, 0 or +amplitude in 1, 2 and 1 of 4 frames.
+    """Pixels with a trap that is occupied half of the time.
 
-    `fraction`: () of the pixels, in [0, 1]. `amplitude`: () e-.
+    Under correlated double sampling such a pixel is off by -amplitude, 0 or +amplitude in 1, 2 and
+    1 of 4 frames.
+
+    Attributes:
+        fraction: () of the pixels, in [0, 1], no unit.
+        amplitude: () e-, >= 0.
     """
 
     fraction: Scalar = eqx.field(converter=as_float)
@@ -129,7 +160,12 @@ class TelegraphNoise(eqx.Module):
 
 
 class Banding(eqx.Module):
-    """A hum over the rows of each frame, of random phase. `amplitude`: () e-. `period`: () rows."""
+    """A sinusoidal offset over the rows, with a random phase in each frame.
+
+    Attributes:
+        amplitude: () e-, >= 0.
+        period: () rows, > 0.
+    """
 
     amplitude: Scalar = eqx.field(converter=as_float)
     period: Scalar = eqx.field(converter=as_float)

@@ -1,7 +1,7 @@
-"""What turns light on a pixel into a number.
+"""The sensor, which turns light on each pixel into a number.
 
-Ranges are checked where a record is made, of numbers that are known then: `ValueError` names the
-field, the value and what is allowed. What is traced passes, and has a defined result.
+Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
+field, the value and the allowed range. Traced values pass unchecked and have a defined result.
 """
 
 from typing import Any
@@ -36,9 +36,11 @@ _LARGEST = float("inf")
 
 
 class PhotonConversion(eqx.Module):
-    """What turns irradiance into photons: mu_p = lambda E A t / (h c), EMVA 1288.
+    """Conversion of irradiance to photons: mu_p = lambda E A t / (h c), EMVA 1288.
 
-    `wavelength`: () or (bands,) m. `pixel_area`: () m^2, the whole of a pixel.
+    Attributes:
+        wavelength: () or (bands,) m, > 0.
+        pixel_area: () m^2 of the whole pixel, > 0.
     """
 
     wavelength: Scalar | Colour = eqx.field(converter=as_float)
@@ -54,9 +56,12 @@ class PhotonConversion(eqx.Module):
 class PixelAperture(eqx.Module):
     """The square in the middle of each pixel that gathers light.
 
-    `fill_factor`: () share of the pixel's area, in (0, 1]. `microlens`: () share of the light on
-    the rest that a microlens brings in, in [0, 1]; None: no microlens. `oversampling`: samples of
-    irradiance along each side of a pixel, static; 1: the irradiance is taken as even over it.
+    Attributes:
+        fill_factor: () share of the pixel's area, in (0, 1], no unit.
+        microlens: () share of the remaining light that a microlens brings in, in [0, 1], no unit;
+            None: no microlens.
+        oversampling: samples of irradiance along each side of a pixel, >= 1; static. With 1 the
+            irradiance is taken as uniform over the pixel.
     """
 
     fill_factor: Scalar = eqx.field(converter=as_float)
@@ -72,11 +77,13 @@ class PixelAperture(eqx.Module):
 
 
 class ColourFilter(eqx.Module):
-    """A filter over each pixel, so that it measures one number: a weighted sum of the bands.
+    """A filter over each pixel, which then measures one number: a weighted sum of the bands.
 
-    `transmission`: (colours, bands), relative; with a quantum efficiency of None, electrons per
-    photon. `pattern`: rows of indices of a colour, repeated from the first pixel on, static:
-    `bayer("RGGB")`, or any other tile; ((0,),) with one colour is a monochrome sensor.
+    Attributes:
+        transmission: (colours, bands) >= 0, relative; with a quantum efficiency of None, electrons
+            per photon.
+        pattern: rows of colour indices, repeated from the first pixel on: `bayer("RGGB")`, or any
+            other tile; ((0,),) with one colour is a monochrome sensor. Static.
     """
 
     transmission: Float[Array, "colours bands"] = eqx.field(converter=as_float)
@@ -94,12 +101,15 @@ class ColourFilter(eqx.Module):
 
 
 class ChargeTransfer(eqx.Module):
-    """What a CCD leaves behind at each transfer of a charge packet towards its read-out, which lies
-    before the first row and column.
+    """Charge that a CCD leaves behind at each transfer towards its read-out.
 
-    `inefficiency`: () share of a packet per row transfer, in [0, 1/2]. `serial_inefficiency`: the
-    same along the register's columns, or None. `trail`: pixels that a packet is followed over,
-    static; what falls further behind is read in the last of them.
+    The read-out lies before the first row and column.
+
+    Attributes:
+        inefficiency: () share of a packet per row transfer, in [0, 1/2], no unit.
+        serial_inefficiency: () the same along the columns of the register, or None.
+        trail: pixels over which a packet is followed, >= 1; static. The charge that falls further
+            behind is read in the last of them.
     """
 
     inefficiency: Scalar = eqx.field(converter=as_float)
@@ -116,7 +126,11 @@ class ChargeTransfer(eqx.Module):
 
 
 class RollingShutter(eqx.Module):
-    """Each row begins and ends its exposure `line_time`, () s, after the row above."""
+    """Each row begins and ends its exposure later than the row above.
+
+    Attributes:
+        line_time: () s from row to row, >= 0.
+    """
 
     line_time: Scalar = eqx.field(converter=as_float)
 
@@ -132,46 +146,54 @@ def _number_or_record(x: Any) -> Any:
 class Sensor(eqx.Module):
     """An image sensor after EMVA 1288, CCD or CMOS. Every effect is optional; `None` leaves it out.
 
-    In the order of the light's path. From light to electrons:
-    `photon_conversion`: None takes the input as photons per pixel and second already.
-    `infrared_cut`: (bands,) transmission of a filter before the sensor, in [0, 1].
-    `quantum_efficiency`: () or (bands,) electrons per photon, in [0, 1].
-    `colour_filter`: None measures every band at every pixel.
-    `pixel_aperture`: None gathers light over the whole pixel.
-    `shutter`: None exposes all rows at once (a global shutter).
-    `exposure_time`: () s; None takes rates as counts per exposure.
-    `crosstalk`: () share of a pixel's electrons that drift to each of its four neighbours, in
-    [0, 1/4].
-    `smear`: () time a row spends under each other row while a CCD shifts its frame, over the
-    exposure time.
-    `prnu`: () relative rms of the pixels' sensitivities.
-    `dead_pixels`: () fraction of the pixels that see nothing, in [0, 1].
-    `dark_current`: () e- s^-1 per pixel, or its law of temperature; its electrons are counted with
-    those of the light, so they have shot noise if any have.
-    `hot_pixels`: pixels with more of it.
+    The fields are in the order of the light's path: from light to electrons, in the pixel (from
+    `shot_noise`), and out of it (from `charge_transfer`).
 
-    In the pixel:
-    `shot_noise`: how counting is drawn.
-    `full_well`: () e- a pixel holds.
-    `blooming`: () share of an overfull well's excess that its anti-blooming gate does not drain and
-    that spills along the column, in [0, 1].
+    Attributes:
+        photon_conversion: None takes the input as photons per pixel and second.
+        infrared_cut: (bands,) transmission of a filter before the sensor, in [0, 1], no unit.
+        quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
+        colour_filter: None measures every band at every pixel.
+        pixel_aperture: None gathers light over the whole pixel.
+        shutter: None exposes all rows at once (a global shutter).
+        exposure_time: () s, >= 0; None takes rates as counts per exposure.
+        crosstalk: () share of a pixel's electrons that drift to each of its four neighbours, in [0,
+            1/4], no unit.
+        smear: () time that a row spends under each other row while a CCD shifts its frame, over the
+            exposure time; >= 0, no unit.
+        prnu: () relative rms of the pixels' sensitivities, >= 0, no unit.
+        dead_pixels: () fraction of the pixels that see nothing, in [0, 1], no unit.
+        dark_current: () e- s^-1 per pixel, >= 0, or its law of temperature. Its electrons are
+            counted with those of the light, so they have shot noise if any have.
+        hot_pixels: pixels with excess dark current.
+        shot_noise: how electrons are counted; None keeps the expectation.
+        full_well: () e- that a pixel holds, >= 0; inf is allowed.
+        blooming: () share of an overfull well's excess that its anti-blooming gate does not drain
+            and that spills along the column, in [0, 1], no unit; needs a `full_well`.
+        charge_transfer: that of a CCD.
+        conversion_prnu: () relative rms of the pixels' conversion gains, >= 0, no unit: of the
+            amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
+            counted electrons.
+        dsnu: () e- rms of the offsets of pixels, >= 0.
+        column_dsnu: () e- rms of the offsets of columns, >= 0.
+        row_dsnu: () e- rms of the offsets of rows, >= 0.
+        reset_noise: None where correlated double sampling removes it.
+        read_noise: () e- rms per read-out, Gaussian, >= 0, or a distribution with a longer tail.
+        telegraph_noise: pixels that switch between two levels.
+        row_noise: () e- rms of an offset that each row draws anew in each frame, >= 0.
+        banding: an offset that oscillates over the rows.
+        column_prnu: () relative rms of the gains of the column amplifiers, >= 0, no unit.
+        gain: () DN per e-, > 0. A camera's ISO setting is proportional to it (ISO 12232 by
+            saturation: 78 over the lx s that just fill the ADC's range).
+        offset: () DN added before conversion (the black level).
+        bits: () of the ADC, a whole number from 1 to the largest that the dtype counts exactly (11,
+            24 and 53 for float16, float32 and float64): rounds to whole DN and clips to [0, 2^bits
+            - 1].
 
-    Out of it:
-    `charge_transfer`: a CCD's.
-    `conversion_prnu`: () relative rms of the pixels' conversion gains, by the amplifier (source
-    follower) in each pixel of a CMOS sensor: unlike `prnu` it acts on what was counted.
-    `dsnu`, `column_dsnu`, `row_dsnu`: () e- rms of the offsets of pixels, columns and rows.
-    `reset_noise`: None where correlated double sampling removes it.
-    `read_noise`: () e- rms per read-out, Gaussian, or a distribution with a longer tail.
-    `telegraph_noise`: pixels that jump.
-    `row_noise`: () e- rms of an offset that each row of each frame draws.
-    `banding`: an offset that hums over the rows.
-    `column_prnu`: () relative rms of the gains of the columns' amplifiers.
-    `gain`: () DN per e-, > 0; a camera's ISO setting is in proportion to it (ISO 12232 by
-    saturation: 78 over the lx s that just fill the ADC's range). `offset`: () DN added before
-    conversion (the black level).
-    `bits`: () of the ADC, whole, at least 1 and at most as many as the dtype counts exactly (11, 24
-    and 53 of float16, float32 and float64): rounds to whole DN and clips to [0, 2^bits - 1].
+    Example:
+        >>> camera = jv.Sensor(quantum_efficiency=0.6, read_noise=4.0, gain=0.5, bits=12)
+        >>> camera.full_well is None  # an absent effect
+        True
     """
 
     photon_conversion: PhotonConversion | None = eqx.field(default=None, kw_only=True)

@@ -1,4 +1,4 @@
-"""Where surfaces are, in metres. Each names the side its normals point to, which is its front."""
+"""Shapes of surfaces, in metres. Each says on which side its normals point: its front."""
 
 from typing import Any
 
@@ -10,7 +10,12 @@ from .._types import Scalar, as_float, as_optional_float, check_shape
 
 
 class Sphere(eqx.Module):
-    """`centre`: (3,) m. `radius`: () m, positive. Its front is the outside."""
+    """A sphere; its front is the outside.
+
+    Attributes:
+        centre: (3,) m.
+        radius: () m, > 0.
+    """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
     radius: Scalar = eqx.field(converter=as_float)
@@ -21,9 +26,11 @@ class Sphere(eqx.Module):
 
 
 class Plane(eqx.Module):
-    """An unbounded plane, seen and lit on the side its normal points to.
+    """An unbounded plane; its front is the side to which the normal points.
 
-    `point`: (3,) m, any point of it. `normal`: (3,) unit vector (its length is ignored).
+    Attributes:
+        point: (3,) m, any point of it.
+        normal: (3,) unit vector (its length is ignored).
     """
 
     point: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -35,9 +42,12 @@ class Plane(eqx.Module):
 
 
 class Disc(eqx.Module):
-    """A flat disc, seen and lit on the side its normal points to.
+    """A flat disc; its front is the side to which the normal points.
 
-    `centre`: (3,) m. `normal`: (3,) unit vector (its length is ignored). `radius`: () m, positive.
+    Attributes:
+        centre: (3,) m.
+        normal: (3,) unit vector (its length is ignored).
+        radius: () m, > 0.
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -51,9 +61,12 @@ class Disc(eqx.Module):
 
 
 class Quad(eqx.Module):
-    """A parallelogram, seen and lit on the side of edge_u x edge_v.
+    """A parallelogram; its front is the side of edge_u x edge_v.
 
-    `corner`: (3,) m. `edge_u`, `edge_v`: (3,) m, from the corner along the sides.
+    Attributes:
+        corner: (3,) m.
+        edge_u: (3,) m, from the corner along one side.
+        edge_v: (3,) m, from the corner along the other side.
     """
 
     corner: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -66,10 +79,13 @@ class Quad(eqx.Module):
 
 
 class Box(eqx.Module):
-    """A box, whose front is the outside.
+    """A box; its front is the outside.
 
-    `centre`: (3,) m. `half_extents`: (3,) m, positive, half its sides. `rotation`: (3, 3), rows
-    the unit axes of its sides in the world, or None: the world's own.
+    Attributes:
+        centre: (3,) m.
+        half_extents: (3,) m, > 0, half of each side.
+        rotation: (3, 3) no unit, rows are the unit axes of its sides in the world; None: the
+            world's axes.
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -85,7 +101,7 @@ class Box(eqx.Module):
 
 
 def _as_indices(x: Any) -> Array:
-    """An int32 array; `ValueError` for what is not whole numbers."""
+    """An int32 array; `ValueError` unless the numbers are integers."""
     array = jnp.asarray(x)
     if not jnp.issubdtype(array.dtype, jnp.integer):
         raise ValueError(f"TriangleMesh.faces must be whole numbers, got {array.dtype}.")
@@ -93,14 +109,18 @@ def _as_indices(x: Any) -> Array:
 
 
 class TriangleMesh(eqx.Module):
-    """Triangles, each seen and lit on the side from which its vertices turn counterclockwise.
+    """Triangles; the front of each is the side from which its vertices turn counterclockwise.
 
-    `vertices`: (vertices, 3) m. `faces`: (faces, 3) whole numbers, the vertices of each triangle.
-    `normals`: (vertices, 3), the normals that are interpolated for shading, or None: flat
-    triangles. Their lengths are ignored; where they are zero or cancel the triangle is flat, and
-    where they point to its back it is black. `uv`: (vertices, 2), no unit, or None. A triangle
-    without area is never met, and a vertex number out of range is the nearest in range;
-    `geometry.problems` names all these but a zero normal.
+    A triangle without area is never hit, and a vertex index out of range counts as the nearest in
+    range; `geometry.problems` reports both, and the faces that vertex normals turn black.
+
+    Attributes:
+        vertices: (vertices, 3) m.
+        faces: (faces, 3) integers, the vertices of each triangle.
+        normals: (vertices, 3) no unit, interpolated for shading; None: flat triangles. Lengths are
+            ignored. Where the interpolated normal vanishes the triangle is flat, and where it
+            points to the back the triangle is black.
+        uv: (vertices, 2) no unit, or None.
     """
 
     vertices: Float[Array, "vertices 3"] = eqx.field(converter=as_float)

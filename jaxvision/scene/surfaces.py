@@ -1,4 +1,4 @@
-"""Shapes with materials, and the scene they make with lights."""
+"""Surfaces made of a shape and a material, and the scene they form with lights."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,16 +11,20 @@ from .shapes import Shape
 
 
 class Material(eqx.Module):
-    """What a surface is made of: the base of every family of BRDFs, whose record and equations
-    share a file in `brdf/`."""
+    """Base of every family of BRDFs; the record and the equations of a family share a file in
+    `brdf/`.
+    """
 
 
 class Surface(eqx.Module):
-    """A shape, what it is made of, and what it emits.
+    """A shape, its material and its emission.
 
-    `emission`: (bands,) W m^-2 sr^-1 that it shines, equally in all directions from its front, or
-    None. `two_sided`: static; both sides are fronts, the normal turning to who looks. Without it
-    a surface seen from behind is black.
+    Attributes:
+        shape: where it is.
+        material: how it reflects.
+        emission: (bands,) W m^-2 sr^-1 emitted from its front, equally in all directions, or None.
+        two_sided: both sides are fronts, with the normal turned towards the viewer; otherwise a
+            surface seen from behind is black. Static.
     """
 
     shape: Shape
@@ -39,9 +43,16 @@ def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:
 
 
 class Scene(eqx.Module):
-    """Surfaces and the lights on them, or one alone. All spectra share one number of bands, which
-    is checked here for the k_d of materials, for emissions and for lights, and for mirrors, which
-    may be neutral."""
+    """Surfaces and the lights on them.
+
+    All spectra share one number of bands. This is checked here for the k_d of materials, emissions,
+    lights and mirrors; a mirror may have one band for all.
+
+    Attributes:
+        surfaces: at least one; a single record is accepted too.
+        lights: any number; a single record is accepted too.
+        ambient: uniform light from all directions, or None.
+    """
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=_as_tuple)
     lights: tuple[Light, ...] = eqx.field(converter=_as_tuple)

@@ -1,4 +1,4 @@
-"""Where each pixel looks: the projections of a camera."""
+"""Projections of a camera: where each pixel looks."""
 
 import equinox as eqx
 import numpy as np
@@ -20,10 +20,13 @@ from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
 class Orthographic(eqx.Module):
     """Parallel (telecentric) projection.
 
-    `position`: (3,) m, the centre of the picture. `rotation`: (3, 3), rows the unit axes right,
-    down and forward of the camera in the world. `pixel_pitch`: () m between pixels, in the scene.
-    `resolution`: (rows, columns), static. `f_number`: () image-side, or None: radiance is handed
-    on as it is.
+    Attributes:
+        position: (3,) m, the centre of the picture.
+        rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
+            the world.
+        pixel_pitch: () m between pixels, in the scene, > 0.
+        resolution: (rows, columns) pixels; static.
+        f_number: () image-side, no unit, > 0; None passes radiance on unchanged.
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -37,13 +40,18 @@ class Orthographic(eqx.Module):
 
 
 class Pinhole(eqx.Module):
-    """Central projection through a small hole: all is in focus.
+    """Central projection through a small hole: everything is in focus.
 
-    `position`: (3,) m, the hole. `rotation`: (3, 3), rows the unit axes right, down and forward of
-    the camera in the world. `focal_length`: () m from the hole to the sensor. `pixel_pitch`: () m
-    between pixels, on the sensor. `resolution`: (rows, columns), static. `f_number`: () focal
-    length over hole diameter, or None: radiance is handed on as it is. `distortion`: of the image,
-    or None.
+    Attributes:
+        position: (3,) m, the hole.
+        rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
+            the world.
+        focal_length: () m from the hole to the sensor, > 0.
+        pixel_pitch: () m between pixels, on the sensor, > 0.
+        resolution: (rows, columns) pixels; static.
+        f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
+            unchanged.
+        distortion: of the image, or None.
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -64,15 +72,22 @@ class Pinhole(eqx.Module):
 class ThinLens(eqx.Module):
     """Central projection through a lens that is in focus at one distance.
 
-    `position`: (3,) m, the centre of the lens. `rotation`: (3, 3), rows the unit axes right, down
-    and forward of the camera in the world. `focal_length`: () m. `pixel_pitch`: () m between
-    pixels, on the sensor. `resolution`: (rows, columns), static. `f_number`: () focal length over
-    the lens's diameter; inf closes the aperture. `focus_distance`: () m along the axis from the
-    lens to the plane that is sharp, beyond the focal length; None or inf is infinity. The sensor
-    stands where the lens law images that plane.
+    The sensor stands where the lens law images the plane in focus.
 
-    `aperture`: the shape of the opening. `rim`: a second opening that cuts off oblique light, or
-    None. `distortion`: of the image, or None. `diffraction`: at a round aperture, or None.
+    Attributes:
+        position: (3,) m, the centre of the lens.
+        rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
+            the world.
+        focal_length: () m, > 0.
+        pixel_pitch: () m between pixels, on the sensor, > 0.
+        resolution: (rows, columns) pixels; static.
+        f_number: () focal length over the lens's diameter, no unit, > 0; inf closes the aperture.
+        focus_distance: () m along the axis from the lens to the plane in focus, beyond the focal
+            length; None or inf is infinity.
+        aperture: its shape.
+        rim: a second aperture that cuts off oblique light, or None.
+        distortion: of the image, or None.
+        diffraction: at a round aperture, or None.
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
