@@ -18,7 +18,7 @@ import jax
 import numpy as np
 import typer
 
-from jaxvision._command import failures_as_sentences, leave
+from jaxvision.command_line import failures_as_sentences, leave
 from jaxvision.errors import InputError
 
 from .inference.posterior import Progress, SamplingOptions

@@ -12,8 +12,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from jaxvision._toml import Entry, checked, read_toml
 from jaxvision.errors import InputError
+from jaxvision.toml_files import Entry, checked, read_toml
 
 RIG_FILE = "rig.toml"
 BAYER_PHASES = ("RGGB", "BGGR", "GRBG", "GBRG")

@@ -1,8 +1,8 @@
 """A Cartesian vector as a record of three components, for hot paths.
 
-A trailing axis of 3 defeats vector units; under `vmap` three components become three long arrays.
-Functions of vectors take a (..., 3) array or a `Vec` and return the kind they were given; the two
-mix in sums and differences, giving a `Vec`.
+A trailing axis of 3 wastes vector units; under `vmap` three components become three long arrays.
+Functions of vectors take a (..., 3) array or a `Vec` and return the kind they were given; a sum or
+difference of both kinds is a `Vec`.
 """
 
 import equinox as eqx
@@ -13,7 +13,18 @@ from ._types import Scalars
 
 
 class Vec(eqx.Module):
-    """`x`, `y`, `z`: equally shaped arrays; arithmetic is componentwise, with scalars too."""
+    """A vector of three components; arithmetic is componentwise, with scalars too.
+
+    Attributes:
+        x: (...) in any unit.
+        y: (...) of the shape and unit of `x`.
+        z: (...) of the shape and unit of `x`.
+
+    Example:
+        >>> v = jv.Vec(*jnp.array([1.0, 2.0, 3.0]))
+        >>> jv.as_array(2.0 * v - v).tolist()
+        [1.0, 2.0, 3.0]
+    """
 
     x: Scalars
     y: Scalars
@@ -45,12 +56,26 @@ Vector = Float[Array, "3"] | Vec
 
 
 def as_vec(v: Vec3) -> Vec:
-    """The components of a (..., 3) array; a `Vec` is returned as it is."""
+    """The components of a vector.
+
+    Args:
+        v: (..., 3) array, or a `Vec`, which is returned unchanged.
+
+    Returns:
+        The vector as a `Vec`, in the same unit.
+    """
     return v if isinstance(v, Vec) else Vec(v[..., 0], v[..., 1], v[..., 2])
 
 
 def as_array(v: Vec3) -> Float[Array, "... 3"]:
-    """The (..., 3) array of a `Vec`; an array is returned as it is."""
+    """The array of a vector.
+
+    Args:
+        v: a `Vec`, or a (..., 3) array, which is returned unchanged.
+
+    Returns:
+        (..., 3) in the same unit.
+    """
     return jnp.stack([v.x, v.y, v.z], axis=-1) if isinstance(v, Vec) else v
 
 
@@ -60,14 +85,14 @@ def scaled(v: Vec3, scale: Scalars) -> Vec3:
 
 
 def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
-    """Each vector where its flag (...) is set, else the zero vector."""
+    """Each vector where its flag (...) is set, elsewhere the zero vector."""
     if isinstance(v, Vec):
         return Vec(*(jnp.where(keep, component, 0) for component in (v.x, v.y, v.z)))
     return jnp.where(keep[..., None], v, 0)
 
 
 def where(condition: Bool[Array, "..."], u: Vec, v: Vec) -> Vec:
-    """`u` where the condition holds, else `v`."""
+    """`u` where the condition holds, elsewhere `v`."""
     return Vec(
         jnp.where(condition, u.x, v.x),
         jnp.where(condition, u.y, v.y),

@@ -42,7 +42,15 @@ _SHIPPED = files("jaxvision") / "cameras"
 
 
 def shipped_cameras() -> tuple[str, ...]:
-    """The names of the cameras that come with the library."""
+    """Names of the cameras that come with the library.
+
+    Returns:
+        The names, sorted.
+
+    Example:
+        >>> jv.shipped_cameras()
+        ('consumer_bayer', 'emva1288', 'ideal')
+    """
     found = (Path(entry.name) for entry in _SHIPPED.iterdir())
     return tuple(sorted(name.stem for name in found if name.suffix == ".toml"))
 
@@ -50,17 +58,29 @@ def shipped_cameras() -> tuple[str, ...]:
 def read_camera(
     source: str | os.PathLike[str], *, wavelengths: Float[Array, " bands"] | None = None
 ) -> Camera:
-    """The camera of a TOML file, or one of `shipped_cameras` by its name.
+    """Reads a camera from a TOML file, or a shipped camera by its name.
 
-    `wavelengths`: (bands,) m, in place of those of the file, for a camera given by measured
-    sensitivities. `InputError`, one sentence, for a file that is not there, is no TOML, or holds an
-    unknown key or a value outside its range.
+    Args:
+        source: path of the file, or one of `shipped_cameras`.
+        wavelengths: (bands,) m, instead of those of the file, for a camera with measured spectral
+            sensitivities.
+
+    Returns:
+        The camera.
+
+    Raises:
+        InputError: there is no such file, it is not TOML, or it holds an unknown key or a value
+            outside its range.
+
+    Example:
+        >>> float(jv.read_camera("emva1288").sensor.bits)
+        12.0
     """
     place, text = _text(source)
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{place}: not a TOML file ({error}); mend that line.") from error
+        raise InputError(f"{place}: not a TOML file ({error}); correct that line.") from error
     _check_keys(place, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
@@ -74,7 +94,7 @@ def read_camera(
 
 
 def _text(source: str | os.PathLike[str]) -> tuple[str, str]:
-    """(what to call it in a message, content)."""
+    """(name of the source for messages, content)."""
     file = Path(source)
     shipped = _SHIPPED / f"{source}.toml"
     if not file.is_file() and file.name == str(source) and shipped.is_file():
@@ -105,7 +125,7 @@ def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:
 def _with_sensitivities(
     place: str, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
-    """The table of the sensor with numbers in place of the name of measured sensitivities."""
+    """The table of the sensor, with numbers instead of the name of measured sensitivities."""
     table, colours = dict(sensor), sensor.get("colour_filter")
     if not isinstance(colours, Mapping) or "sensitivities" not in colours:
         return table
@@ -163,7 +183,7 @@ def _record(place: str, where: str, kind: type, table: Mapping[str, Any]) -> Any
 
 
 def _chosen_record(place: str, where: str, annotation: Any, table: Mapping[str, Any]) -> Any:
-    """A record that a field may hold: the only one, or that which the key `kind` names."""
+    """The record of a field: the only kind possible, or the one that the key `kind` names."""
     kinds = {kind.__name__: kind for kind in _records(annotation)}
     if not kinds:
         raise InputError(f"{place}: {where} is a number, not a table; write {where} = ....")
@@ -186,7 +206,7 @@ def _records(annotation: Any) -> tuple[type, ...]:
 
 
 def _holds_records_only(annotation: Any) -> bool:
-    """Whether a field, but for its absence, holds nothing but records."""
+    """Whether a field, apart from None, holds nothing but records."""
     parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     return all(part is type(None) or _records(part) for part in parts)
 
@@ -195,12 +215,12 @@ def _number(place: str, where: str, value: Any) -> Any:
     array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
     numbers = array.ravel().tolist()
     if any(isinstance(x, bool) or not isinstance(x, int | float) for x in numbers):
-        raise InputError(f"{place}: {where} = {value!r} must be a number or numbers; mend it.")
+        raise InputError(f"{place}: {where} = {value!r} must be a number or numbers; correct it.")
     return value
 
 
 def _static(place: str, where: str, value: Any) -> Any:
-    """A choice as its record has it: lists are tuples, and "RGGB" is the pattern it stands for."""
+    """A static value as its record has it: lists become tuples, and "RGGB" its pattern."""
     if where.endswith(".pattern") and isinstance(value, str):
         try:
             return bayer(value)

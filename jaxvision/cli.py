@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from . import __version__
-from ._command import failures_as_sentences
+from .command_line import failures_as_sentences
 from .errors import InputError
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")

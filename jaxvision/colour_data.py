@@ -1,12 +1,11 @@
-"""Tables of colour: what colour-science holds, as arrays on the caller's grid. Eager; the library
-is loaded on first use (about a second).
+"""Colorimetric tables of the library colour-science, as arrays on the caller's grid.
 
-Wavelengths are m everywhere; `nanometres` is the one place where others come in. Smooth tables are
-interpolated by colour-science (Sprague's quintic on an even grid, a cubic spline elsewhere). Beyond
-its table an observer or a sensitivity is 0, a reflectance keeps its end value, and so does an
-illuminant that is no CIE daylight: "A" and "C" beyond 300 to 780 nm, "FL..." and "LED-..." beyond
-380 to 780 nm.
-A name that does not exist is an `InputError` that lists what does.
+Eager; colour-science is loaded on first use, which takes about a second. Wavelengths are in m
+everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
+quintic on an even grid, a cubic spline elsewhere). Beyond its table an observer or a sensitivity is
+0, and a reflectance keeps its end value. So does an illuminant other than CIE daylight: "A" and "C"
+beyond 300 to 780 nm, "FL..." and "LED-..." beyond 380 to 780 nm. An unknown name is an `InputError`
+that lists the known ones.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,15 +27,37 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 
 def nanometres(values: Any) -> Float[Array, "..."]:
-    """Wavelengths in m from numbers in nm."""
+    """Wavelengths in m from numbers in nm.
+
+    Args:
+        values: array-like of any shape, in nm.
+
+    Returns:
+        An array of the same shape, in m.
+    """
     return as_float(np.asarray(values, np.float64) * 1e-9)
 
 
 def wavelength_grid(
     *, first: float = 380e-9, last: float = 780e-9, step: float = 5e-9
 ) -> Float[Array, " bands"]:
-    """Wavelengths in m from `first` to `last`, both included; `InputError` unless they are a whole
-    number of positive steps apart."""
+    """Evenly spaced wavelengths.
+
+    Args:
+        first: m.
+        last: m, included.
+        step: m, > 0.
+
+    Returns:
+        (bands,) m.
+
+    Raises:
+        InputError: `last` is not a whole number of steps above `first`.
+
+    Example:
+        >>> jv.colour_data.wavelength_grid().shape
+        (81,)
+    """
     steps = (last - first) / step if step > 0 else -1
     if not (steps > 0 and abs(steps - round(steps)) < 1e-6):
         raise InputError(
@@ -47,10 +68,22 @@ def wavelength_grid(
 
 
 def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, " bands"]:
-    """Relative spectral power (bands,) of "A", "D65", "FL2", "LED-B1", "E", ...; the CIE's series A
-    and D are 100 at 560 nm. Above 780 nm, where their tables end, D50, D55, D65 and D75 are the
-    daylight of their temperature, from the CIE's basis (300 to 830 nm), which is within 5e-4 of
-    the tables from 380 nm on."""
+    """Relative spectral power of a standard illuminant.
+
+    The CIE's series A and D are 100 at 560 nm. Above 780 nm, where their tables end, D50, D55, D65
+    and D75 are the daylight of their temperature from the CIE's basis (300 to 830 nm), which is
+    within 5e-4 of the tables from 380 nm on.
+
+    Args:
+        name: "A", "D65", "FL2", "LED-B1", "E", ...
+        wavelengths: (bands,) m.
+
+    Returns:
+        (bands,) relative.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
@@ -65,7 +98,18 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
 def observer(
     wavelengths: Float[Array, " bands"], *, name: str = OBSERVER
 ) -> Float[Array, "bands 3"]:
-    """Colour matching functions x, y, z of a CIE standard observer: (bands, 3), no unit."""
+    """Colour matching functions of a CIE standard observer.
+
+    Args:
+        wavelengths: (bands,) m.
+        name: of the observer, by default the CIE 1931 2 degree observer.
+
+    Returns:
+        (bands, 3) x, y, z, no unit.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     return _sampled(_entry(colour.MSDS_CMFS, name, "observer"), wavelengths, ends=True)
@@ -74,8 +118,18 @@ def observer(
 def camera_sensitivities(
     name: str, wavelengths: Float[Array, " bands"]
 ) -> Float[Array, "bands channels"]:
-    """Relative sensitivities (bands, 3) to R, G, B of a measured camera, "Nikon 5100 (NPL)" or
-    "Sigma SDMerill (NPL)", 1 at the peak of the most sensitive channel."""
+    """Relative spectral sensitivities of a measured camera.
+
+    Args:
+        name: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)".
+        wavelengths: (bands,) m.
+
+    Returns:
+        (bands, 3) R, G, B, relative: 1 at the peak of the most sensitive channel.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     cameras = colour.MSDS_CAMERA_SENSITIVITIES
@@ -85,9 +139,19 @@ def camera_sensitivities(
 def chart_reflectances(
     wavelengths: Float[Array, " bands"], *, name: str = "ColorChecker N Ohta"
 ) -> Float[Array, "patches bands"]:
-    """Reflectances (patches, bands), relative to perfect white, of a colour chart: the 24 patches
-    of "ColorChecker N Ohta" or "BabelColor Average", row by row from dark skin to black, and other
-    charts of colour-science."""
+    """Reflectances of the patches of a colour chart.
+
+    Args:
+        wavelengths: (bands,) m.
+        name: "ColorChecker N Ohta" or "BabelColor Average", with 24 patches row by row from dark
+            skin to black, or another chart of colour-science.
+
+    Returns:
+        (patches, bands) relative to perfect white.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     patches = _entry(colour.SDS_COLOURCHECKERS, name, "chart")
@@ -95,8 +159,16 @@ def chart_reflectances(
 
 
 def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
-    """S_0, S_1, S_2 of CIE daylight (bands, 3), interpolated linearly as the CIE prescribes; for
-    `spectra.daylight`."""
+    """The basis S_0, S_1, S_2 of CIE daylight, for `spectra.daylight`.
+
+    Interpolated linearly, as the CIE prescribes.
+
+    Args:
+        wavelengths: (bands,) m.
+
+    Returns:
+        (bands, 3) relative.
+    """
     import colour
 
     table = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
@@ -108,8 +180,18 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
 
 
 def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
-    """X, Y, Z of an illuminant with Y = 1, from the CIE's chromaticity of it ("D65": 0.3127,
-    0.3290)."""
+    """Tristimulus values of an illuminant from its CIE chromaticity ("D65": 0.3127, 0.3290).
+
+    Args:
+        name: of the illuminant.
+        observer: name of the observer.
+
+    Returns:
+        (3,) X, Y, Z relative to Y = 1.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     x, y = _entry(_entry(colour.CCS_ILLUMINANTS, observer, "observer"), name, "illuminant")
@@ -121,10 +203,20 @@ def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
 
 @cache
 def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
-    """Linear RGB to XYZ, derived in full precision from the primaries and white of a working space:
-    "sRGB", "Adobe RGB (1998)", "Display P3", "ITU-R BT.2020", "ProPhoto RGB", "ACES2065-1",
-    "ACEScg" and the others of colour-science. (Standards print rounded matrices, whose inverses
-    miss by up to 1e-4.)"""
+    """Matrix from linear RGB to XYZ, in full precision from the primaries and white of the space.
+
+    Standards print rounded matrices, whose inverses are off by up to 1e-4.
+
+    Args:
+        space: "sRGB", "Adobe RGB (1998)", "Display P3", "ITU-R BT.2020", "ProPhoto RGB",
+            "ACES2065-1", "ACEScg" or another RGB space of colour-science.
+
+    Returns:
+        (3, 3) float64, no unit.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     chosen = _entry(colour.RGB_COLOURSPACES, space, "RGB space")
@@ -133,8 +225,17 @@ def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
 
 @cache
 def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
-    """XYZ to the responses that chromatic adaptation scales: "Bradford", "CAT02", "Von Kries",
-    "XYZ Scaling" and the others of colour-science."""
+    """Matrix from XYZ to the cone responses that chromatic adaptation scales.
+
+    Args:
+        method: "Bradford", "CAT02", "Von Kries", "XYZ Scaling" or another of colour-science.
+
+    Returns:
+        (3, 3) float64, no unit.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     transforms = colour.CHROMATIC_ADAPTATION_TRANSFORMS
@@ -143,8 +244,17 @@ def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
 
 @cache
 def luma_weights(standard: str) -> tuple[float, float, float]:
-    """Weights of R', G', B' in the luma of "ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020" or
-    "SMPTE-240M"; they sum to 1."""
+    """Weights of R', G', B' in luma, of sum 1.
+
+    Args:
+        standard: "ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020" or "SMPTE-240M".
+
+    Returns:
+        Three weights, no unit.
+
+    Raises:
+        InputError: an unknown name.
+    """
     import colour
 
     red, blue = _entry(colour.WEIGHTS_YCBCR, standard, "luma standard")
@@ -162,14 +272,14 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " bands"]:
-    """Wavelengths in nm, as the tables have them; whole picometres, so that 555e-9 is 555."""
+    """Wavelengths in nm, as in the tables, rounded to whole picometres, so that 555e-9 is 555."""
     return np.round(np.asarray(wavelengths, np.float64) * 1e9, 3)
 
 
 def _sampled(
     distribution: Any, wavelengths: Float[Array, " bands"], *, ends: bool = False
 ) -> Float[Array, "..."]:
-    """A table of colour-science at these wavelengths; 0 beyond it where it `ends`."""
+    """A table of colour-science at these wavelengths; beyond it 0 if `ends`, else the end value."""
     wanted = _nanometres(wavelengths)
     values = np.asarray(distribution[wanted])
     if ends:

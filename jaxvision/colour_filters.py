@@ -1,14 +1,14 @@
-"""Colour filter arrays: the one band that each pixel of a mosaic sensor sees.
+"""Colour filter arrays: which band each pixel of a mosaic sensor measures.
 
 A pattern is rows of band indices, ((0, 1), (1, 2)) for red-green over green-blue: static and
-hashable. Its tile is repeated from the first pixel of the picture down and to the right, and the
-last tiles may be cut. Bands are 0, 1, ... without a gap, each somewhere in the tile. Pictures are
-in any unit, relative, electrons or DN, which they keep. `ValueError` for any other pattern.
+hashable. Its tile is repeated from the first pixel of the picture down and to the right; the last
+tiles may be cut. Bands are 0, 1, ... without a gap, each somewhere in the tile. Pictures are in any
+unit, which they keep. Every other pattern is a `ValueError`.
 """
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, Shaped
+from jaxtyping import Array, Bool, Shaped
 
 from ._types import check_tile
 
@@ -20,8 +20,21 @@ BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 
 def bayer(phase: str) -> Pattern:
-    """The 2 x 2 tile of Bayer's mosaic (US patent 3971065) that starts with those four letters,
-    read like text; bands 0, 1, 2 are R, G, B. `phase`: one of `BAYER_PHASES`."""
+    """The 2 x 2 tile of a Bayer mosaic (US patent 3971065).
+
+    Args:
+        phase: the four colours of the tile, read like text: one of `BAYER_PHASES`.
+
+    Returns:
+        The pattern, with bands 0, 1, 2 for R, G, B.
+
+    Raises:
+        ValueError: an unknown phase.
+
+    Example:
+        >>> jv.bayer("RGGB")
+        ((0, 1), (1, 2))
+    """
     if phase not in BAYER_PHASES:
         known = ", ".join(BAYER_PHASES)
         raise ValueError(f"phase must be one of {known}, got {phase!r}.")
@@ -30,23 +43,34 @@ def bayer(phase: str) -> Pattern:
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
-    """Raises `ValueError` unless the tile is a rectangle (else it does not tile the plane) of bands
-    0 to its largest, all of them there; `bands`: how many a picture has, which must be as many."""
+    """Checks that a pattern tiles the plane with the bands 0 to its largest, all present.
+
+    Args:
+        pattern: rows of band indices.
+        bands: number of bands of the picture, to be matched; None for any.
+        name: of the pattern, for messages.
+
+    Raises:
+        ValueError: the pattern is not such a tile.
+    """
     check_tile(name, pattern, bands=bands)
 
 
-def band_at(pattern: Pattern, height: int, width: int) -> Int[np.ndarray, "h w"]:
-    """The band (h, w) that each pixel of a picture of that size sees, no unit."""
-    check_pattern(pattern)
-    tile = np.asarray(pattern)
-    rows, columns = np.arange(height) % len(tile), np.arange(width) % tile.shape[1]
-    return tile[rows[:, None], columns]
-
-
 def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
-    """For each band of the pattern, which pixels of a picture of that size see it; no unit.
+    """For each band of the pattern, the pixels of a picture that measure it.
 
-    Put together from rows and columns, so that a compiled program holds no mask of every pixel.
+    Composed from rows and columns, so that a compiled program stores no mask of every pixel.
+
+    Args:
+        pattern: rows of band indices.
+        height: of the picture in pixels.
+        width: of the picture in pixels.
+
+    Returns:
+        One (height, width) mask for each band, no unit.
+
+    Raises:
+        ValueError: the pattern does not tile the plane.
     """
     check_pattern(pattern)
     tile = np.asarray(pattern)
@@ -64,10 +88,17 @@ def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"]
 
 
 def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
-    """What a sensor behind that filter array sees of (..., h, w, bands): the one value of each
-    pixel, (..., h, w), in the unit of the image.
+    """The picture that a sensor behind a colour filter array measures: one value for each pixel.
 
-    `ValueError` for a pattern that does not tile or has other bands than the image.
+    Args:
+        image: (..., h, w, bands) in any unit.
+        pattern: rows of band indices.
+
+    Returns:
+        (..., h, w) in the unit of the image.
+
+    Raises:
+        ValueError: the pattern does not tile the plane or has other bands than the image.
     """
     if image.ndim < 3:
         raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")

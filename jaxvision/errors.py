@@ -1,5 +1,4 @@
-"""What is said of bad input: the one exception a user of the tools sees, and the word that was
-meant."""
+"""Errors of input: the exception that users of the tools see, and hints for misspelt words."""
 
 import difflib
 from collections.abc import Iterable
@@ -10,7 +9,19 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """What is said after an unknown word: the nearest known one, or all of them."""
+    """Hint after an unknown word: the nearest known word, or all of them.
+
+    Args:
+        word: the unknown word.
+        known: the known ones.
+
+    Returns:
+        Part of a sentence.
+
+    Example:
+        >>> jv.errors.nearest("lambart", ["lambert", "phong"])
+        "the nearest is 'lambert'"
+    """
     words = sorted(known)
     if not words:
         return "there are none"

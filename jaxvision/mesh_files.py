@@ -1,8 +1,8 @@
-"""Triangle meshes from files: OBJ, PLY, GLB, STL and what else trimesh reads. The edge of the
-library: eager; trimesh (`pip install jaxvision[mesh]`) is loaded on first use.
+"""Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
-A file of several meshes becomes one, each put where the file's scene has it; polygons are cut into
-triangles. Lengths are taken as metres. Every failure is an `InputError` of one sentence.
+Eager; trimesh (`pip install jaxvision[mesh]`) is loaded on first use. A file of several meshes
+becomes one, each placed as in the file's scene; polygons are split into triangles. Lengths are
+taken as metres. Every failure is an `InputError` of one sentence.
 """
 
 import os
@@ -31,14 +31,28 @@ def read_mesh(
     flip: bool = False,
     dtype: str | np.dtype | None = None,
 ) -> TriangleMesh:
-    """The triangles of a file, in its order, as numbers of `dtype` (None: JAX's own). Those
-    without area in such numbers, which no ray would meet, are left out, and a warning counts them.
+    """Reads the triangles of a file, in its order.
 
-    Points are scaled, then rotated by `rotation`, (3, 3), whose rows are the file's axes in the
-    world (None: the world's own), then moved by `position`, (3,) m. `smooth`: with normals at the
-    vertices, the file's or, where it has none, the means of the triangles around by their angles.
-    `flip`: every triangle, and every normal, turned around. Places without a number are left as
-    they are: `geometry.problems` names them. `InputError` for corners that are not there.
+    Points are scaled, then rotated, then moved. Triangles without area in the numbers of `dtype`,
+    which no ray would hit, are left out, and a warning counts them. Coordinates that are not finite
+    are kept; `geometry.problems` reports them.
+
+    Args:
+        path: the file.
+        scale: m per unit of the file, no unit if the file is in m.
+        rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
+        position: (3,) m.
+        smooth: take the file's normals at the vertices or, if it has none, the means of the
+            adjacent triangles weighted by their angles; otherwise triangles are flat.
+        flip: reverse every triangle and every normal.
+        dtype: floating dtype; None is JAX's default.
+
+    Returns:
+        The mesh.
+
+    Raises:
+        InputError: there is no such file, it is not a mesh, or a triangle names a vertex that does
+            not exist.
     """
     file = Path(path)
     if not file.is_file():
@@ -59,7 +73,7 @@ def read_mesh(
 
 
 def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The triangles that have one; meshes found in the wild often hold some that do not."""
+    """The triangles with a positive area; files often hold some without."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(
@@ -102,7 +116,7 @@ def _load(file: Path):
 
 
 def _in_plain_words(error: Exception) -> str:
-    """Why a reader of trimesh failed, as far as the kind of its failure tells."""
+    """Why a reader of trimesh failed, as far as the kind of the error tells."""
     match error:
         case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
             return "it holds bytes that are no text where its format has text"

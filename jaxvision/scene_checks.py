@@ -1,6 +1,7 @@
-"""What makes no sense in a scene: found before it is rendered, each thing in one sentence.
+"""Mistakes in a scene, found before it is rendered and each described in one sentence.
 
-Eager and NumPy: for scenes at hand, not for traced ones, whose renderings are finite all the same.
+Eager and NumPy: for concrete scenes, not for traced ones, which render to finite values all the
+same.
 """
 
 from collections.abc import Sequence
@@ -32,14 +33,22 @@ _ROUNDING = 1e-6  # of a length in float32
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """One sentence for each problem, beginning with the object's name of `surfaces` or `lights`.
+    """One sentence for each problem of a scene.
 
-    What `geometry.problems` finds of each shape; closed meshes turned inside out; surfaces that
-    shine, and lights, without area or direction; nothing that shines; a light, a surface that
-    shines or the camera within an opaque closed surface whose inside is not seen; a point light on
-    a surface other than a mesh, which it shines along and so does not light. Within glass or a
-    two-sided surface all may lie: there the inside is seen, and a ray that starts in glass is taken
-    to be in it.
+    Reports: the problems of each shape (`geometry.problems`); closed meshes turned inside out;
+    emitters and lights without area or direction; a scene without any light; a light, an emitter or
+    the camera inside an opaque closed surface with a hidden inside; a point light on a surface
+    other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
+    surface: there the inside is seen, and a ray that starts in glass is taken to be in it.
+
+    Args:
+        scene: the scene.
+        view: the projection of the camera.
+        surfaces: name of each surface, for messages.
+        lights: name of each light, for messages.
+
+    Returns:
+        The sentences, each beginning with the name of the object; empty for a sound scene.
     """
     found = [
         f"{name}: {problem}"
@@ -89,8 +98,17 @@ def scene_problems(
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
-    """One sentence for each field of a record whose numbers its dtype does not hold: `kept` is
-    `exact` in that dtype, and has infinities, or nothing but zeros that `exact` has not."""
+    """One sentence for each field whose numbers its dtype cannot hold.
+
+    A number is lost if it becomes infinite, or if a field becomes all zeros.
+
+    Args:
+        exact: the record before conversion.
+        kept: the record in the other dtype.
+
+    Returns:
+        The sentences.
+    """
     found = []
     fields = jax.tree_util.tree_leaves_with_path(exact)
     for (place, before), after in zip(fields, map(np.asarray, jax.tree.leaves(kept)), strict=True):
@@ -109,9 +127,22 @@ def lost_numbers(exact: object, kept: object) -> list[str]:
 
 
 def is_inside(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a place, (3,) m, lies within a closed shape; a mesh is closed where its triangles
-    together cover most of all directions (van Oosterom and Strackee, "The Solid Angle of a Plane
-    Triangle", IEEE Transactions on Biomedical Engineering 30 (1983))."""
+    """Whether a point lies within a closed shape.
+
+    A mesh counts as closed around the point where its triangles together cover most of all
+    directions.
+
+    Args:
+        shape: the shape.
+        point: (3,) m.
+
+    Returns:
+        True if inside; False for shapes that are not closed.
+
+    Source:
+        van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Transactions on
+        Biomedical Engineering 30 (1983).
+    """
     match shape:
         case Sphere():
             return bool(np.linalg.norm(point - _array(shape.centre)) < float(shape.radius))
@@ -162,7 +193,7 @@ def _light_problems(light: Light) -> list[str]:
 
 
 def _places(light: Light) -> list[np.ndarray]:
-    """Where a light is: the corners of one that has a size."""
+    """Points of a light: its position, or its corners."""
     match light:
         case PointLight():
             return [_array(light.position)]
@@ -173,7 +204,7 @@ def _places(light: Light) -> list[np.ndarray]:
 
 
 def _corners_around(shape: Shape) -> list[np.ndarray]:
-    """Places on a shape, m, as far out as it reaches; none of a plane."""
+    """The outermost points of a shape in m; none for a plane."""
     match shape:
         case Sphere() | Disc():
             axes = np.eye(3)
@@ -194,8 +225,7 @@ def _corners_around(shape: Shape) -> list[np.ndarray]:
 
 
 def _lies_on(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a place, (3,) m, is on a shape other than a mesh, to within what rounds away in
-    float32."""
+    """Whether a point, (3,) m, is on a shape other than a mesh, up to rounding in float32."""
     match shape:
         case Sphere():
             centre, radius = _array(shape.centre), float(shape.radius)
@@ -235,7 +265,7 @@ def _shines(surface: Surface) -> bool:
 
 
 def _corners(mesh: TriangleMesh) -> np.ndarray:
-    """(faces, 3, 3)."""
+    """(faces, 3, 3) m."""
     return _array(mesh.vertices)[np.asarray(mesh.faces)]
 
 

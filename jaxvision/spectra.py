@@ -1,9 +1,10 @@
 """Spectra: a value per wavelength, (..., bands), on a grid of wavelengths, (bands,) in m.
 
-An RGB colour is a spectrum of three bands, so whatever takes `bands` takes both; `project` and its
-two namesakes turn the many bands of a physical spectrum into the few of a camera or an observer.
-Integrals are the sums of CIE 15:2018, section 7: value times width of the band. Tables to feed
-these functions (illuminants, reflectances, sensitivities, observers) come from `colour_data`.
+An RGB colour is a spectrum of three bands, so every function of `bands` takes both;
+`spectrum_to_camera`, `spectrum_to_xyz` and `reflectance_to_xyz` reduce the many bands of a physical
+spectrum to the few of a camera or an observer. Integrals are the sums of CIE 15:2018, section 7:
+value times width of the band. Tables for these functions (illuminants, reflectances, sensitivities,
+observers) come from `colour_data`.
 """
 
 import jax.numpy as jnp
@@ -46,12 +47,22 @@ def interpolate_spectrum(
     method: str = "linear",
     outside: str = "clamp",
 ) -> Float[Array, "... wanted"]:
-    """Spectra given at the wavelengths `known` (ascending, m), at those `wanted`: (..., wanted).
+    """Spectra interpolated to other wavelengths.
 
-    `method`: "linear", or "sprague", the quintic of CIE 167:2005 for smooth spectra, which takes
-    `known` as evenly spaced and at least six. `outside` of `known`: "clamp" continues the end
-    values (CIE 15:2018, 7.2.3), "zero" ends the spectrum (sensitivities). `ValueError` for an
-    unknown option or too few bands.
+    Args:
+        values: (..., bands) in any unit.
+        known: (bands,) m, ascending.
+        wanted: (wanted,) m.
+        method: "linear", or "sprague", the quintic of CIE 167:2005 for smooth spectra, which takes
+            `known` as evenly spaced and needs at least six bands.
+        outside: beyond `known`, "clamp" continues the end values (CIE 15:2018, 7.2.3), "zero" ends
+            the spectrum (sensitivities).
+
+    Returns:
+        (..., wanted) in the unit of `values`.
+
+    Raises:
+        ValueError: an unknown option or too few bands.
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
@@ -79,11 +90,19 @@ def interpolate_spectrum(
 
 
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
-    """What each sample of a spectrum stands for, in m: half the distance to both neighbours, an end
-    sample a full step.
+    """Width of the interval that each sample of a spectrum represents.
 
-    On an even grid all are the step, so that an integral is the plain sum times the step, as CIE
-    15:2018 has it. `wavelengths`: ascending, at least two, else `ValueError`.
+    Half the distance between both neighbours; an end sample takes a full step. On an even grid
+    every width is the step, so that an integral is the plain sum times the step, as in CIE 15:2018.
+
+    Args:
+        wavelengths: (bands,) m, ascending, at least two.
+
+    Returns:
+        (bands,) m.
+
+    Raises:
+        ValueError: fewer than two wavelengths.
     """
     if wavelengths.shape[0] < 2:
         raise ValueError(f"wavelengths must hold at least two, got {wavelengths.shape[0]}.")
@@ -92,18 +111,31 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
 
 
 def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Array, "..."]:
-    """The sum of value times band width: (..., bands) to (...), in the spectrum's unit times m."""
+    """Integral over wavelength: the sum of value times band width.
+
+    Args:
+        spectrum: (..., bands) in any unit.
+        wavelengths: (bands,) m, ascending.
+
+    Returns:
+        (...) in the unit of the spectrum times m.
+    """
     return spectrum @ band_widths(wavelengths)
 
 
 def spectrum_to_camera(
     spectrum: Spectrum, wavelengths: Wavelengths, sensitivities: Responses
 ) -> Float[Array, "... channels"]:
-    """What each channel collects: the integral of spectrum times sensitivity, (..., channels).
+    """Response of each channel: the integral of spectrum times sensitivity.
 
-    `spectrum`: (..., bands) per m of wavelength. `sensitivities`: (bands, channels). The result has
-    the unit of spectrum times sensitivity times m: W m^-3 and electrons per J give electrons per
-    m^2 and second.
+    Args:
+        spectrum: (..., bands) per m of wavelength, such as W m^-3.
+        wavelengths: (bands,) m, ascending.
+        sensitivities: (bands, channels), such as electrons J^-1.
+
+    Returns:
+        (..., channels) in the unit of spectrum times sensitivity times m; for the units above,
+        electrons m^-2 s^-1.
     """
     return spectrum @ (sensitivities * band_widths(wavelengths)[:, None])
 
@@ -111,10 +143,18 @@ def spectrum_to_camera(
 def spectrum_to_xyz(
     spectrum: Spectrum, wavelengths: Wavelengths, observer: Responses
 ) -> Float[Array, "... 3"]:
-    """Absolute tristimulus values X, Y, Z = K_m times the integral of spectrum times observer.
+    """Absolute tristimulus values: X, Y, Z = K_m times the integral of spectrum times observer.
 
-    `spectrum`: (..., bands) W m^-2 sr^-1 per m gives Y in cd m^-2, W m^-2 per m gives lux.
-    `observer`: (bands, 3), as `colour_data.observer` gives it. Source: CIE 15:2018, section 7.1.
+    Args:
+        spectrum: (..., bands) W m^-2 sr^-1 per m, for Y in cd m^-2; or W m^-2 per m, for lux.
+        wavelengths: (bands,) m, ascending.
+        observer: (bands, 3), no unit, as `colour_data.observer` gives it.
+
+    Returns:
+        (..., 3) X, Y, Z in cd m^-2 or lux.
+
+    Source:
+        CIE 15:2018, section 7.1.
     """
     return LUMINOUS_EFFICACY * spectrum_to_camera(spectrum, wavelengths, observer)
 
@@ -122,20 +162,41 @@ def spectrum_to_xyz(
 def reflectance_to_xyz(
     reflectance: Spectrum, wavelengths: Wavelengths, observer: Responses, illuminant: Wavelengths
 ) -> Float[Array, "... 3"]:
-    """Tristimulus values of a reflecting object relative to a perfect white, whose Y is 1.
+    """Tristimulus values of a reflecting object relative to a perfect white of Y = 1.
 
-    `reflectance`: (..., bands) relative, 1 for perfect white. `observer`: (bands, 3). `illuminant`:
-    (bands,) relative; its scale cancels. Source: CIE 15:2018, section 7.1.
+    Args:
+        reflectance: (..., bands) relative, 1 for perfect white.
+        wavelengths: (bands,) m, ascending.
+        observer: (bands, 3), no unit, as `colour_data.observer` gives it.
+        illuminant: (bands,) relative; its scale cancels.
+
+    Returns:
+        (..., 3) X, Y, Z, relative.
+
+    Source:
+        CIE 15:2018, section 7.1.
     """
     weights = observer * (illuminant * band_widths(wavelengths))[:, None]
     return reflectance @ (weights / jnp.sum(weights[:, 1]))
 
 
 def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
-    """Planck's law, 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1): spectral radiance (bands,)
-    in W m^-2 sr^-1 per m, with the constants of the SI of 2019.
+    """Planck's law: spectral radiance 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1).
 
-    `temperature`: () K; at 0 and below nothing shines.
+    Args:
+        wavelengths: (bands,) m.
+        temperature: () K; at 0 and below the radiance is 0.
+
+    Returns:
+        (bands,) W m^-2 sr^-1 per m, with the constants of the SI of 2019.
+
+    Example:
+        >>> wavelengths = jnp.linspace(50e-9, 100e-6, 100_000)
+        >>> L = jv.spectra.integrate_spectrum(
+        ...     jv.spectra.blackbody(wavelengths, jnp.array(5000.0)), wavelengths
+        ... )
+        >>> round(float(np.pi * L / 5000**4 * 1e8), 3)  # Stefan-Boltzmann constant, 5.670e-8
+        5.67
     """
     warm = temperature > 0
     x = _H_C_OVER_K / (wavelengths * jnp.where(warm, temperature, 1))
@@ -144,11 +205,20 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
 
 
 def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths:
-    """CIE daylight, S_0 + M_1 S_1 + M_2 S_2: relative power (bands,), 100 at 560 nm.
+    """Relative power of CIE daylight: S_0 + M_1 S_1 + M_2 S_2, 100 at 560 nm.
 
-    `basis`: (bands, 3), as `colour_data.daylight_basis` gives it. `temperature`: () correlated
-    colour temperature in K, clamped to CIE's range of 4000 to 25000 K; D65 is at 6504 K (6500 K on
-    the scale of 1931). M_1 and M_2 are not rounded. Source: CIE 15:2018, section 4.1.2.
+    M_1 and M_2 are not rounded.
+
+    Args:
+        basis: (bands, 3) relative, as `colour_data.daylight_basis` gives it.
+        temperature: () correlated colour temperature in K, clamped to CIE's range of 4000 to 25000
+            K; D65 is at 6504 K (6500 K on the scale of 1931).
+
+    Returns:
+        (bands,) relative.
+
+    Source:
+        CIE 15:2018, section 4.1.2.
     """
     inverse = 1e3 / jnp.clip(temperature, 4000, 25000)
     low = 0.244063 + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))

@@ -39,6 +39,8 @@ EAGER = {
     "jaxvision.scene_files.folder",
     "jaxvision.geometry.checks",
     "jaxvision.colour_data",
+    "jaxvision.command_line",
+    "jaxvision.toml_files",
     "jaxvision.measured_files",
     "jaxvision.measured_files.cornell",
     "jaxvision.measured_files.merl",
@@ -61,7 +63,7 @@ STATIC = {
     "jaxvision.rendering.bake",
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
-} | {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "band_at", "sites")}
+} | {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
 UNIT = (
     r"\b(DN|W m\^-2|W sr\^-1|sr\^-1|m|m\^2|metres|photons|electrons|e-|rad|radians|rad\^-1|"
     r"unit|pixels|relative|codes)\b"

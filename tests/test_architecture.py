@@ -27,7 +27,7 @@ FLOORS = [
     {"matting", "transport", "development"},
     {"rendering"},
     {"shot", "effects", "accuracy", "scene_checks"},
-    {"io", "_toml", "_command"},
+    {"io", "toml_files", "command_line"},
     {"measured_files", "mesh_files", "camera_files", "plots", "_partial_image"},
     {"scene_files"},
     {"_integrators"},

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.colour_filters import BAYER_PHASES, band_at, bayer, mosaic
+from jaxvision.colour_filters import BAYER_PHASES, bayer, mosaic
 from jaxvision.development import (
     demosaic,
     demosaic_bilinear,
@@ -132,7 +132,9 @@ def test_what_was_seen_stays():
 
 def by_loops(raw, pattern):
     """Means weighted by a tent as wide as the tile, of the pixels that saw each band."""
-    seen, (rows, columns) = band_at(pattern, *raw.shape), (len(pattern), len(pattern[0]))
+    rows, columns = np.shape(pattern)
+    height, width = raw.shape
+    seen = np.tile(pattern, (height // rows + 1, width // columns + 1))[:height, :width]
     picture = np.zeros((*raw.shape, seen.max() + 1))
     for y, x, band in np.ndindex(*picture.shape):
         if seen[y, x] == band:

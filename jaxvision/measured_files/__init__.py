@@ -1,6 +1,6 @@
-"""Files of measured reflectance: MERL, Cornell goniometer, RGL. The edge of the library: eager.
+"""Files of measured reflectance: MERL, Cornell goniometer, RGL. Eager.
 
-The layout of each format stands in its module. Every failure is an `InputError` of one sentence
+The module of each format describes its layout. Every failure is an `InputError` of one sentence
 that names the file.
 """
 
@@ -29,8 +29,17 @@ __all__ = [
 
 
 def read_measured(path: str | os.PathLike[str]) -> HalfDifferenceTable | BRDFSamples | RGL:
-    """What a file of measured reflectance holds, its format taken from the suffix: `.binary`
-    (MERL), `.brdf` (Cornell) or `.bsdf` (RGL)."""
+    """Reads a file of measured reflectance, its format taken from the suffix.
+
+    Args:
+        path: a file ending in `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).
+
+    Returns:
+        A table, scattered samples or an RGL material, with values in sr^-1.
+
+    Raises:
+        InputError: an unknown suffix, or a file that is not of its format.
+    """
     readers = {".binary": read_merl, ".brdf": read_cornell, ".bsdf": read_rgl}
     suffix = Path(path).suffix.lower()
     if suffix not in readers:

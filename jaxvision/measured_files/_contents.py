@@ -1,4 +1,4 @@
-"""What the readers share: the bytes of a file, and the units that files hold."""
+"""Shared by the readers: the bytes of a file, and the units that files use."""
 
 import os
 from pathlib import Path
@@ -10,6 +10,7 @@ TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
 
 
 def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    """The path and the bytes of a file; `InputError` if there is none."""
     file = Path(path)
     if file.is_dir():
         raise InputError(f"{file}: is a folder; name the file in it.")

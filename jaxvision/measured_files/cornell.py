@@ -1,8 +1,11 @@
-"""Cornell goniometer files (`.brdf`), scattered samples and spectral.
+"""Cornell goniometer files (`.brdf`): scattered spectral samples.
 
 Text; `#` starts a comment. The number of wavelengths n, the n wavelengths in nm, then one row per
 sample: theta_i phi_i theta_s phi_s in rad and n values of f_r in sr^-1. The mirror direction lies
-at phi_s = phi_i + pi. Source: Cornell Program of Computer Graphics.
+at phi_s = phi_i + pi.
+
+Source:
+    Cornell Program of Computer Graphics.
 """
 
 import os
@@ -18,7 +21,17 @@ from ._contents import NANOMETRE, TURN, contents_of
 
 
 def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
-    """The samples of a Cornell goniometer file, in the file's order."""
+    """Reads the samples of a Cornell goniometer file, in the file's order.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Samples of f_r in sr^-1, angles in rad, wavelengths in m.
+
+    Raises:
+        InputError: the file is missing or not of this format.
+    """
     file, data = contents_of(path)
     try:
         lines = data.decode("ascii").splitlines()
@@ -82,7 +95,16 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
 def write_cornell(
     path: str | os.PathLike[str], samples: BRDFSamples, *, description: str = ""
 ) -> None:
-    """Writes samples in the Cornell layout, 17 significant digits; they need wavelengths."""
+    """Writes samples in the Cornell layout, with 17 significant digits.
+
+    Args:
+        path: the file.
+        samples: samples of f_r in sr^-1, with wavelengths.
+        description: text for the comment at the beginning.
+
+    Raises:
+        InputError: the samples have no wavelengths.
+    """
     if samples.wavelengths is None:
         raise InputError(f"{path}: the Cornell layout needs wavelengths, which RGB has not.")
     angles = (samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o)

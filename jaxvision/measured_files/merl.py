@@ -1,10 +1,12 @@
-"""MERL files (`.binary`), isotropic and in RGB.
+"""MERL files (`.binary`): isotropic reflectance in RGB.
 
 Three little-endian int32 n_h, n_d, n_p (90, 90, 180), then as many float64 for red, for green, for
-blue, phi_d fastest and theta_h slowest, over the bins of `brdf.half_difference`. Values times
-(1, 1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark bins that were not measured or lie
-below the surface. Source: the reader published with Matusik et al., "A Data-Driven Reflectance
-Model", 2003.
+blue, phi_d fastest and theta_h slowest, over the bins of `brdf.half_difference`. Values times (1,
+1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark bins that were not measured or lie below
+the surface.
+
+Source:
+    The reader published with Matusik et al., "A Data-Driven Reflectance Model", 2003.
 """
 
 import os
@@ -24,8 +26,9 @@ MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
 def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(bins..., bands) with every invalid bin replaced by the nearest valid one, counted in bins,
-    around the circle of phi_d."""
+    """(bins..., bands) with every invalid bin replaced by the nearest valid one, measured in bins
+    and around the circle of phi_d.
+    """
     from scipy.ndimage import distance_transform_edt
 
     turn = valid.shape[2]
@@ -39,10 +42,19 @@ def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def read_merl(
     path: str | os.PathLike[str], *, invalid: Literal["nearest", "zero"] = "nearest"
 ) -> HalfDifferenceTable:
-    """The table of a MERL file, f_r in sr^-1.
+    """Reads the table of a MERL file.
 
-    Bins that are marked as not measured take the value of the nearest measured bin, so that the
-    interpolation at the edge of the measured range is not drawn to 0, or 0 (`invalid`).
+    Args:
+        path: the file.
+        invalid: value of bins marked as not measured: "nearest" takes that of the nearest measured
+            bin, so that interpolation at the edge of the measured range is not drawn towards 0;
+            "zero" takes 0.
+
+    Returns:
+        The table of f_r in sr^-1.
+
+    Raises:
+        InputError: the file is missing or not of this format.
     """
     file, data = contents_of(path)
     if len(data) < 12:
@@ -83,7 +95,15 @@ def read_merl(
 
 
 def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None:
-    """Writes a table of three bands as a MERL file; no bin is marked as not measured."""
+    """Writes a table as a MERL file; no bin is marked as not measured.
+
+    Args:
+        path: the file.
+        table: f_r in sr^-1, three bands.
+
+    Raises:
+        InputError: the table has another number of bands.
+    """
     *shape, bands = table.values.shape
     if bands != 3:
         raise InputError(f"{path}: a MERL file holds 3 bands, got {bands}; convert to RGB first.")

@@ -1,9 +1,11 @@
-"""RGL files (`.bsdf`): a tensor file that holds one material, RGB or spectral.
+"""RGL files (`.bsdf`): a tensor file with one material, RGB or spectral.
 
 Fields: theta_i (t,), phi_i (p,) in rad, ndf, sigma (rows, columns), vndf (p, t, rows, columns),
 luminance (p, t, n, n), jacobian (1,), and rgb (p, t, 3, n, n) or wavelengths (b,) in nm with
-spectra (p, t, b, n, n). Source: Dupuy & Jakob 2018 and the loader published with the database,
-rgl.epfl.ch/materials.
+spectra (p, t, b, n, n).
+
+Source:
+    Dupuy and Jakob 2018 and the loader published with the database, rgl.epfl.ch/materials.
 """
 
 import os
@@ -20,7 +22,17 @@ from ._tensor_file import fields_in, tensor_file
 
 
 def read_rgl(path: str | os.PathLike[str]) -> RGL:
-    """The material of an RGL file, RGB or spectral."""
+    """Reads the material of an RGL file, RGB or spectral.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The material, with values in sr^-1, angles in rad and wavelengths in m.
+
+    Raises:
+        InputError: the file is missing or not of this format.
+    """
     file, data = contents_of(path)
     fields = fields_in(file, data)
     spectral = "spectra" in fields
@@ -66,8 +78,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
 
 
 def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
-    """`InputError` for numbers that are no angles or no densities; how many equal sectors of
-    azimuth a turn has."""
+    """How many equal sectors of azimuth make a turn; `InputError` for values out of range."""
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
@@ -109,8 +120,15 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
 
 
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
-    """Writes a material as an RGL file, float32 as all of the database; densities are written
-    normalised, which every reader does itself."""
+    """Writes a material as an RGL file, in float32 like the database.
+
+    Densities are written normalised; every reader normalises them anyway.
+
+    Args:
+        path: the file.
+        material: the material.
+        description: text of the field `description`.
+    """
     text = np.frombuffer(description.encode() or b"-", "u1")
     fields = {
         "description": text,

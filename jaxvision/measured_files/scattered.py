@@ -1,4 +1,4 @@
-"""A table, which can be rendered, from samples scattered over pairs of directions."""
+"""A table for rendering from samples scattered over pairs of directions."""
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,18 @@ def table_of_samples(
 ) -> HalfDifferenceTable:
     """A continuous, reciprocal, mirror-symmetric BRDF through scattered isotropic samples.
 
-    log(f_r + `floor`), floor in sr^-1, is interpolated by radial functions (kernel r) over half
-    and difference angles, where narrow lobes stand still as `wi` moves, and tabulated in bins
-    (n_h, n_d, n_p). On the Cornell paints, with one of eight angles of incidence left out, this
-    errs 1.5 to 10 times less than linear interpolation over the angles of both directions.
+    log(f_r + floor) is interpolated by radial basis functions (kernel r) over half and difference
+    angles, in which narrow lobes stay in place as `wi` moves, and tabulated in bins. On the Cornell
+    paints, with one of eight angles of incidence left out, the error is 1.5 to 10 times less than
+    for linear interpolation over the angles of both directions.
+
+    Args:
+        samples: samples of f_r in sr^-1.
+        shape: numbers of bins (n_h, n_d, n_p).
+        floor: sr^-1, added before the logarithm.
+
+    Returns:
+        The table of f_r in sr^-1.
     """
     from scipy.interpolate import RBFInterpolator
 

@@ -88,8 +88,8 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
         return at_x - x, at_y - y
 
     def step(state):
-        # whether to go on is kept, not asked again: rounded differently, a loop over many points
-        # would wait for one that it no longer moves
+        # the condition is carried, not evaluated again: rounded differently, a loop over many
+        # points would wait for one that it no longer moves
         number, u, v, share, _ = state
         off_x, off_y = residual(u, v)
         by_u, by_v = _solve(distortion, u, v, off_x, off_y)
@@ -107,7 +107,7 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
     starts_well = _is_before_fold(distortion, x, y)
     start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
-    # far out, beyond any rim, a whole step would overshoot by more than halves can mend
+    # far out, beyond the image, a whole step overshoots by more than halving can correct
     share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
     begin = (0, *start, share, jnp.ones((), bool))
     _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)

@@ -1,8 +1,8 @@
-"""Scene files: a TOML of lights, surfaces, materials and a camera, as the records of a `Scene`.
+"""Scene files: TOML with lights, surfaces, materials and a camera, read as the records of a
+`Scene`.
 
-`schema` documents the format. The edge of the library: eager, and every mistake is an `InputError`
-of one sentence that names the file and the object. A few scenes ship with the library and are read
-by their name.
+`schema` documents the format. Eager; every mistake is an `InputError` of one sentence that names
+the file and the object. The scenes that ship with the library are read by their names.
 """
 
 import hashlib
@@ -17,13 +17,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from .._toml import checked, read_toml
 from .._types import as_dtype
 from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
 from ..geometry import problems
 from ..scene import AmbientLight, Material, Scene, Surface, View
 from ..scene_checks import lost_numbers, scene_problems
+from ..toml_files import checked, read_toml
 from .bands import Bands, bands_of, in_bands
 from .folder import Folder
 from .materials import material_of
@@ -35,9 +35,20 @@ _SHIPPED = Path(str(files("jaxvision"))) / "scenes"
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a scene file holds. `render`: how it wants to be rendered. `wavelengths`: (bands,) m,
-    or None: RGB if there are three bands. `surfaces`, `lights`: what messages call them. `digest`:
-    one hash of all numbers of the scene and its view, whatever files they came from."""
+    """The content of a scene file.
+
+    Attributes:
+        path: the file.
+        scene: surfaces and lights.
+        view: projection of the camera.
+        render: settings with which the file asks to be rendered.
+        bands: number of bands.
+        wavelengths: (bands,) m, or None: RGB if there are three bands.
+        surfaces: name of each surface in messages.
+        lights: name of each light in messages.
+        digest: a hash of all numbers of the scene and its view, independent of the files they came
+            from.
+    """
 
     path: Path
     scene: Scene
@@ -51,13 +62,26 @@ class SceneFile:
 
 
 def shipped_scenes() -> list[str]:
-    """The names of the scenes that come with the library."""
+    """Names of the scenes that come with the library.
+
+    Returns:
+        The names, sorted.
+    """
     return sorted(file.stem for file in _SHIPPED.glob("*.toml"))
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """The checked scene of a file, or of a shipped scene by its name; `InputError` for the first
-    thing in it that cannot be or that `scene_checks` finds to be senseless."""
+    """Reads and checks a scene file, or a shipped scene by its name.
+
+    Args:
+        path: the file, or one of `shipped_scenes`.
+
+    Returns:
+        The scene and how to render it.
+
+    Raises:
+        InputError: the first mistake in the file, or the first problem that `scene_checks` finds.
+    """
     file = _found(path)
     entry = checked(file, read_toml(file, "scene"), SceneEntry, "scene")
     folder = Folder(file)
@@ -134,7 +158,7 @@ def _found(path: str | os.PathLike[str]) -> Path:
 def _surface(
     entry, materials: dict[str, Material], bands: Bands, folder: Folder, dtype: str
 ) -> Surface:
-    """A shape of its material; without one it is black."""
+    """A surface of the given material; black without one."""
     emission = None
     if entry.emission is not None:
         emission = in_bands(entry.emission, bands, folder, quantity="light")
@@ -150,7 +174,7 @@ def _surface(
 
 
 def _names(kind: str, entries) -> tuple[str, ...]:
-    """What messages call each: its own name, or its place in the file."""
+    """What messages call each entry: its own name, or its place in the file."""
     return tuple(
         f"{kind}[{i}]" if entry.name is None else f'{kind} "{entry.name}"'
         for i, entry in enumerate(entries, 1)
@@ -165,7 +189,7 @@ def _in_dtype(file: Path, records: tuple[Scene, View], dtype: str) -> tuple[Scen
 
 @contextmanager
 def _named(file: Path, name: str) -> Iterator[None]:
-    """Says in which file and object a value was refused, or a warning given."""
+    """Adds the file and the object to the message of an error or a warning."""
     where = f"{file}: {name}: " if name else f"{file}: "
     try:
         with warnings.catch_warnings(record=True) as caught:

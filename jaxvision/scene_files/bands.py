@@ -1,10 +1,10 @@
 """Spectra of a scene file, reduced to the bands in which the scene is rendered.
 
 With wavelengths, a band is the value at its wavelength, interpolated linearly; beyond its table a
-reflectance keeps its end value and a light is 0. Without, three bands are linear sRGB: of a
-reflectance its colour under D65, 1 for perfect white; of light its mean over the observer,
-integral of S(lambda) xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1.
-What lies outside the triangle of sRGB is clipped at 0.
+reflectance keeps its end value and a light is 0. Without wavelengths, three bands are linear sRGB:
+for a reflectance its colour under D65, 1 for perfect white; for light the integral of S(lambda)
+xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB
+gamut are clipped at 0.
 """
 
 from dataclasses import dataclass
@@ -31,15 +31,30 @@ Quantity = Literal["reflectance", "light"]
 
 @dataclass(frozen=True)
 class Bands:
-    """How many bands the scene has, and their wavelengths, (bands,) in m, or None: RGB if there
-    are three of them."""
+    """The bands of a scene.
+
+    Attributes:
+        count: number of bands.
+        wavelengths: (bands,) m, or None: RGB if there are three bands.
+    """
 
     count: int
     wavelengths: np.ndarray | None = None
 
 
 def bands_of(count: int | None, wavelengths: Wavelengths | None) -> Bands:
-    """The bands that a scene file asks for; wavelengths in nm."""
+    """The bands that a scene file asks for.
+
+    Args:
+        count: number of bands, or None: 3.
+        wavelengths: list or grid in nm, or None.
+
+    Returns:
+        The bands, wavelengths in m.
+
+    Raises:
+        InputError: the wavelengths do not ascend.
+    """
     if wavelengths is None:
         return Bands(3 if count is None else count)
     if isinstance(wavelengths, Grid):
@@ -53,7 +68,20 @@ def bands_of(count: int | None, wavelengths: Wavelengths | None) -> Bands:
 
 
 def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
-    """The spectrum of a scene file as (bands,)."""
+    """A spectrum of a scene file in the bands of the scene.
+
+    Args:
+        spectrum: a number, a list of one per band, or a table.
+        bands: the bands of the scene.
+        folder: where the file's paths start.
+        quantity: "reflectance" or "light".
+
+    Returns:
+        (bands,) in the unit of the spectrum.
+
+    Raises:
+        InputError: another number of values than bands, or an unknown table.
+    """
     if isinstance(spectrum, Tabulated):
         return _tabulated(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
@@ -66,8 +94,17 @@ def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quan
 
 
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
-    """(known, bands): what each sample of a spectrum at the wavelengths `known`, m, adds to each
-    band of the scene, before clipping."""
+    """Matrix that reduces a spectrum at given wavelengths to the bands of the scene, before
+    clipping.
+
+    Args:
+        known: (known,) m.
+        bands: the bands of the scene.
+        quantity: "reflectance" or "light".
+
+    Returns:
+        (known, bands), no unit.
+    """
     ends = None if quantity == "reflectance" else 0.0  # None: the value at the end
     wanted = _samples(bands)
     each = np.eye(len(known))
@@ -87,7 +124,7 @@ def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quan
 
 
 def _samples(bands: Bands) -> np.ndarray:
-    """The wavelengths, m, where spectra are looked up: the bands' own, or all that the eye sees."""
+    """The wavelengths in m at which spectra are evaluated: the bands' own, or the visible range."""
     if bands.wavelengths is not None:
         return bands.wavelengths
     if bands.count != 3:
@@ -99,8 +136,15 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """(wavelengths, 3): linear sRGB, as said above, of a spectrum that is 1 at one of the
-    wavelengths, m, and 0 at the others."""
+    """Linear sRGB of a spectrum that is 1 at one wavelength and 0 at the others.
+
+    Args:
+        wavelengths: (wavelengths,) m.
+        quantity: "reflectance" or "light", as described above.
+
+    Returns:
+        (wavelengths, 3), relative.
+    """
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":
@@ -112,7 +156,7 @@ def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
 
 
 def _from_library(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
-    """What a name or a temperature stands for, at these wavelengths, m."""
+    """The spectrum of a name or a temperature at these wavelengths in m."""
     grid = jnp.asarray(wavelengths)
     if spectrum.illuminant is not None:
         return np.asarray(colour_data.illuminant(spectrum.illuminant, grid))
@@ -154,7 +198,7 @@ def _column(name: str, column: str | None, folder: Folder) -> tuple[np.ndarray, 
     if len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(
             f"{file}: a spectrum takes at least two rows of finite numbers whose wavelengths "
-            "ascend; mend it."
+            "ascend; correct it."
         )
     if (table[:, 1] < 0).any():
         raise InputError(f"{file}: {wanted!r} has negative values; a spectrum has none.")

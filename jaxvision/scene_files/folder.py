@@ -1,4 +1,4 @@
-"""The files that a scene is made of, found beside it."""
+"""Files that belong to a scene, found relative to its file."""
 
 from pathlib import Path
 
@@ -6,20 +6,20 @@ from ..errors import InputError
 
 
 class Folder:
-    """Where the paths of one scene file start."""
+    """The folder at which the paths of one scene file start."""
 
     def __init__(self, scene_file: Path) -> None:
         self._start = scene_file.parent
 
     def file(self, name: str) -> Path:
-        """The file of that name; `InputError` where there is none."""
+        """The file of that name; `InputError` if there is none."""
         path = self._start / name
         if not path.is_file():
             raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")
         return path
 
     def text(self, name: str) -> str:
-        """The contents of a text file."""
+        """The content of a text file; `InputError` if it is not text."""
         path = self.file(name)
         try:
             return path.read_text(encoding="utf-8")

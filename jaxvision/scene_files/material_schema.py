@@ -4,12 +4,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .._toml import Entry
+from ..toml_files import Entry
 from .spectrum_schema import NonNegative, Positive, Spectrum
 
 
 class Diffuse(Entry):
-    """`diffuse`: k_d in sr^-1, or `albedo`, pi times it, at most 1. `ambient`: k_a."""
+    """Fields of every material with a diffuse part; either `diffuse` or `albedo`.
+
+    Attributes:
+        diffuse: k_d in sr^-1.
+        albedo: pi k_d, at most 1, no unit.
+        ambient: k_a, no unit.
+    """
 
     diffuse: Spectrum | None = None
     albedo: Spectrum | None = None
@@ -32,7 +38,12 @@ class LambertEntry(Diffuse):
 
 
 class OrenNayarEntry(Diffuse):
-    """`sigma`: degrees here."""
+    """A rough diffuse surface.
+
+    Attributes:
+        sigma: degrees, standard deviation of the slopes of the facets.
+        form: "qualitative" or "full".
+    """
 
     family: Literal["oren_nayar"]
     sigma: NonNegative
@@ -40,7 +51,10 @@ class OrenNayarEntry(Diffuse):
 
 
 class PowerLobeEntry(Diffuse):
-    """`phong` and `blinn` are textbook shading; the others are BRDFs."""
+    """A surface with a Phong or Blinn lobe.
+
+    `phong` and `blinn` are textbook shading; the others are BRDFs.
+    """
 
     family: Literal[
         "phong", "phong_brdf", "normalised_phong", "blinn", "blinn_brdf", "normalised_blinn"
@@ -50,7 +64,10 @@ class PowerLobeEntry(Diffuse):
 
 
 class GaussianLobeEntry(Diffuse):
-    """`gaussian_lobe` is textbook shading, the other a BRDF."""
+    """A surface with a Gaussian lobe.
+
+    `gaussian_lobe` is textbook shading, the other a BRDF.
+    """
 
     family: Literal["gaussian_lobe", "gaussian_lobe_brdf"]
     specular: Spectrum
@@ -58,8 +75,17 @@ class GaussianLobeEntry(Diffuse):
 
 
 class TorranceSparrowEntry(Diffuse):
-    """The facets are a dielectric of index `eta`, a metal of `eta` and `k`, or have the reflectance
-    `f0` along the normal (Schlick); without any of these they reflect all."""
+    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
+
+    Attributes:
+        specular: factor on the specular part, no unit.
+        roughness: alpha, or one for each of two axes, no unit.
+        eta: refractive index of a dielectric or, with `k`, of a metal.
+        k: extinction coefficient of a metal, no unit.
+        f0: reflectance along the normal (Schlick), no unit.
+        distribution: "ggx" or "beckmann".
+        shadowing: "smith" or "v-cavity".
+    """
 
     family: Literal["torrance_sparrow"]
     specular: Spectrum = 1.0
@@ -87,7 +113,12 @@ class MirrorEntry(Entry):
 
 
 class GlassEntry(Entry):
-    """`absorption`: m^-1; absent is perfectly clear."""
+    """Smooth glass.
+
+    Attributes:
+        index: refractive index.
+        absorption: m^-1; absent for perfectly clear glass.
+    """
 
     family: Literal["glass"]
     index: Positive = 1.5
@@ -95,7 +126,11 @@ class GlassEntry(Entry):
 
 
 class MeasuredEntry(Entry):
-    """`file`: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL)."""
+    """A measured BRDF.
+
+    Attributes:
+        file: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).
+    """
 
     family: Literal["measured"]
     file: str

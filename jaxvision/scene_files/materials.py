@@ -36,7 +36,19 @@ _LOBES = {
 
 
 def material_of(entry: schema.Material, bands: Bands, folder: Folder) -> Material:
-    """The record of a `[material.NAME]`."""
+    """The record of a table `[material.NAME]`.
+
+    Args:
+        entry: the table.
+        bands: the bands of the scene.
+        folder: where the file's paths start.
+
+    Returns:
+        The material.
+
+    Raises:
+        InputError: a spectrum or a file that does not suit the scene.
+    """
 
     def spectrum(value: Spectrum) -> np.ndarray:
         return in_bands(value, bands, folder, quantity="reflectance")
@@ -98,7 +110,7 @@ def _interface(
 
 
 def _measured(name: str, bands: Bands, folder: Folder) -> Material:
-    """The table of a file in the bands of the scene, with a sampler of its own lobes."""
+    """The table of a file in the bands of the scene, with a sampler for its own lobes."""
     file = folder.file(name)
     found = read_measured(file)
     table = table_of_samples(found) if isinstance(found, BRDFSamples) else found

@@ -35,7 +35,19 @@ from .spectrum_schema import Axes, Spectrum
 
 
 def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
-    """The record of a `[[surface]]`'s shape, which will be rendered in `dtype`."""
+    """The shape of a table `[[surface]]`.
+
+    Args:
+        entry: the table; lengths in m.
+        folder: where the file's paths start.
+        dtype: of the rendering, for meshes.
+
+    Returns:
+        The shape.
+
+    Raises:
+        InputError: a rotation or a mesh file that cannot be used.
+    """
     match entry:
         case schema.SphereEntry():
             return Sphere(entry.centre, entry.radius)
@@ -61,7 +73,19 @@ def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
 
 
 def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
-    """The record of a `[[light]]`."""
+    """The light of a table `[[light]]`.
+
+    Args:
+        entry: the table; lengths in m, radiance in W m^-2 sr^-1.
+        bands: the bands of the scene.
+        folder: where the file's paths start.
+
+    Returns:
+        The light.
+
+    Raises:
+        InputError: a spectrum, a direction or a picture that cannot be used.
+    """
 
     def spectrum(value: Spectrum) -> np.ndarray:
         return in_bands(value, bands, folder, quantity="light")
@@ -81,7 +105,17 @@ def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
 
 
 def view_of(entry: schema.Camera) -> View:
-    """The record of the `[camera]`."""
+    """The projection of the table `[camera]`.
+
+    Args:
+        entry: the table; lengths in m.
+
+    Returns:
+        The view.
+
+    Raises:
+        InputError: the direction of view is not defined.
+    """
     position, rotation = np.asarray(entry.position), _camera_axes(entry)
     rows, columns = entry.resolution
     match entry:
@@ -133,7 +167,7 @@ def _sky(entry: schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.nda
 
 
 def _map_axes(entry: schema.EnvironmentEntry) -> np.ndarray:
-    """Rows: where the picture's middle column, its quarter to the left and its top lie."""
+    """Rows: the directions of the picture's middle column, of its left quarter and of its top."""
     up, toward = np.asarray(entry.up), np.asarray(entry.toward)
     left = np.cross(up, toward)
     if np.linalg.norm(left) <= 1e-9:
@@ -147,6 +181,6 @@ def _checked_axes(rotation: Axes | None) -> np.ndarray | None:
         return None
     axes = np.asarray(rotation)
     if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0:
-        raise InputError("rotation must hold three right-handed unit axes as rows; mend it.")
+        raise InputError("rotation must hold three right-handed unit axes as rows; correct it.")
     exact, _, back = np.linalg.svd(axes)  # the nearest rotation: digits were rounded in the file
     return exact @ back

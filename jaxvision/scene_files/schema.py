@@ -1,9 +1,9 @@
-"""What may stand in a scene file: the models below are the documentation of the format.
+"""The format of a scene file; the models below are its documentation.
 
 A scene file is TOML. Lengths are metres, angles degrees, radiance W m^-2 sr^-1; paths are relative
-to the file. `[camera]`, `[[surface]]` and `[material.NAME]` are what most scenes need; `[[light]]`,
-`[ambient]`, `[render]` and `wavelengths` are as wanted. What a number means is said by the record
-that is made of it (`Pinhole`, `Quad`, `Lambert`, ...), whose field has the same name. Spectra are
+to the file. Most scenes need `[camera]`, `[[surface]]` and `[material.NAME]`; `[[light]]`,
+`[ambient]`, `[render]` and `wavelengths` are optional. The meaning of a number is that of the field
+of the same name in the record made from the table (`Pinhole`, `Quad`, `Lambert`, ...). Spectra are
 in `spectrum_schema`, materials in `material_schema`.
 """
 
@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .._toml import Entry, checked
 from ..errors import InputError
+from ..toml_files import Entry, checked
 from .material_schema import Material
 from .spectrum_schema import (
     Axes,
@@ -29,8 +29,14 @@ from .spectrum_schema import (
 
 
 class _Surface(Entry):
-    """`name`: for messages. `material`: a `[material.NAME]`, or none for a black surface that
-    shines. `emission`: W m^-2 sr^-1 from its front. `two_sided`: both sides are fronts."""
+    """Fields of every surface.
+
+    Attributes:
+        name: for messages.
+        material: NAME of a `[material.NAME]`; absent for a black surface that emits.
+        emission: W m^-2 sr^-1 from its front.
+        two_sided: both sides are fronts.
+    """
 
     name: str | None = None
     material: str | None = None
@@ -79,7 +85,7 @@ class QuadEntry(_Surface):
 
 
 class BoxEntry(_Surface):
-    """A box, its axes those of the room or turned."""
+    """A box; its axes are those of the world unless `rotation` gives them as rows."""
 
     shape: Literal["box"]
     centre: Vector
@@ -88,9 +94,16 @@ class BoxEntry(_Surface):
 
 
 class MeshEntry(_Surface):
-    """`file`: OBJ, PLY, GLB or another that trimesh reads. Its points are scaled, then rotated
-    (rows are the file's axes in the world), then moved. `smooth`: shade with normals interpolated
-    between vertices. `flip`: turn the surface inside out."""
+    """Triangles from a file. Points are scaled, then rotated, then moved.
+
+    Attributes:
+        file: OBJ, PLY, GLB or another format that trimesh reads.
+        scale: m per unit of the file.
+        rotation: rows are the file's axes in the world.
+        position: m, added to every point.
+        smooth: shade with normals interpolated between vertices.
+        flip: turn the surface inside out.
+    """
 
     shape: Literal["mesh"]
     file: str
@@ -129,7 +142,7 @@ class DirectionalEntry(Entry):
 
 
 class RectangleEntry(Entry):
-    """A rectangle that shines to one side."""
+    """A rectangle that emits from one side."""
 
     kind: Literal["rectangle"]
     name: str | None = None
@@ -140,9 +153,16 @@ class RectangleEntry(Entry):
 
 
 class EnvironmentEntry(Entry):
-    """`file`: a latitude-longitude EXR or HDR of as many bands as the scene, times `scale`; or
-    `radiance`, the same from everywhere. `up`: where the top of the picture lies, `toward`: its
-    middle column."""
+    """Distant light from all directions: a picture or a constant.
+
+    Attributes:
+        name: for messages.
+        file: a latitude-longitude EXR or HDR with as many bands as the scene.
+        radiance: W m^-2 sr^-1, the same from all directions, instead of a file.
+        scale: factor on the radiance, no unit.
+        up: direction of the top of the picture.
+        toward: direction of its middle column.
+    """
 
     kind: Literal["environment"]
     name: str | None = None
@@ -165,7 +185,7 @@ Light = Annotated[
 
 
 class AmbientEntry(Entry):
-    """The same light from everywhere."""
+    """Uniform light from all directions, W m^-2 sr^-1."""
 
     radiance: Spectrum
 
@@ -174,8 +194,14 @@ class AmbientEntry(Entry):
 
 
 class _Camera(Entry):
-    """`position` looks at `target`; `up` points to the top of the picture. `resolution`: rows and
-    columns."""
+    """Fields of every camera.
+
+    Attributes:
+        position: m.
+        target: m, the point at which the camera looks.
+        up: direction of the top of the picture.
+        resolution: (rows, columns) pixels.
+    """
 
     position: Vector
     target: Vector
@@ -184,15 +210,24 @@ class _Camera(Entry):
 
 
 class OrthographicEntry(_Camera):
-    """`width`: m of the scene across the picture."""
+    """Parallel projection.
+
+    Attributes:
+        width: m of the scene across the picture.
+    """
 
     kind: Literal["orthographic"]
     width: Positive
 
 
 class PinholeEntry(_Camera):
-    """Either `field_of_view`, degrees across the width of the picture, or `focal_length` and
-    `pixel_pitch`."""
+    """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`.
+
+    Attributes:
+        field_of_view: degrees across the width of the picture.
+        focal_length: m.
+        pixel_pitch: m.
+    """
 
     kind: Literal["pinhole"]
     field_of_view: Annotated[Positive, Field(lt=180)] | None = None
@@ -208,7 +243,15 @@ class PinholeEntry(_Camera):
 
 
 class ThinLensEntry(_Camera):
-    """`focus_distance`: m, absent at infinity. `blades`: of the iris, absent for a round one."""
+    """Central projection through a lens.
+
+    Attributes:
+        focal_length: m.
+        pixel_pitch: m.
+        f_number: no unit.
+        focus_distance: m; absent for focus at infinity.
+        blades: of the iris; absent for a round aperture.
+    """
 
     kind: Literal["thin_lens"]
     focal_length: Positive
@@ -272,9 +315,21 @@ class RenderEntry(Entry):
 
 
 def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """The settings with those `given`, None apart. Samples and depth are meant for the integrator
-    that they were written beside: another one begins with its usual ones. `InputError` for the
-    first that is out of range, or of another integrator."""
+    """Settings of a file with some values replaced.
+
+    Samples and depth belong to the integrator beside which they were written: another integrator
+    starts from its own defaults.
+
+    Args:
+        settings: those of the file.
+        given: replacements by name; None leaves a setting.
+
+    Returns:
+        The settings.
+
+    Raises:
+        InputError: the first value that is out of range or belongs to another integrator.
+    """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()
     if given.get("integrator", settings.integrator) != settings.integrator:
@@ -288,7 +343,18 @@ def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
 
 
 class SceneEntry(Entry):
-    """A whole file. `bands`: how many, if neither RGB nor given by `wavelengths` (nm)."""
+    """A whole file.
+
+    Attributes:
+        camera: the camera.
+        surface: the surfaces, at least one.
+        material: the materials by name.
+        light: the lights.
+        ambient: uniform light.
+        render: how the scene is rendered.
+        bands: number of bands, if neither RGB nor given by `wavelengths`.
+        wavelengths: nm, a list or a grid.
+    """
 
     camera: Camera
     surface: Annotated[tuple[Surface, ...], Field(min_length=1)]

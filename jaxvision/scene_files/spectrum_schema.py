@@ -1,11 +1,11 @@
-"""Numbers and spectra as they may stand in a scene file."""
+"""Numbers and spectra of a scene file."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from .._toml import Entry
+from ..toml_files import Entry
 
 # strict: neither words nor true and false are numbers
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -17,12 +17,18 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 
 
 class Tabulated(Entry):
-    """A spectrum that is not written out, reduced to the bands of the scene and times `scale`.
+    """A spectrum given by name, reduced to the bands of the scene.
 
-    One of: `file`, a CSV of a head line, wavelengths in nm in the first column and values in the
-    one named `column` (default: the second); `illuminant`, relative power by colour-science's name
-    ("D65", "A", "FL2"); `patch`, the reflectance of a patch of `chart`; `blackbody`, a temperature
-    in K, in W m^-2 sr^-1 per m.
+    One of `file`, `illuminant`, `patch` and `blackbody` is given.
+
+    Attributes:
+        file: a CSV with a header line and wavelengths in nm in its first column.
+        column: header of the column with the values; by default the second column.
+        illuminant: relative power by colour-science's name ("D65", "A", "FL2").
+        patch: reflectance of a patch of `chart`.
+        chart: name of the chart.
+        blackbody: temperature in K, for W m^-2 sr^-1 per m.
+        scale: factor on the spectrum, no unit.
     """
 
     file: str | None = None
@@ -59,7 +65,13 @@ Spectrum = Annotated[
 
 
 class Grid(Entry):
-    """Wavelengths from `first` to `last`, nm, `step` apart, both included."""
+    """Evenly spaced wavelengths.
+
+    Attributes:
+        first: nm.
+        last: nm, included.
+        step: nm.
+    """
 
     first: Positive
     last: Positive

@@ -1,7 +1,7 @@
-"""TOML files with a schema: read, checked, and each mistake told in one sentence.
+"""TOML files with a schema: read, checked, and each mistake reported in one sentence.
 
-A sentence names the file, the table with its own `name`, and the key; a misspelt key or word is
-answered with the nearest known one. The models of a schema are its documentation.
+A sentence names the file, the table with its own `name`, and the key; for a misspelt key or word it
+suggests the nearest known one. The models of a schema are its documentation.
 """
 
 import os
@@ -16,7 +16,7 @@ from .errors import InputError, nearest
 
 
 class Entry(BaseModel):
-    """A table of a file, in which a key that is not in the schema is a mistake."""
+    """Base of the tables of a file; a key that is not in the schema is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -25,20 +25,44 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """The tables of a file; `kind` says what it should be ("scene")."""
+    """Reads the tables of a TOML file.
+
+    Args:
+        path: the file.
+        kind: what the file should be ("scene"), for messages.
+
+    Returns:
+        The tables by name.
+
+    Raises:
+        InputError: there is no such file, or it is not TOML.
+    """
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: not a TOML file ({error}); mend that line.") from error
+        raise InputError(f"{file}: not a TOML file ({error}); correct that line.") from error
 
 
 def checked(
     path: str | os.PathLike[str], content: Mapping[str, Any], schema: type[Model], kind: str
 ) -> Model:
-    """The content of a file as its schema has it; `InputError` for its first mistake."""
+    """Checks the content of a file against its schema.
+
+    Args:
+        path: the file, for messages.
+        content: its tables.
+        schema: the model that describes them.
+        kind: what the file should be ("scene"), for messages.
+
+    Returns:
+        The content as an instance of `schema`.
+
+    Raises:
+        InputError: the first mistake in the content.
+    """
     try:
         return schema.model_validate(content)
     except ValidationError as error:
@@ -89,8 +113,9 @@ def _short(value: Any) -> str:
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool) -> str:
-    """`surface "left wall".corner`: the way through the content, which shows the parts of a
-    location that only name a member of a union."""
+    """`surface "left wall".corner`: the path through the content. It omits the parts of a location
+    that only name a member of a union.
+    """
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):

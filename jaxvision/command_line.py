@@ -1,4 +1,4 @@
-"""How a command ends that cannot go on: one sentence on standard error, and an exit status."""
+"""How a command that fails ends: one sentence on standard error, and an exit status."""
 
 import sys
 import warnings
@@ -13,8 +13,18 @@ from .errors import InputError
 
 @contextmanager
 def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
-    """What a user can put right becomes one line and exit status 2, an interrupt status 130, a
-    warning a line. `interrupted`: said where the interrupt itself says nothing."""
+    """Context in which errors that a user can correct end the command with one line.
+
+    Input errors and file errors end with exit status 2, an interrupt with 130; a warning becomes
+    one line.
+
+    Args:
+        command: name of the command, the beginning of each line.
+        interrupted: sentence for an interrupt that has none of its own.
+
+    Raises:
+        typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
+    """
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: print(
@@ -32,5 +42,15 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:
+    """Prints one line on standard error and ends the command.
+
+    Args:
+        command: name of the command, the beginning of the line.
+        sentence: what went wrong and what to do.
+        status: exit status.
+
+    Raises:
+        typer.Exit: always.
+    """
     print(f"{command}: {sentence}", file=sys.stderr)
     raise typer.Exit(status)
