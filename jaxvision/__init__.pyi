@@ -35,8 +35,18 @@ from . import (
     spectra as spectra,
     transport as transport,
 )
+from ._numerics import (
+    angle_between as angle_between,
+    dot as dot,
+    log_cos_between as log_cos_between,
+    norm as norm,
+    normalize as normalize,
+    safe_sqrt as safe_sqrt,
+)
 from ._types import (
     as_dtype as as_dtype,
+    as_float as as_float,
+    as_optional_float as as_optional_float,
 )
 from ._vector import (
     Vec as Vec,

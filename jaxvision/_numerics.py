@@ -1,9 +1,9 @@
-"""Every NaN-safe primitive: finite values and finite gradients at the edges of their domain.
+"""NaN-safe primitives: finite values and finite gradients at the edges of their domain.
 
-A risky operation gets a harmless argument where it would fail, then its output is masked
-("double where"), so that reverse-mode differentiation never multiplies zero by infinity.
-Works elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records; any
-floating dtype is kept.
+A risky operation gets a harmless argument where it would fail, and its output is then masked
+("double where"), so that reverse-mode differentiation never multiplies zero by infinity. Functions
+work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records; any floating
+dtype is kept.
 """
 
 from typing import TypeVar
@@ -21,31 +21,54 @@ Tree = TypeVar("Tree")
 
 
 def smallest_divisor(dtype: DTypeLike) -> float:
-    """The length below which a divisor counts as zero: tiny ** (1/4), 3e-10 in float32 and 1e-77
-    in float64, so that even the inverse cube in a gradient stays finite."""
+    """The length below which a divisor counts as zero: tiny ** (1/4).
+
+    3e-10 in float32 and 1e-77 in float64, so that even the inverse cube in a gradient is finite.
+    """
     return float(jnp.finfo(dtype).tiny) ** 0.25
 
 
 def log_of_zero(dtype: DTypeLike) -> float:
-    """What stands for log(0): the logarithm of the smallest normal number of `dtype`."""
+    """The value used for log(0): the logarithm of the smallest normal number of `dtype`."""
     return float(np.log(jnp.finfo(dtype).tiny))
 
 
 def dot(u: Vec3, v: Vec3) -> Scalars:
-    """Inner product of vectors: (..., 3), (..., 3) -> (...)."""
+    """Inner product of vectors.
+
+    Args:
+        u: (..., 3) or `Vec`, in any unit.
+        v: (..., 3) or `Vec`, in any unit.
+
+    Returns:
+        (...) in the product of the units.
+    """
     a, b = as_vec(u), as_vec(v)
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
 def safe_sqrt(x: Scalars) -> Scalars:
-    """sqrt(max(x, 0)); value and gradient are 0 at and below x = 0."""
+    """sqrt(max(x, 0)), with gradient 0 at and below x = 0.
+
+    Args:
+        x: (...) in any unit.
+
+    Returns:
+        (...) in the square root of the unit.
+
+    Example:
+        >>> float(jax.grad(jv.safe_sqrt)(0.0))
+        0.0
+    """
     positive = x > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
 
 
 def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
-    """log(x) with x clamped below at `floor` (default: the smallest normal number of its dtype),
-    where the gradient is 0."""
+    """log(x) with x clamped below at `floor`, where the gradient is 0.
+
+    By default `floor` is the smallest normal number of the dtype of x.
+    """
     smallest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, x.dtype)
     above = x > smallest
     return jnp.log(jnp.where(above, x, smallest))
@@ -58,13 +81,14 @@ def reciprocal(x: Scalars) -> Scalars:
 
 
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
-    """The arrays of one tree where the condition holds, else those of another of its structure."""
+    """The arrays of tree `a` where the condition holds, elsewhere those of `b`."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
-    """(v / s, s) with s the largest component in magnitude: their squares neither over- nor
-    underflow. s is a constant to gradients, and 1 for vectors that are zero or not finite."""
+    """(v / s, s) with s the largest component in magnitude, so that their squares neither over- nor
+    underflow. s is a constant to gradients, and 1 for vectors that are zero or not finite.
+    """
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
@@ -73,13 +97,28 @@ def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
 
 
 def norm(v: Vec3) -> Scalars:
-    """Euclidean length of vectors; gradient 0 at the zero vector."""
+    """Euclidean length of vectors, which neither over- nor underflows; gradient 0 at the zero
+    vector.
+
+    Args:
+        v: (..., 3) or `Vec`, in any unit.
+
+    Returns:
+        (...) in the unit of `v`.
+    """
     sized, scale = _to_unit_size(v)
     return scale * safe_sqrt(dot(sized, sized))
 
 
 def normalize(v: Vec3) -> Vec3:
-    """v / |v|; the zero vector stays zero."""
+    """Vectors scaled to unit length, v / |v|; the zero vector stays zero.
+
+    Args:
+        v: (..., 3) or `Vec`, in any unit.
+
+    Returns:
+        (..., 3) or `Vec`, like `v`; unit length.
+    """
     sized, _ = _to_unit_size(v)
     square = dot(sized, sized)
     return scaled(sized, 1 / jnp.sqrt(jnp.where(square > 0, square, 1)))
@@ -108,8 +147,8 @@ _ARCTAN_BELOW = (
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Angle of (x, y) for y >= 0, in [0, pi] rad; 0, with gradient 0, at the origin.
 
-    Within two units in the last place like XLA's own, which the CPU calls one number at a time:
-    this vectorises and is 12 to 30 times faster there.
+    Within two units in the last place, like XLA's own function, which the CPU calls for one number
+    at a time: this one vectorises and is 12 to 30 times faster there.
     """
     ahead = jnp.abs(x)
     low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
@@ -168,11 +207,11 @@ _SINE_COSINE = {
 
 @jax.custom_jvp
 def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
-    """(sin, cos) of an angle in turns, 2 pi rad each: exact at quarter turns, elsewhere within two
-    units in the last place.
+    """(sin, cos) of an angle in turns, 2 pi rad each.
 
-    The reduction to an eighth of a turn is exact. XLA's own functions of radians are called one
-    number at a time by the CPU: this vectorises and is 5 times faster there.
+    Exact at quarter turns, elsewhere within two units in the last place, as the reduction to an
+    eighth of a turn is exact. The CPU calls XLA's own functions of radians for one number at a
+    time: this one vectorises and is 5 times faster there.
     """
     quarters = jnp.round(4 * turns)
     x = (turns - quarters / 4) * (2 * np.pi)
@@ -199,11 +238,25 @@ def _sine_cosine_jvp(primals, tangents):
 
 
 def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
-    """Angle in [0, pi] between unit vectors, in radians.
+    """Angle between unit vectors, with full relative accuracy near 0 and pi.
 
-    2 atan2(|u - v|, |u + v|) (Kahan, "How Futile are Mindless Assessments of Roundoff", 2006)
-    keeps full relative accuracy near 0 and pi, where arccos of the dot product loses all. Between
-    two zero vectors the angle is 0.
+    2 atan2(|u - v|, |u + v|), where arccos of the inner product loses all digits.
+
+    Args:
+        u: (..., 3) or `Vec`, unit length.
+        v: (..., 3) or `Vec`, unit length.
+
+    Returns:
+        (...) rad, in [0, pi]; 0 between two zero vectors.
+
+    Source:
+        Kahan, "How Futile are Mindless Assessments of Roundoff in Floating-Point Computation?",
+        2006.
+
+    Example:
+        >>> u, v = jnp.array([1.0, 0.0, 0.0]), jnp.array([1.0, 1e-12, 0.0])
+        >>> round(float(jv.angle_between(u, v)) * 1e12, 9)
+        1.0
     """
     apart, together = norm(u - v), norm(u + v)
     defined = jnp.maximum(apart, together) > smallest_divisor(apart.dtype)
@@ -211,11 +264,18 @@ def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
 
 
 def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
-    """log of the cosine between unit vectors, in [log_of_zero, 0]; `log_of_zero(dtype)`, with
-    gradient 0, where the angle is a right one or more.
+    """Logarithm of the cosine between unit vectors, accurate at small angles and near right angles.
 
     cos = 1 - |u - v|^2 / 2 below 60 degrees: the chord keeps the digits that the inner product
     loses at small angles, and the inner product those that the chord loses near a right angle.
+
+    Args:
+        u: (..., 3) or `Vec`, unit length.
+        v: (..., 3) or `Vec`, unit length.
+
+    Returns:
+        (...) no unit, at most 0; the logarithm of the smallest normal number, with gradient 0, at a
+        right angle and beyond.
     """
     chord, cosine = u - v, dot(u, v)
     deficit = dot(chord, chord) / 2
@@ -227,8 +287,11 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """log(1 + less) where `rounded` is that sum as it was rounded, log(rounded) where `less` is 0:
-    one logarithm, corrected for what the sum lost (Kahan; log1p costs twice as much)."""
+    """log(1 + less) where `rounded` is that sum as it was rounded, and log(rounded) where `less` is
+    0.
+
+    One logarithm, corrected for the rounding of the sum (Kahan; log1p costs twice as much).
+    """
     kept = rounded - 1
     lost = kept == 0
     corrected = jnp.where(less == 0, 1, less / jnp.where(lost, 1, kept))
@@ -242,8 +305,11 @@ def _log_of_sum_jvp(primals, tangents):
 
 
 def power(base: Scalars, exponent: Scalars) -> Scalars:
-    """base ** exponent for base >= 0 with 0 ** positive = 0 and finite gradients in both
-    arguments; a negative base counts as 0."""
+    """base ** exponent for base >= 0, with 0 ** positive = 0 and finite gradients in both
+    arguments.
+
+    A negative base counts as 0.
+    """
     positive = base > 0
     return jnp.where(positive, jnp.power(jnp.where(positive, base, 1), exponent), 0)
 
