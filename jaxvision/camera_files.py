@@ -1,7 +1,7 @@
 """Cameras from TOML files: one table for each record, its keys the record's fields.
 
     [view]
-    kind = "Pinhole"              # the record, where a field may hold several
+    kind = "Pinhole"              # which record, where several are possible
     focal_length = 8e-3           # units as in the records: SI, electrons, DN
     pixel_pitch = 4.8e-6
     resolution = [480, 640]
@@ -12,10 +12,10 @@
     kind = "PoissonShotNoise"
 
 A view without `position` and `rotation` stands at the origin and looks along +z, +x to its right
-and +y down. `[sensor.colour_filter]` may name what colour-science holds, `sensitivities = "Nikon
-5100 (NPL)"`, with `peak`, electrons per photon where it is largest, instead of a `transmission`;
-`[bands]` then gives the wavelengths, `first`, `last` and `step` in m. A Bayer `pattern` may be
-written as "RGGB". `about` holds words for the reader.
+and +y down. `[sensor.colour_filter]` may name measured sensitivities of colour-science,
+`sensitivities = "Nikon 5100 (NPL)"`, with `peak`, electrons per photon where it is largest, instead
+of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `step` in m. A Bayer
+`pattern` may be written as "RGGB". `about` is free text.
 """
 
 import os
@@ -112,7 +112,7 @@ def _text(source: str | os.PathLike[str]) -> tuple[str, str]:
 
 def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:
     if not isinstance(table, Mapping):
-        raise InputError(f"{place}: bands must be a table of first, last and step; write it so.")
+        raise InputError(f"{place}: bands must be a table of first, last and step.")
     _check_keys(place, "bands", table, _BANDS)
     if any(not isinstance(table.get(name), int | float) for name in _BANDS):
         raise InputError(f"{place}: bands needs the numbers first, last and step in m; give them.")
@@ -142,7 +142,7 @@ def _with_sensitivities(
         per_watt = np.maximum(camera_sensitivities(name, wavelengths), 0)
     except InputError as error:
         raise InputError(f"{place}: sensor.colour_filter.sensitivities: {error}") from error
-    # measured per radiant power; a photon has less of it the longer its wave
+    # measured per radiant power; the energy of a photon falls with its wavelength
     per_photon = per_watt / np.asarray(wavelengths)[:, None]
     colours["transmission"] = (peak * per_photon / per_photon.max()).T
     conversion = table.get("photon_conversion", {})

@@ -20,8 +20,8 @@ from ._types import as_float
 from .errors import InputError
 from .spectra import daylight
 
-# Correlated colour temperatures of the tabulated phases of daylight, K: their nominal ones on the
-# temperature scale that had c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
+# Correlated colour temperatures in K of the tabulated phases of daylight: nominal on the older
+# temperature scale with c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
 _DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 6500, 7500)}
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
@@ -61,7 +61,7 @@ def wavelength_grid(
     steps = (last - first) / step if step > 0 else -1
     if not (steps > 0 and abs(steps - round(steps)) < 1e-6):
         raise InputError(
-            f"A grid from {first:g} m to {last:g} m is no whole number of steps of {step:g} m; "
+            f"A grid from {first:g} m to {last:g} m is not a whole number of steps of {step:g} m; "
             "change one of them."
         )
     return as_float(np.linspace(first, last, round(steps) + 1))
@@ -198,7 +198,7 @@ def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
     return as_float([x / y, 1.0, (1 - x - y) / y])
 
 
-# What follows is read by `colour_spaces` while it traces: NumPy, float64, cached.
+# `colour_spaces` reads the tables below while it is traced: NumPy, float64, cached.
 
 
 @cache

@@ -98,11 +98,11 @@ def _load(file: Path):
         from trimesh.exchange.load import mesh_formats
     except ImportError as error:
         raise InputError(
-            f"{file}: reading meshes takes trimesh; install it with `pip install jaxvision[mesh]`."
+            f"{file}: reading meshes needs trimesh; install it with `pip install jaxvision[mesh]`."
         ) from error
     if file.suffix.lower().lstrip(".") not in mesh_formats():
         raise InputError(
-            f"{file}: {file.suffix!r} is no mesh format that trimesh reads; convert the file to "
+            f"{file}: {file.suffix!r} is not a mesh format that trimesh reads; convert the file to "
             "OBJ, PLY or GLB."
         )
     try:
@@ -119,11 +119,11 @@ def _in_plain_words(error: Exception) -> str:
     """Why a reader of trimesh failed, as far as the kind of the error tells."""
     match error:
         case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
-            return "it holds bytes that are no text where its format has text"
+            return "it holds bytes that are not text where its format has text"
         case ModuleNotFoundError():
             return f"its format takes the package {error.name}, which is not installed"
         case FileNotFoundError():
-            return "it is not whole, or a file that it names is missing"
+            return "it is incomplete, or a file that it names is missing"
         case IndexError() | KeyError():
-            return "it ends too early, or refers to what is not in it"
-    return "it ends too early, or holds what its format does not have there"
+            return "it ends too early, or refers to parts that are not in it"
+    return "it ends too early, or holds data that its format does not allow there"

@@ -26,7 +26,7 @@ from .scene import (
     View,
 )
 
-_FLAT = 1e-9  # area over squared length of what counts as a line
+_FLAT = 1e-9  # area over squared length, below which a rectangle is a line
 _ROUNDING = 1e-6  # of a length in float32
 
 
@@ -55,7 +55,7 @@ def scene_problems(
         for name, surface in zip(surfaces, scene.surfaces, strict=True)
         for problem in problems(surface.shape)
     ]
-    if found:  # what follows takes sound shapes for granted
+    if found:  # the checks below need valid shapes
         return found
     hiding = [
         (name, surface)
@@ -77,7 +77,7 @@ def scene_problems(
         found += [f"{name}: {problem}" for problem in _light_problems(light)]
         shining.append((name, _places(light)))
         found += [
-            f"{name}: lies on {under}, which it does not light from there; move it off."
+            f"{name}: lies on {under}, which it cannot light from there; move it off."
             for under, surface in zip(surfaces, scene.surfaces, strict=True)
             if isinstance(light, PointLight) and _lies_on(surface.shape, _array(light.position))
         ]
@@ -93,7 +93,7 @@ def scene_problems(
         if is_inside(surface.shape, np.asarray(view.position, float))
     ]
     if not (scene.lights or scene.ambient is not None or any(map(_shines, scene.surfaces))):
-        found.append("the scene has nothing that shines; add a [[light]] or an emission.")
+        found.append("the scene has no light; add a [[light]] or an emission.")
     return found
 
 
@@ -168,7 +168,7 @@ def _is_inside_out(shape: Shape) -> bool:
     if not isinstance(shape, TriangleMesh):
         return False
     corners = _corners(shape)
-    # by place, for files repeat a vertex where its texture or its normal jumps
+    # by position, since files repeat a vertex where its texture or its normal jumps
     _, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -185,7 +185,7 @@ def _light_problems(light: Light) -> list[str]:
             u, v = _array(light.edge_u), _array(light.edge_v)
             longest = max(np.linalg.norm(u), np.linalg.norm(v))
             if np.linalg.norm(np.cross(u, v)) <= _FLAT * longest**2:
-                return ["its edges span no area; a light of no size is a point light."]
+                return ["its edges span no area; use a point light instead."]
         case DirectionalLight():
             if not _array(light.direction).any():
                 return ["its direction is (0, 0, 0); point it from the scene toward the light."]

@@ -20,7 +20,7 @@ LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated obse
 _TWO_H_C_SQUARED = 1.1910429723971884e-16  # W m^2, the SI of 2019
 _H_C_OVER_K = 1.4387768775039337e-2  # m K
 
-# CIE 167:2005: the polynomial's coefficients from six neighbours, and two values beyond each end.
+# CIE 167:2005: the polynomial's coefficients from six neighbours, and two values past each end.
 _SPRAGUE = (
     np.array(
         [
@@ -72,7 +72,9 @@ def interpolate_spectrum(
             f"got {method!r} and {outside!r}."
         )
     if bands < least[method]:
-        raise ValueError(f"{method} interpolation takes {least[method]} bands, got {bands}.")
+        raise ValueError(
+            f"{method} interpolation needs at least {least[method]} bands, got {bands}."
+        )
     interval = jnp.clip(jnp.searchsorted(known, wanted, side="right") - 1, 0, bands - 2)
     start, end = known[interval], known[interval + 1]
     t = jnp.clip((wanted - start) / (end - start), 0, 1)
@@ -105,7 +107,7 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
         ValueError: fewer than two wavelengths.
     """
     if wavelengths.shape[0] < 2:
-        raise ValueError(f"wavelengths must hold at least two, got {wavelengths.shape[0]}.")
+        raise ValueError(f"wavelengths must hold at least two values, got {wavelengths.shape[0]}.")
     step = jnp.diff(wavelengths)
     return (jnp.append(step, step[-1]) + jnp.insert(step, 0, step[0])) / 2
 

@@ -411,7 +411,7 @@ def test_other_depths_are_refused():
             lambda: s.Development(saturation=0.0, white_balance=s.GreyWorld()),
             r"saturation must be finite, above 0, got 0",
         ),
-        (lambda: s.Development(saturation=1.0), r"white_balance must be given where saturation"),
+        (lambda: s.Development(saturation=1.0), r"white_balance must be given with saturation"),
         (lambda: s.Demosaicing(((0, 1), (1,))), r"Demosaicing\.pattern must be rows of one"),
         (lambda: s.Demosaicing(bayer("RGGB"), method="malver"), r"method must be one of .*malvar"),
         (lambda: s.JPEG(50, subsampling="4:2:1"), r"subsampling must be one of .* got '4:2:1'"),

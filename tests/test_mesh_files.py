@@ -108,19 +108,23 @@ def test_triangles_without_area_are_left_out_and_counted(tmp_path):
             "vertex 7, counted from 0, where there are 3",
         ),
         ("cow.obj", None, "no such mesh file"),
-        ("cow.xyz7", b"v 0 0 0", "is no mesh format"),
+        ("cow.xyz7", b"v 0 0 0", "is not a mesh format"),
         ("cow.ply", b"not a mesh", "not readable as a mesh|holds no triangles"),
         ("cow.glb", b"glTF\0\0", "not readable as a mesh"),
         ("cow.obj", b"v 0 0 0\nv 1 0 0\n", "holds no triangles|not readable"),
-        ("cow.ply", b"ply\ngarbage", r"mesh \(it ends too early, or refers to what is not in it"),
-        ("cow.obj", b"v 0 0 0\nf 1 2 9\n", r"refers to what is not in it|where there are 1"),
+        (
+            "cow.ply",
+            b"ply\ngarbage",
+            r"mesh \(it ends too early, or refers to parts that are not in it",
+        ),
+        ("cow.obj", b"v 0 0 0\nf 1 2 9\n", r"refers to parts that are not in it|where there are 1"),
         (
             "cow.ply",
             PLY.partition("1 0 0")[0].encode() + b"1 0\n",
             r"not readable as a mesh \(it ends too early, or",
         ),
-        ("cow.obj", b"\xff\xfe\0\0", r"mesh \(it holds bytes that are no text|no triangles"),
-        ("cow.gltf", b"{bad", r"not readable as a mesh \(it is not whole"),
+        ("cow.obj", b"\xff\xfe\0\0", r"mesh \(it holds bytes that are not text|no triangles"),
+        ("cow.gltf", b"{bad", r"not readable as a mesh \(it is incomplete"),
     ],
 )
 def test_bad_files_are_one_sentence(tmp_path, name, data, sentence):

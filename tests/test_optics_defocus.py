@@ -222,5 +222,5 @@ def test_what_cannot_be_meant_is_refused():
         optics.layered_defocus(ROUND, picture, depth, radius=3, layers=0)
     with pytest.raises(ValueError, match="members must be at least 2, got 1"):
         optics.gather_defocus(TRIANGLE, picture, depth, radius=3, members=1)
-    with pytest.raises(ValueError, match=r"focal_lengths must be \(2,\), one a band, got \(3,\)"):
+    with pytest.raises(ValueError, match=r"focal_lengths must be \(2,\), one per band, got \(3,\)"):
         optics.chromatic_defocus(ROUND, picture, depth, jnp.full(3, 0.05), radius=3)

@@ -362,7 +362,7 @@ REFUSED = {
         SCENE + '[[light]]\nname = "sky"\nkind = "environment"\nfile = "sky.exr"\n',
         r'light "sky": .*sky\.exr: no such file',
     ),
-    "dark": (SCENE.replace(LIGHT, ""), "nothing that shines"),
+    "dark": (SCENE.replace(LIGHT, ""), "the scene has no light"),
     "light inside": (
         SCENE.replace("[1, -2, 3]", "[0.5, 0, 0]"),
         'light "lamp": lies inside surface "ball", which hides it',
@@ -560,7 +560,7 @@ def test_hidden_emitters_bulbs_on_floors_and_normals_behind_are_named():
     ]
     for shape in floors:
         sentence, *_ = found([shape], [0.2, 0.3, 0.5])
-        assert sentence.startswith("bulb: lies on outer, which it does not light from there")
+        assert sentence.startswith("bulb: lies on outer, which it cannot light from there")
         assert found([shape], [0.2, 0.3, 0.51]) == []
     assert found(floors[1:2], [1.2, 0.3, 0.5]) == found(floors[2:3], [0.8, 0.7, 0.5]) == []
     for normal, count in (([0, 0, -1.0], 1), ([0, 0, 1.0], 0), ([0, 0, 0.0], 0)):

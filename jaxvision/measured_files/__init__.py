@@ -44,7 +44,7 @@ def read_measured(path: str | os.PathLike[str]) -> HalfDifferenceTable | BRDFSam
     suffix = Path(path).suffix.lower()
     if suffix not in readers:
         raise InputError(
-            f"{path}: the suffix {suffix!r} is none of {', '.join(readers)}; rename the file to "
+            f"{path}: the suffix {suffix!r} is not one of {', '.join(readers)}; rename the file to "
             "that of its format (MERL, Cornell, RGL)."
         )
     return readers[suffix](path)

@@ -66,7 +66,7 @@ def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
             raise InputError(f"{file}: field {name!r} has the unknown type {kind}; copy it again.")
         dtype = np.dtype(_TYPES[kind])
         size = dtype.itemsize * math.prod(shape)
-        # an axis of length 0 hides no absurd one
+        # an axis of length 0 must not hide an absurd one
         if offset + size > len(data) or math.prod(max(n, 1) for n in shape) > len(data):
             raise cut
         found[name] = np.frombuffer(data[offset : offset + size], dtype).reshape(shape)

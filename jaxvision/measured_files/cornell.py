@@ -58,7 +58,7 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
     if not rows or len(rows[0][1]) != 1 or rows[0][1][0] % 1 or rows[0][1][0] < 1:
         raise InputError(
             f"{file}: the first number must be the count of wavelengths, alone on its line; this "
-            "is no Cornell file."
+            "is not a Cornell file."
         )
     bands, wavelengths = int(rows.pop(0)[1][0]), []
     while rows and len(wavelengths) < bands:
@@ -106,7 +106,9 @@ def write_cornell(
         InputError: the samples have no wavelengths.
     """
     if samples.wavelengths is None:
-        raise InputError(f"{path}: the Cornell layout needs wavelengths, which RGB has not.")
+        raise InputError(
+            f"{path}: the Cornell layout needs wavelengths, and these samples have none."
+        )
     angles = (samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o)
     table = np.column_stack([*map(np.asarray, angles), np.asarray(samples.values)])
     wavelengths = np.asarray(samples.wavelengths, np.float64) / NANOMETRE

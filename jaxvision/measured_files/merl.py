@@ -68,8 +68,8 @@ def read_merl(
                 "of the MERL database."
             )
         raise InputError(
-            f"{file}: the header gives {shape} bins, which is no MERL file; take the .binary file "
-            "of the MERL database."
+            f"{file}: the header gives {shape} bins, which is not a MERL file; take the .binary "
+            "file of the MERL database."
         )
     expected = 12 + 3 * 8 * int(np.prod(shape))
     if len(data) != expected:

@@ -41,7 +41,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
     missing = [name for name in needed + ["wavelengths"] * spectral if name not in fields]
     if missing:
         raise InputError(
-            f"{file}: no field {', '.join(missing)}; this is a tensor file, but no RGL material."
+            f"{file}: no field {', '.join(missing)}; a tensor file, but not an RGL material."
         )
     nodes = (*fields["phi_i"].shape, *fields["theta_i"].shape)
     bands = fields["wavelengths"].size if spectral else 3

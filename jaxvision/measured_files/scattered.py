@@ -29,9 +29,9 @@ def table_of_samples(
     from scipy.interpolate import RBFInterpolator
 
     def features(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        # Straight near the normal, so that no spike is drawn there, logarithmic beyond a narrow
-        # lobe. cos(2 phi_d) joins a pair of directions, the exchanged one and both mirror images;
-        # it matters the less the nearer h is to the normal.
+        # Linear near the normal, which avoids a spike there, and logarithmic beyond a narrow lobe.
+        # cos(2 phi_d) is equal for a pair of directions, the exchanged pair and both mirror images;
+        # its influence falls to 0 as h approaches the normal.
         x = 0.5 * np.arcsinh(theta_h / 0.1)
         return np.stack([x, theta_d, 0.25 * x * np.cos(2 * phi_d)], axis=-1)
 

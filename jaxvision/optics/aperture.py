@@ -118,7 +118,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
     if size < 1 or size % 2 == 0:
         raise ValueError(f"size must be odd, got {size}.")
     radius = jnp.asarray(radius)
-    # an opening of a hundredth of a pixel is a point, and keeps its digits
+    # a kernel of a hundredth of a pixel is a point and does not lose digits
     radius = jnp.where(jnp.abs(radius) > _SMALLEST, radius, _SMALLEST)
     edges = jnp.asarray(np.arange(size + 1) - size / 2, radius.dtype)
     match aperture:

@@ -43,7 +43,7 @@ Picture = Float[Array, "h w bands"]
 Depth = Float[Array, "h w"]
 Plane = Float[Array, "h w ..."]
 
-# The share of a layer in a pixel below which its colour there is not known well.
+# Below this share of a layer in a pixel, its colour there is uncertain.
 _FEW = 1e-3
 
 
@@ -157,12 +157,12 @@ def layered_defocus(
         kernel = aperture_kernel(view.aperture, scale, size=2 * radius + 1)
         parts = jnp.concatenate([picture * share, share, nearer], axis=-1)
         blurred = correlate(parts, kernel.astype(picture.dtype))
-        if layer == 0:  # the farthest goes on behind the others, also where it is in focus
+        if layer == 0:  # the farthest continues behind the others, even in focus
             blurred = blurred + _FEW * correlate(parts.at[..., -1].set(0), around)
         own, cover = blurred[..., -2:-1], blurred[..., -1:]
         seen = jnp.maximum(cover - covered, 0) / (own + _FEW**2)
         light = light + seen * blurred[..., :-2]
-        # an empty layer covers nothing here, however dense nearer ones look in its blur
+        # an empty layer covers nothing here, even where its blur makes nearer layers look dense
         covered = covered + seen * own
     some = covered > smallest_divisor(covered.dtype)
     return jnp.where(some, light / jnp.where(some, covered, 1), picture)
@@ -195,7 +195,7 @@ def chromatic_defocus(
     """
     if focal_lengths.shape != picture.shape[-1:]:
         raise ValueError(
-            f"focal_lengths must be {picture.shape[-1:]}, one a band, got {focal_lengths.shape}."
+            f"focal_lengths must be {picture.shape[-1:]}, one per band, got {focal_lengths.shape}."
         )
     scale = _blur(view, depth)
     shifts = vergence_difference(view.focal_length, focal_lengths) * _pixels_per_vergence(view)

@@ -130,7 +130,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> I
     f_number = jnp.where(jnp.isfinite(view.f_number), view.f_number, 1)
     working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
     kernel = airy_kernel(diffraction.wavelength, working, view.pixel_pitch, size=diffraction.size)
-    # no light is negative; what a transform leaves of none may be, by its rounding
+    # rounding in a transform may leave negative light
     return jnp.maximum(correlate(irradiance, kernel, border="clamp"), 0)
 
 

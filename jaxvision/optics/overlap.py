@@ -86,7 +86,7 @@ def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars
     """Half the angle of each circle's arc that lies in the other disc: pi and 0 where one disc
     contains the other, pi / 2 where they coincide.
     """
-    # the semi-perimeter, and it less each side, all doubled; what is negative is no triangle
+    # twice the semi-perimeter, and twice it less each side; negative values form no triangle
     whole, beyond = r1 + r2 + d, jnp.maximum((r1 + r2) - d, 0)
     less_first, less_second = jnp.maximum(d - (r1 - r2), 0), jnp.maximum(d + (r1 - r2), 0)
     same = (less_first == 0) & (less_second == 0)

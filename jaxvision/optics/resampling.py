@@ -115,7 +115,7 @@ def lateral_aberration(
     """
     if magnification.shape != image.shape[-1:]:
         raise ValueError(
-            f"magnification must be {image.shape[-1:]}, one a band, got {magnification.shape}."
+            f"magnification must be {image.shape[-1:]}, one per band, got {magnification.shape}."
         )
     h, w = image.shape[-3:-1]
     rows = jnp.arange(h, dtype=magnification.dtype) - (h - 1) / 2

@@ -15,7 +15,7 @@ from .aperture import aperture_area, aperture_corners
 from .overlap import overlap_of_disc_and_polygon, overlap_of_discs
 from .views import chief_slope, focus_vergence
 
-# An aperture that is smaller, relative to the rim, is a point: it has its share as well.
+# Relative to the rim; a smaller aperture is taken as this small, with the share of a point.
 _SMALLEST = 1e-4
 
 

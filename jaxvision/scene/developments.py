@@ -290,12 +290,10 @@ class Development(eqx.Module):
         black = float(black) if is_known(black) else -_LARGEST
         check_range("Development.white_level", self.white_level, black, above=True)
         if self.saturation is not None and self.white_balance is None:
-            raise ValueError(
-                "Development.white_balance must be given where saturation is, got None."
-            )
+            raise ValueError("Development.white_balance must be given with saturation, got None.")
 
 
-# The fields that hold records only.
+# The fields that hold only records.
 _RECORDS = {
     "demosaicing": Demosaicing,
     "white_balance": WhiteBalancing,

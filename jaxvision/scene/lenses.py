@@ -13,7 +13,7 @@ from .._types import (
     check_shape,
 )
 
-# A ring that is thinner, relative to its radius, lets nothing through.
+# A thinner ring, relative to its radius, is closed.
 _WIDEST_STOP = 1 - 1e-6
 
 

@@ -260,7 +260,7 @@ class Sensor(eqx.Module):
             if is_known(self.bits) and not float(self.bits).is_integer():
                 raise ValueError(f"Sensor.bits must be a whole number, got {self.bits}.")
         if self.blooming is not None and self.full_well is None:
-            raise ValueError("Sensor.full_well must be given where blooming is, got None.")
+            raise ValueError("Sensor.full_well must be given with blooming, got None.")
 
 
 # The scalar fields that cannot be negative, each with the largest value allowed.
@@ -283,7 +283,7 @@ _SCALARS = {
 }
 
 
-# The fields that hold records only, and the records that a scalar field may hold instead.
+# The fields that hold only records, and the records that a scalar field may hold instead.
 _RECORDS = {
     "photon_conversion": PhotonConversion,
     "colour_filter": ColourFilter,

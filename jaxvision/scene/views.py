@@ -142,7 +142,7 @@ def _check_view(view: View) -> None:
         check_count(f"{name}.resolution", size, 1)
 
 
-# How far from unit axes at right angles the rows of a rotation may be: three digits of a file.
+# Tolerance of unit axes at right angles: rotations in files have three digits.
 _ASKEW = 2e-3
 
 

@@ -27,7 +27,7 @@ class Diffuse(Entry):
             raise ValueError("give either diffuse (sr^-1) or albedo (pi times it)")
         given = self.albedo if isinstance(self.albedo, tuple) else (self.albedo,)
         if any(isinstance(value, float) and value > 1 for value in given):
-            raise ValueError("an albedo is at most 1, for no surface reflects more than it gets")
+            raise ValueError("an albedo is at most 1: no surface reflects more than it receives")
         return self
 
 
@@ -101,7 +101,7 @@ class TorranceSparrowEntry(Diffuse):
         if self.f0 is not None and self.eta is not None:
             raise ValueError("give either eta (with k for a metal) or f0")
         if self.k is not None and self.eta is None:
-            raise ValueError("k is that of a metal; give its eta as well")
+            raise ValueError("k belongs to a metal; give its eta too")
         return self
 
 

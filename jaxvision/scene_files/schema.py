@@ -267,7 +267,7 @@ Camera = Annotated[OrthographicEntry | PinholeEntry | ThinLensEntry, Field(discr
 # ---------------------------------------------------------------- the whole
 
 
-# Samples and depth where neither the file nor the command says them: enough for a first picture.
+# Samples and depth unless the file or the command gives them: enough for a first picture.
 _USUAL = {
     "direct": {"samples": 1, "depth": 1},
     "rays": {"samples": 1, "depth": 16},

@@ -38,7 +38,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
         )
     signal = amplified(sensor, signal)
     if sensor.bits is not None:
-        # a sensor may have become another dtype's since it was made
+        # the sensor may have been converted to another dtype since it was made
         check_range("Sensor.bits", sensor.bits, 1, jnp.finfo(sensor.bits.dtype).nmant + 1)
         signal = with_gradient_of(jnp.round(signal), signal)
         signal = jnp.clip(signal, 0, largest_number(sensor.bits))

@@ -21,8 +21,8 @@ from .sampling import light_share
 PLANCK = 6.62607015e-34  # J s, exact in the SI since 2019
 SPEED_OF_LIGHT = 299792458.0  # m s^-1, exact in the SI
 
-Light = Shaped[Array | np.ndarray, "... bands"]  # whole numbers of photons are light too
-Counts = Float[Array, "... channels"]  # one channel under a colour filter, else a band each
+Light = Shaped[Array | np.ndarray, "... bands"]  # integer counts of photons are allowed
+Counts = Float[Array, "... channels"]  # one channel under a colour filter, else one per band
 
 
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
@@ -206,7 +206,7 @@ def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
 def _check_irradiance(irradiance: Spectrum) -> None:
     if not is_known(irradiance) or irradiance.size == 0:
         return
-    with jax.ensure_compile_time_eval():  # what is known may stand within what is traced
+    with jax.ensure_compile_time_eval():  # known values may occur inside a trace
         least, most = float(irradiance.min()), float(irradiance.max())
     if not (least >= 0 and most < jnp.inf):
         wrong = most if least >= 0 else least
@@ -219,7 +219,7 @@ def _over_bands(name: str, x: Scalars, like: Spectrum) -> Scalars:
         return x
     if x.shape != like.shape[-1:]:
         raise ValueError(
-            f"{name} must be () or ({like.shape[-1]},), one a band of the irradiance, got shape "
+            f"{name} must be () or ({like.shape[-1]},), one per band of the irradiance, got shape "
             f"{x.shape}."
         )
     return jnp.broadcast_to(x, like.shape)

@@ -22,7 +22,7 @@ from .ccd import counted_variance, transferred, transferred_variance
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .read_out import read_out_variance
 
-_FAR = 50.0  # standard deviations: beyond is nothing, in float64 too
+_FAR = 50.0  # standard deviations: the tail beyond is 0 even in float64
 QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole numbers
 
 

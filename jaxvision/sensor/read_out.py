@@ -24,7 +24,7 @@ def reset_noise_rms(reset: ResetNoise) -> Scalar:
         >>> round(float(jv.sensor.reset_noise_rms(jv.ResetNoise(1.6e-15, 300.0))), 1)
         16.1
     """
-    # each factor within float32's range: k T C is not
+    # each factor lies within the range of float32; k T C does not
     electrons = BOLTZMANN / ELEMENTARY_CHARGE * reset.temperature
     return safe_sqrt(electrons * (reset.capacitance / ELEMENTARY_CHARGE))
 

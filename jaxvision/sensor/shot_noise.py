@@ -61,7 +61,7 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
     few = bounded < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, bounded)
     z, root = upper_quantile(bits, mean.dtype), jnp.sqrt(many)
-    # the rest is small beside a large mean, and keeps its digits when it is rounded by itself
+    # the remainder is small beside a large mean and keeps its digits if rounded separately
     whole = jax.lax.stop_gradient(jnp.floor(many))
     x = (many - whole) + root * z + (1 / 3 + z**2 / 6)
     x = x - (z / 36 + z**3 / 72) / root + (-8 / 405 + 7 * z**2 / 810 + z**4 / 270) / many
