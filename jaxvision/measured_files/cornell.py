@@ -19,6 +19,8 @@ from ..errors import InputError
 from ..io import replaced_on_success
 from ._contents import NANOMETRE, TURN, contents_of
 
+Row = tuple[int, list[float]]  # the number of its line, and its numbers
+
 
 def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
     """Reads the samples of a Cornell goniometer file, in the file's order.
@@ -33,13 +35,24 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
         InputError: the file is missing or not of this format.
     """
     file, data = contents_of(path)
+    rows = _rows_of_numbers(file, data)
+    wavelengths = _take_wavelengths(file, rows)
+    _check_samples(file, rows, bands=len(wavelengths))
+    table = np.array([row for _, row in rows])
+    theta_i, phi_i, theta_s, phi_s = jnp.asarray(table[:, :4].T)
+    values, metres = jnp.asarray(table[:, 4:]), jnp.asarray(wavelengths) * NANOMETRE
+    return BRDFSamples(theta_i, phi_i, theta_s, phi_s, values, metres)
+
+
+def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
+    """The rows of a text file, without comments and empty lines."""
     try:
         lines = data.decode("ascii").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(
             f"{file}: not a text file (byte {error.start}); Cornell files are plain numbers."
         ) from None
-    rows: list[tuple[int, list[float]]] = []
+    rows: list[Row] = []
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].split()
         try:
@@ -55,6 +68,11 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
             )
         if numbers:
             rows.append((number, numbers))
+    return rows
+
+
+def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
+    """The wavelengths of the header in nm; takes the header off the rows."""
     if not rows or len(rows[0][1]) != 1 or rows[0][1][0] % 1 or rows[0][1][0] < 1:
         raise InputError(
             f"{file}: the first number must be the count of wavelengths, alone on its line; this "
@@ -68,6 +86,11 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
             f"{file}: {bands} increasing wavelengths in nm are announced, got {len(wavelengths)} "
             f"numbers starting {wavelengths[:4]}; correct the header."
         )
+    return wavelengths
+
+
+def _check_samples(file: Path, rows: list[Row], *, bands: int) -> None:
+    """`InputError` for rows that do not hold four angles in rad and a value for each band."""
     if not rows:
         raise InputError(f"{file}: the header is followed by no samples; copy the file again.")
     for number, row in rows:
@@ -86,10 +109,6 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
                 f"{file}, line {number}: azimuths {row[1]:g} and {row[3]:g} must lie in "
                 "[-2 pi, 2 pi] rad; convert degrees to radians."
             )
-    table = np.array([row for _, row in rows])
-    theta_i, phi_i, theta_s, phi_s = jnp.asarray(table[:, :4].T)
-    values, metres = jnp.asarray(table[:, 4:]), jnp.asarray(wavelengths) * NANOMETRE
-    return BRDFSamples(theta_i, phi_i, theta_s, phi_s, values, metres)
 
 
 def write_cornell(
