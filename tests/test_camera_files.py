@@ -1,4 +1,4 @@
-"""Cameras from files: the three that ship, and each mistake told in one sentence."""
+"""Cameras from files: the three that ship, and each mistake reported in one sentence."""
 
 from dataclasses import replace
 

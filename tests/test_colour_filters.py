@@ -1,4 +1,4 @@
-"""The mosaic of a colour filter array, pixel by pixel; and tiles that are none."""
+"""The mosaic of a colour filter array, pixel by pixel; and patterns that are not tiles."""
 
 import jax.numpy as jnp
 import numpy as np

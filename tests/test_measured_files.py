@@ -1,5 +1,6 @@
-"""Files of measured reflectance: layouts against writers of the oracle, round trips, and every way
-a file can be wrong, named in one sentence."""
+"""Files of measured reflectance: layouts against writers of the oracle, round trips, and every
+mistake in a file reported in one sentence.
+"""
 
 import struct
 
@@ -187,8 +188,9 @@ def test_a_binary_file_is_no_cornell_file(tmp_path):
 
 
 def test_scattered_samples_become_a_table():
-    """Samples of a known lobe at Cornell's angles: the table returns them, and what lies between,
-    reciprocal and mirror-symmetric."""
+    """Samples of a known lobe at Cornell's angles: the table reproduces them and interpolates
+    between them, reciprocal and mirror-symmetric.
+    """
     theta = np.radians(np.arange(10, 81, 10.0))
     axes = np.meshgrid(theta, np.radians(np.arange(0, 80, 8.0)), np.linspace(0, np.pi, 19))
     theta_i, theta_o, phi = (axis.ravel() for axis in axes)
@@ -219,7 +221,7 @@ def test_scattered_samples_become_a_table():
 
 
 def rgl_fields(rng, **options):
-    """The oracle's tables with elevations that end at pi / 2, as those of a file do."""
+    """The oracle's tables with elevations that end at pi / 2, as in a file."""
     fields = oracle.rgl_fields(rng, **options)
     theta = fields["theta_i"]
     return fields | {"theta_i": theta * np.float32(np.pi / 2 / theta[-1])}
@@ -227,8 +229,9 @@ def rgl_fields(rng, **options):
 
 @pytest.mark.parametrize("bands", [None, 5])
 def test_rgl_fields_and_round_trip(tmp_path, bands):
-    """Values against the construction written out over the very fields; written and read again,
-    the material is the same to the file's float32."""
+    """Values against the construction written out over the same fields; after writing and reading,
+    the material is equal to the file's float32.
+    """
     fields = rgl_fields(np.random.default_rng(3), bands=bands)
     path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
     material = files.read_measured(path)
@@ -289,7 +292,7 @@ def test_wrong_rgl_files_are_named(tmp_path):
 
 
 def test_an_rgl_header_that_cannot_be_is_named(tmp_path):
-    """Cut inside its first words, or with dimensions that no field has, one of them 0."""
+    """Truncated in its first words, or with impossible dimensions, one of them 0."""
     data = oracle.tensor_bytes(rgl_fields(np.random.default_rng(3)))
     for length in (0, 5, 12, 13):
         refused(files.read_rgl, write(tmp_path, "cut.bsdf", data[:length]), "cut short")
@@ -322,7 +325,7 @@ def test_an_rgl_header_that_cannot_be_is_named(tmp_path):
     ],
 )
 def test_rgl_numbers_that_cannot_be_are_named(tmp_path, new, words):
-    """Angles in degrees, densities that are none: a number stands for the whole field."""
+    """Angles in degrees, values that are not densities; one number fills the whole field."""
     (name, value), *_ = new.items()
     phi, bands = (value, None) if name == "phi_i" else ((0.0,), 3)
     fields = rgl_fields(np.random.default_rng(3), phi=phi, bands=bands)

@@ -1,4 +1,4 @@
-"""Meshes from files: their triangles, where they were put, and one sentence when they cannot."""
+"""Meshes from files: their triangles, their placement, and one sentence for each failure."""
 
 import builtins
 
@@ -86,7 +86,7 @@ def test_smooth_normals_of_a_sphere_point_outwards(tmp_path):
 
 
 def test_triangles_without_area_are_left_out_and_counted(tmp_path):
-    """A corner named twice, and three corners on a line, among four that are sound."""
+    """A corner named twice, and three corners on a line, among four valid triangles."""
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 2 0 0\n"
     sound = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     (tmp_path / "a.obj").write_text(points + "f 1 1 2\n" + sound + "f 1 2 5\n")

@@ -70,7 +70,8 @@ def test_sine_and_cosine_of_turns(dtype):
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.1, 1.5])
 def test_log_cos(dtype, angle):
     """The unit vectors themselves are off by eps / 2, which moves log cos by as much; below 60
-    degrees only the angle's own relative error is left."""
+    degrees only the relative error of the angle remains.
+    """
     u, v = unit_pairs(dtype, angle)
     eps = float(jnp.finfo(dtype).eps)
     for a, b, got in zip(u, v, num.log_cos_between(u, v), strict=True):

@@ -1,4 +1,4 @@
-"""Pixel rays by hand, and the camera equation against the integral it stands for."""
+"""Pixel rays by hand, and the camera equation against the integral that it approximates."""
 
 import jax
 import jax.numpy as jnp

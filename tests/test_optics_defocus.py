@@ -1,5 +1,6 @@
-"""Defocus by a depth map against the lens sampled ray by ray: the same on a plane, and measurably
-different where one surface hides another."""
+"""Defocus by a depth map against the lens sampled ray by ray: equal on a plane, and measurably
+different where one surface hides another.
+"""
 
 from functools import partial
 
@@ -28,7 +29,7 @@ ROUND, TRIANGLE = lens(), lens(s.PolygonalAperture(3, angle=0.4))
 
 
 def texture(x, y, pitch):
-    """What a plane shows at a slope, (2,): waves some ten pixels long."""
+    """The pattern of a plane at a slope, (2,): waves about ten pixels long."""
     return jnp.stack(
         [
             0.5 + 0.3 * jnp.sin(400 * pitch * x + 1) * jnp.cos(300 * pitch * y),
@@ -38,7 +39,7 @@ def texture(x, y, pitch):
 
 
 def along(ray, planes):
-    """(colour, depth) that a ray meets first of planes (depth, covers x < , pitch)."""
+    """(colour, depth) where a ray first meets a plane of (depth, covers x < , pitch)."""
     colour, depth = jnp.zeros(2), jnp.asarray(jnp.inf)
     for distance, end, pitch in reversed(planes):
         x = ray.origin.x + ray.direction.x / ray.direction.z * distance
@@ -85,9 +86,10 @@ FORMS = {
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 @pytest.mark.parametrize("blur", [-R, 0, R])
 def test_on_a_plane_all_forms_are_the_sampled_lens(view, blur):
-    """At the largest blur, for which the bank of three has a kernel; the round one needs room for
-    its soft rim. The triangle tells upright from turned: wrong way up its error is four times as
-    large."""
+    """At the largest blur, for which the bank of three has a kernel; the round one needs space for
+    its soft edge. The triangle distinguishes upright from inverted: inverted its error is four
+    times as large.
+    """
     image = 1 / (1 / 0.05 - 1 / 2.0)
     blur = blur * 8 / 9 if view is ROUND else blur
     distance = 1 / (1 / 2.0 + blur * 3e-5 / (0.0125 * image))
@@ -116,8 +118,9 @@ def test_where_one_surface_hides_another_only_layers_come_near():
 
 @pytest.mark.parametrize("layers", [2, 8])
 def test_a_post_thinner_than_its_blur_lets_the_background_through(layers):
-    """A black post before a white wall in focus hides, behind its middle, the strip of the lens
-    that it covers: 2 / pi (asin q + q sqrt(1 - q^2)) of a disc, q the post over the blur."""
+    """Behind its middle, a black post before a white wall in focus hides the strip of the lens that
+    it covers: 2 / pi (asin q + q sqrt(1 - q^2)) of a disc, q the post over the blur.
+    """
     half = 2.0  # of the post, pixels: four columns
     columns = np.arange(SHAPE[1]) - (SHAPE[1] - 1) / 2
     post = np.broadcast_to(np.abs(columns) < half, SHAPE)
@@ -175,7 +178,7 @@ def test_radius_is_half_the_circle_of_confusion_signed():
 
 
 def test_each_band_of_a_chromatic_lens_has_its_own_focus():
-    """A band whose focal length is f_b is in focus where the sensor is its image."""
+    """A band of focal length f_b is in focus at the distance that it images onto the sensor."""
     picture, depth = random_scene()
     sensor = 1 / (1 / 0.05 - 1 / 2.0)
     focal = 0.0502

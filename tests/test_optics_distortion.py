@@ -1,5 +1,6 @@
-"""Distortion against OpenCV, its inverse there and back, the flux it must keep, and the pictures
-that it and lateral colour bend."""
+"""Distortion against OpenCV, its inverse in round trips, conservation of flux, and the pictures
+that distortion and lateral colour errors make.
+"""
 
 from functools import partial
 
@@ -51,7 +52,7 @@ def test_there_and_back(lens):
 
 
 def test_derivatives_are_those_of_the_inverse():
-    """Of the places: the inverse matrix. Of the coefficients: a difference quotient."""
+    """By the place: the inverse matrix. By the coefficients: a difference quotient."""
     place = a([0.31, -0.44])
 
     def there(p):
@@ -105,8 +106,9 @@ def test_rays_go_through_the_distortion():
 
 
 def test_distortion_keeps_the_flux():
-    """Under a flat sky the light within a cone, L A sin^2 pi / z_i^2, is all on the sensor,
-    wherever distortion puts it."""
+    """Under a flat sky all the light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,
+    wherever distortion puts it.
+    """
     edge = 0.6
     for lens in (s.Distortion([-0.25, 0.05]), s.Distortion([0.3])):
         view = s.Pinhole(
@@ -135,7 +137,7 @@ VIEW = s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=BAR
 
 
 def test_pictures_are_bent_as_the_rays_are():
-    """A picture of a function of the slope is that function along the bent rays."""
+    """The picture of a function of the slope is that function along the distorted rays."""
 
     def shown(view, row, column):
         x, y = optics.chief_slope(view, row, column)

@@ -37,7 +37,7 @@ def test_lens_law_by_hand():
 
 
 def test_what_is_no_number_stays_none():
-    """No plausible distance is made of NaN, and its neighbours are not touched."""
+    """NaN does not become a plausible distance, and its neighbours are unchanged."""
     z, f = jnp.asarray([np.nan, 2.0]), a(0.05)
     for of in (
         optics.image_distance,
@@ -207,7 +207,8 @@ def test_sampled_edge_is_as_wide_as_the_circle_of_confusion(distance):
 
 def test_irradiance_is_the_integral_over_the_lens_at_the_image_distance():
     """E = integral of L cos cos' / r^2 over a disc of diameter f / N at the distance z_i, far off
-    the axis of a lens that is focused close, where z_i is half as far again as f."""
+    the axis of a lens focused close, where z_i is 1.5 f.
+    """
     f, n, focus, radiance = 0.05, 40.0, 0.15, 3.0
     view = s.ThinLens([0, 0, 0], EYE, f, 0.03, resolution=(1, 3), f_number=n, focus_distance=focus)
     z = 1 / (1 / f - 1 / focus)
@@ -278,7 +279,7 @@ def test_bad_records_are_refused():
 
 
 def test_views_are_made_inside_transformations():
-    """Traced values are not known, and not refused."""
+    """Traced values are unknown and therefore accepted."""
 
     def sharpness(focal_length):
         view = s.ThinLens(

@@ -1,5 +1,6 @@
-"""Openings: their points, areas, images and overlaps by brute force, and diffraction by transforms
-and published functions."""
+"""Apertures: their points, areas, images and overlaps by brute force, and diffraction by transforms
+and published functions.
+"""
 
 from functools import partial
 from itertools import pairwise
@@ -28,7 +29,7 @@ def a(x):
 
 
 def inside(aperture, x, y):
-    """Whether points, relative to the radius, lie in the opening: its definition."""
+    """Whether points, relative to the radius, lie in the aperture, by its definition."""
     match aperture:
         case s.CircularAperture():
             return x * x + y * y <= 1
@@ -44,7 +45,7 @@ def inside(aperture, x, y):
 
 
 def squares(n, half):
-    """(x, y) of n x n points in the middles of the cells of a square."""
+    """(x, y) of the centres of the n x n cells of a square."""
     edge = ((np.arange(n) + 0.5) / n * 2 - 1) * half
     return np.meshgrid(edge, edge)  # x to the right, y down the rows
 
@@ -54,7 +55,7 @@ def squares(n, half):
 
 @each_aperture
 def test_points_fill_the_opening_evenly(aperture):
-    """All inside, and of the moments of its area: a map that crowds points has others."""
+    """All points lie inside, with the moments of the area: an uneven map has other moments."""
     n = 100  # a multiple of the blades
     u = jnp.asarray(np.stack(squares(n, 0.5), -1).reshape(-1, 2) + 0.5)
     x, y = (np.asarray(v) for v in jax.vmap(lambda v: optics.aperture_point(aperture, v))(u))
@@ -136,7 +137,7 @@ def test_overlap_of_disc_and_polygon_against_counting(name, centre, radius):
 
 @jax.jit
 def seen_through_rim(view, row, column, u):
-    """(where rays of a pixel cross the plane of the rim, share of them that it lets through)."""
+    """(where rays of a pixel cross the plane of the rim, share of them that passes it)."""
     rays = jax.vmap(lambda v: optics.lens_ray(view, row, column, v))(u)
     along = view.rim.distance / rays.direction.z
     at = as_array(rays.origin) + as_array(rays.direction) * along[:, None]
@@ -146,7 +147,7 @@ def seen_through_rim(view, row, column, u):
 @each_aperture
 @pytest.mark.parametrize("focus", [0.3, np.inf])
 def test_clear_fraction_is_the_share_of_lens_rays_through_the_rim(aperture, focus):
-    """By tracing them: the rays of a pixel to the plane of the rim, and counting."""
+    """The rays of a pixel are traced to the plane of the rim and counted."""
     rim = s.Rim(0.04, 0.024)
     view = s.ThinLens(
         [0, 0, 0], np.eye(3), 0.05, 1e-3, resolution=(31, 41), f_number=2.0,
@@ -195,7 +196,7 @@ def test_airy_pattern_against_scipy():
 
 @pytest.mark.parametrize("pitch", [1.5e-6, 4e-6, 8e-6])
 def test_airy_kernel_against_integration(pitch):
-    """Each weight, before the rescaling, is a double integral; their ratios remain."""
+    """Each weight, before rescaling, is a double integral; the ratios of weights are compared."""
     kernel = np.asarray(optics.airy_kernel(a(WAVELENGTH), a(F_NUMBER), a(pitch), size=5))
 
     def pattern(y, x):

@@ -1,4 +1,4 @@
-"""Records: arrays in the caller's dtype, `None` for what is absent, errors that name shapes."""
+"""Records: arrays keep the caller's dtype, absent effects are `None`, errors name shapes."""
 
 import equinox as eqx
 import jax

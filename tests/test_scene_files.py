@@ -1,4 +1,4 @@
-"""Scene files: what they say becomes records, and what they cannot mean is one sentence."""
+"""Scene files: valid ones become records, and each mistake is reported in one sentence."""
 
 import colour
 import jax
@@ -57,7 +57,7 @@ def read(folder, text, name="a.toml"):
 
 
 def same(got, wanted):
-    """Equal records, the numbers to float32."""
+    """Equal records, with numbers equal to float32."""
     assert jax.tree.structure(got) == jax.tree.structure(wanted)
     for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(a, b, rtol=3e-7, atol=1e-9)
@@ -170,7 +170,7 @@ def test_lights_and_ambient(tmp_path):
 
 
 def test_an_environment_turns_its_middle_and_top(tmp_path):
-    """The picture's middle column is looked at along `toward`, its left quarter to the left."""
+    """The picture's middle column lies along `toward`, its left quarter to the left."""
     picture = np.zeros((32, 64, 3), np.float32)
     picture[3:, 30:34, 0] = 1  # the middle
     picture[3:, 14:18, 1] = 1  # a quarter to the left
@@ -288,7 +288,7 @@ def test_a_patch_and_a_black_body(tmp_path):
 
 
 def test_measured_materials_come_in_the_bands_of_the_scene(tmp_path):
-    """A file in RGB as it is, a spectral one at the wavelengths asked for."""
+    """An RGB file unchanged, a spectral one at the given wavelengths."""
     rng = np.random.default_rng(4)
     table = HalfDifferenceTable(rng.uniform(0.1, 1, (6, 5, 4, 3)))
     write_merl(tmp_path / "paint.binary", table)
@@ -443,7 +443,7 @@ def test_bad_tables_are_named(tmp_path, column, rows, sentence):
 
 
 def test_what_a_file_warns_of_is_named_by_its_surface(tmp_path):
-    """Slivers that float32 takes the area from, far from the origin, are left out like others."""
+    """Slivers far from the origin, which have no area in float32, are left out like others."""
     (tmp_path / "m.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e-4\nf 1 2 3\nf 1 1 2\nf 1 2 4\n"
     )
@@ -457,7 +457,7 @@ def test_what_a_file_warns_of_is_named_by_its_surface(tmp_path):
 
 
 def test_inside_glass_and_two_sided_surfaces_are_allowed(tmp_path):
-    """A camera in glass, a lamp in a lantern: both see and light what is around."""
+    """A camera in glass and a lamp in a lantern: both reach their surroundings."""
     glass = SCENE.replace('family = "lambert"\nalbedo = 0.5', 'family = "glass"')
     read(tmp_path, glass.replace("[0, -4, 0]", "[0, -0.4, 0]"))
     read(tmp_path, SCENE.replace("[1, -2, 3]", "[0.5, 0, 0]") + "two_sided = true\n")
@@ -476,7 +476,7 @@ def test_the_digest_follows_numbers_and_choices_and_no_words(tmp_path):
 
 
 def test_the_digest_follows_what_a_named_file_names(tmp_path):
-    """A glTF keeps its vertices in another file: the one that a scene names stays as it is."""
+    """A glTF keeps its vertices in another file, while the file that a scene names is unchanged."""
     trimesh = pytest.importorskip("trimesh")
     text = CAMERA + LIGHT + GREY
     text += '[[surface]]\nshape = "mesh"\nfile = "model.gltf"\nmaterial = "grey"\n'

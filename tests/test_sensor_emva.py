@@ -1,4 +1,4 @@
-"""The circle closed: a simulated camera, measured like a real one, returns its own figures."""
+"""The circle closed: a simulated camera, measured like a real one, yields its own parameters."""
 
 from dataclasses import replace
 from functools import partial
@@ -40,8 +40,7 @@ def levels(key, die, photons, exposures, *, frames, shape):
 
 
 def afternoon(key, die, photons, exposures, *, frames, shape):
-    """Rows of a bright and of a dark sweep, and the mean response of the die's pixels: the camera
-    that was measured is that one."""
+    """Rows of a bright and of a dark sweep, and the mean response of the measured die's pixels."""
     bright, dark = jax.random.split(key)
     options = {"frames": frames, "shape": shape}
     response = sensitivity(die, SENSOR, shape=shape, dtype=photons.dtype).mean()
@@ -53,7 +52,9 @@ def afternoon(key, die, photons, exposures, *, frames, shape):
 
 
 def truth(response):
-    """The figures of a camera whose pixels have that mean response, relative to the sheet's."""
+    """The parameters of a camera with that mean response of its pixels, relative to the data
+    sheet's.
+    """
     gain, noise = float(SENSOR.gain), float(SENSOR.read_noise)
     efficiency = response * float(SENSOR.quantum_efficiency)
     dark = np.sqrt((gain * noise) ** 2 + 1 / 12)

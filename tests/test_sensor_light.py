@@ -38,7 +38,8 @@ IMAGE = RNG.uniform(10, 1000, size=(7, 5, 2))
 @pytest.mark.parametrize("frequency", [0.1, 0.4, 0.7])
 def test_contrast_of_a_grating_is_the_sinc(fill, frequency):
     """The aperture is a whole number of cells wide and each cell holds the grating's own mean, so
-    nothing is lost by sampling."""
+    sampling loses nothing.
+    """
     n, pixels = 16, 100
     x = (np.arange(n * pixels) + 0.5) / n
     aperture = s.PixelAperture(fill, oversampling=n)
@@ -55,7 +56,7 @@ def test_contrast_of_a_grating_is_the_sinc(fill, frequency):
 
 
 def test_a_zone_plate_aliases_less_the_larger_the_fill_factor():
-    """Up to 0.9 cycles per pixel: what is beyond Nyquist comes back, weakened by the sinc."""
+    """Up to 0.9 cycles per pixel: frequencies beyond Nyquist return, attenuated by the sinc."""
     n, pixels = 8, 64
     x = (np.arange(n * pixels) + 0.5) / n
     radius = x[:, None] ** 2 + x[None] ** 2
@@ -113,8 +114,9 @@ def test_patterns_that_do_not_tile_are_refused():
 
 
 def test_a_larger_chip_gathers_more_light_at_equal_field_of_view():
-    """Pitch and focal length doubled at the same f-number: the same irradiance, four times the
-    electrons."""
+    """Pitch and focal length doubled at the same f-number: equal irradiance, four times the
+    electrons.
+    """
     electrons = []
     for pitch in (3e-6, 6e-6):
         conversion = s.PhotonConversion(5.5e-7, pitch**2)
@@ -149,7 +151,7 @@ def test_smear_adds_the_rest_of_the_column():
 
 
 def overflow(column, well, spill):
-    """Electron parcels walked down and then up, one well after the other."""
+    """Electron parcels moved down and then up, one well after the other."""
     level = np.minimum(column, well)
     half = spill * np.maximum(column - well, 0) / 2
     for step in (1, -1):
@@ -185,7 +187,7 @@ def test_blooming_against_parcels_walked_by_hand(spill):
 
 
 def clocked(column, inefficiency):
-    """The charge read out, one clock after the other: each packet leaves a share behind."""
+    """The charge read out, one clock cycle after the other: each packet leaves a share behind."""
     wells, read = column.copy(), []
     for _ in column:
         kept = inefficiency * wells
@@ -214,7 +216,7 @@ def test_a_packet_trails_away_from_the_read_out():
 
 
 def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
-    """The rest of the negative binomial, by scipy: nothing of the packet is lost."""
+    """The rest of the negative binomial, by scipy: no charge of the packet is lost."""
     for inefficiency, rtol in ((0.01, 1e-9), (1e-3, 1e-7)):
         point = jnp.zeros((1100, 1, 1)).at[1000].set(1.0)
         got = np.asarray(transferred(point, s.ChargeTransfer(inefficiency)))[1000:, 0, 0]
@@ -225,13 +227,13 @@ def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
 
 
 def test_a_trail_longer_than_the_column_leaves_it():
-    """Of a row before the end, what falls behind is read after the frame."""
+    """The charge that falls behind a row before the end is read after the frame."""
     got = transferred(jnp.ones((2, 1, 1)), s.ChargeTransfer(0.1, trail=8))[:, 0, 0]
     np.testing.assert_allclose(got, [0.9, 0.81 + 0.9 * 0.1], rtol=1e-12)
 
 
 def test_whole_numbers_of_photons_are_light():
-    """Counts in an integer type draw what the same counts draw as floating numbers."""
+    """Counts of an integer type give the same draws as equal floating numbers."""
     key = jax.random.key(3)
     for noise in (s.PoissonShotNoise(), s.FastPoissonShotNoise(), s.GaussianShotNoise()):
         sensor = s.Sensor(prnu=0.1, shot_noise=noise, read_noise=5.0, bits=8)
@@ -263,8 +265,9 @@ def test_a_full_well_blooms_before_it_is_transferred():
 
 
 def test_a_moving_edge_is_blurred_over_its_path():
-    """An edge at 20 pixels a second for half a second: a ramp of 10 pixels, whose spread is that of
-    a box."""
+    """An edge that moves at 20 pixels per second for half a second: a ramp of 10 pixels, with the
+    standard deviation of a box.
+    """
     x = jnp.arange(40.0)
 
     def picture(time):
@@ -282,7 +285,7 @@ def test_a_moving_edge_is_blurred_over_its_path():
 
 
 def test_a_rolling_shutter_skews_what_moves():
-    """20 pixels a second, 5 ms a row: each row sees the edge 0.1 pixels further."""
+    """20 pixels per second, 5 ms per row: each row sees the edge 0.1 pixels further."""
     x = jnp.arange(40.0)
 
     def picture(time):

@@ -1,4 +1,4 @@
-"""Mean and variance without a draw, against integrals and frames of every effect at once."""
+"""Mean and variance in closed form, against integrals and frames with every effect at once."""
 
 from dataclasses import replace
 
@@ -75,7 +75,7 @@ def test_an_endless_well_clips_nothing(dtype):
 
 @pytest.fixture(scope="module")
 def frames():
-    """60 frames of each of 40 dies, (dies, frames, h, w), of every effect at once."""
+    """60 frames of each of 40 dies, (dies, frames, h, w), with every effect at once."""
 
     def shoot(key, die):
         light = jnp.full((24, 32, 1), 40_000.0)
@@ -105,7 +105,9 @@ def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames)
 
 @pytest.mark.parametrize("light", [0.0, 2000.0, 19_500.0, 20_500.0, 60_000.0])
 def test_clipping_by_well_and_converter(light):
-    """Against frames: black cut at 0 DN, the well at 200 e- under the ADC's end, and beyond."""
+    """Against frames: black clipped at 0 DN, a full well 200 e- below the ADC's end, and light
+    beyond.
+    """
     sensor = s.Sensor(
         exposure_time=0.01,
         shot_noise=s.FastPoissonShotNoise(),
@@ -125,7 +127,7 @@ def test_clipping_by_well_and_converter(light):
 
 
 def test_expected_pictures_have_right_gradients_from_no_photon_to_saturation():
-    """In exposure, gain, dark current and light, against finite differences."""
+    """By exposure, gain, dark current and light, against finite differences."""
     sensor = s.Sensor(
         exposure_time=0.01,
         dark_current=300.0,

@@ -125,7 +125,7 @@ def test_fast_shot_noise_replaces_the_mean(level):
 
 
 def test_fast_counts_of_one_photon_in_ten_million_frames():
-    """Where the chance of a photon is far below float32's rounding of 1, its own digits remain."""
+    """The chance of a photon keeps its own digits far below float32's rounding of 1."""
     mean = jnp.asarray(1e-7, jnp.float32)
     threshold = 1e-7 * 2**32
     words = jnp.asarray([int(0.99 * threshold), int(1.01 * threshold)], jnp.uint32)
@@ -225,11 +225,10 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
     ],
 )
 def test_electrons_are_left_behind_one_by_one(noise, well):
-    """Against a binomial draw for each electron of each packet, in NumPy: far from the read-out, at
-    a light and a dark current that vary over the rows, and where the well is often full.
+    """Against a binomial draw for each electron of each packet, in NumPy: far from the read-out,
+    under light and dark current that vary over the rows, and where the well is often full.
 
-    Of a Poisson packet the result is again Poisson: variance and mean are equal, and neighbours are
-    not correlated.
+    A Poisson packet stays Poisson: variance and mean are equal, and neighbours are uncorrelated.
     """
     eps, rows, packets = 0.005, 80, 20_000
     seen = slice(70, rows)
@@ -294,8 +293,9 @@ def test_column_amplifiers_differ():
 
 
 def test_conversion_gains_differ_and_scale_what_was_counted():
-    """Over frames a pixel of gain g has the mean g mu and the variance g^2 mu: unlike a pixel of
-    another sensitivity it is no longer Poisson's."""
+    """Over frames, a pixel of gain g has mean g mu and variance g^2 mu: unlike a pixel of another
+    sensitivity it is no longer Poisson.
+    """
     sensor = s.Sensor(conversion_prnu=0.1, shot_noise=s.FastPoissonShotNoise())
     take = jax.vmap(lambda key: shoot(key, sensor, flat(400.0, (20, 25, 1)), die_key=DIE))
     frames = np.asarray(take(jax.random.split(KEY, 400)))[..., 0]
@@ -312,7 +312,9 @@ def test_conversion_gains_differ_and_scale_what_was_counted():
 
 
 def test_dead_and_hot_pixels():
-    """Fractions and the exponential law; none is both; the pattern's variance by its formula."""
+    """Fractions and the exponential law; no pixel is both; the variance of the pattern by its
+    formula.
+    """
     sensor = s.Sensor(dead_pixels=0.1, hot_pixels=s.HotPixels(0.05, 400.0), exposure_time=0.5)
     sample = np.asarray(shoot(None, sensor, flat(2000.0), die_key=DIE)).ravel()
     n = sample.size

@@ -1,5 +1,6 @@
-"""Spectra against colour-science, published tables, and quadrature in many digits; the tables of
-`colour_data` against the library they come from."""
+"""Spectra against colour-science, published tables, and quadrature with many digits; the tables of
+`colour_data` against the library of their origin.
+"""
 
 import colour
 import jax

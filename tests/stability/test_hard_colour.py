@@ -1,7 +1,7 @@
-"""Colour conversions where a naive formula loses digits: near greys, near black, far apart.
+"""Colour conversions where a naive formula loses digits: near greys, near black, large differences.
 
-Values against 50 digits on the very floating-point inputs, the error in units of the last place of
-the largest term that enters; gradients finite.
+Values against 50 digits for the same floating-point inputs, the error in units of the last place of
+the largest term; gradients finite.
 """
 
 import jax
@@ -106,8 +106,9 @@ def delta_e(first, second):
 
 @both_precisions
 def test_delta_e_2000_of_greys_and_close_colours(dtype):
-    """Chroma from 0 to 1e4, whose 7th power float32 cannot hold. The hue of each colour is rounded
-    to eps of a turn, which the chroma turns into a difference of its own size."""
+    """Chroma from 0 to 1e4, the 7th power of which exceeds float32. The hue of each colour is
+    rounded to eps of a turn, which the chroma scales to a difference of its own size.
+    """
     pairs = [
         ([50, 0, 0], [50, 0, 0]),
         ([50, 0, 0], [51, 1e-4, 0]),

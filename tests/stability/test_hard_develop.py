@@ -1,5 +1,6 @@
-"""Development where it is dark, burnt out, flat, steep or out of its domain: values against exact
-arithmetic or a limit, gradients finite, in both precisions."""
+"""Development of dark, saturated, flat, steep or out-of-domain input: values against exact
+arithmetic or a limit, gradients finite, in both precisions.
+"""
 
 from fractions import Fraction
 from functools import partial
@@ -37,7 +38,7 @@ def eps(dtype):
 
 
 def finite_gradients(f, *cases):
-    """Of the sum of f, by each argument, in each case; compiled once."""
+    """Checks the gradients of the sum of f by each argument, in each case; compiled once."""
     compiled = jax.jit(jax.grad(lambda arguments: f(*arguments).sum()))
     for case in cases:
         gradients = compiled(case)
@@ -145,7 +146,7 @@ def test_gains_of_black_burnt_out_and_one_sided_pictures(dtype):
 @both_precisions
 @pytest.mark.parametrize("level", [1e-35, 1e-10, 1e10, 1e35])
 def test_high_means_neither_overflow_nor_vanish(dtype, level):
-    """x^200 of either would; the gains do not depend on the unit."""
+    """x^200 would do either; the gains do not depend on the unit."""
     shape = np.array([1.0, 0.5, 0.25])
     image = jnp.asarray(level * shape * np.ones((3, 3, 1)), dtype)
     for gains in (grey_world_gains(image, norm=200.0), neutral_gains(image)):
@@ -167,8 +168,9 @@ def test_highlights_at_the_cut(dtype):
 @both_precisions
 @pytest.mark.parametrize("spread", [1.0, 1e-1, 1e-2])
 def test_matrices_of_nearly_grey_patches(dtype, spread):
-    """A least-squares fit by QR loses the digits of the conditioning once, not twice as the normal
-    equations do."""
+    """A least-squares fit by QR loses the digits of the conditioning once, the normal equations
+    twice.
+    """
     true = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])
     camera = 0.5 + spread * RNG.uniform(-0.4, 0.4, size=(24, 3))
     camera = np.asarray(jnp.asarray(camera, dtype), np.float64)

@@ -1,5 +1,6 @@
-"""Filters at the edges where a naive formula breaks, in both precisions: vanishing and huge widths,
-kernels of sum 0, one pixel, nothing covered. Values against 50 digits, gradients finite."""
+"""Filters where a naive formula fails, in both precisions: vanishing and huge widths, kernels of
+sum 0, one pixel, nothing covered. Values against 50 digits, gradients finite.
+"""
 
 from functools import partial
 
@@ -26,8 +27,9 @@ def assert_finite(tree):
 @pytest.mark.parametrize("sigma", [1e-3, 0.05, 0.3, 1.0, 1.5, 7.0, 300.0])
 @pytest.mark.parametrize("sampling", ["sampled", "integrated"])
 def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
-    """From a sigma as the machine holds it: the argument of an exponential e^-t has an error of t
-    ulps of its own, which is what a tail loses and all that it loses."""
+    """From sigma as the machine stores it: the argument of an exponential e^-t has an error of t
+    ulps, and a tail loses no more than that.
+    """
     size = 9
     s = jnp.asarray(sigma, dtype)
     got = filters.gaussian_kernel(s, size=size, sampling=sampling)
@@ -55,7 +57,7 @@ def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
 @both_precisions
 @pytest.mark.parametrize("sigma", [0.0, 1e6])
 def test_gaussian_of_any_width(dtype, sigma):
-    """Value and gradient, every order and sampling; a vanishing one leaves the picture alone."""
+    """Value and gradient, every order and sampling; a vanishing width changes nothing."""
     f = jnp.asarray(RNG.uniform(size=(6, 5)), dtype)
     s = jnp.asarray(sigma, dtype)
     for order, sampling in (((2, 1), "sampled"), ((0, 1), "integrated")):
@@ -69,7 +71,7 @@ def test_gaussian_of_any_width(dtype, sigma):
 
 @both_precisions
 def test_normalising_a_kernel_of_sum_nothing(dtype):
-    """filter(1) is 0: the result is 0 and so is its gradient."""
+    """filter(1) is 0: the result and its gradient are 0."""
     f = jnp.asarray(RNG.uniform(size=(6, 5)), dtype)
     slope = jnp.asarray([[-1.0, 0.0, 1.0]], dtype)
 
@@ -92,7 +94,7 @@ def test_one_pixel_and_a_kernel_of_hundreds(dtype, border):
 
 @both_precisions
 def test_constant_border_keeps_a_flat_picture_flat_beside_a_huge_fill(dtype):
-    """What comes from outside is summed by itself: inside, 1e6 is never added and taken off."""
+    """The fill is summed separately: inside the picture, 1e6 is never added and subtracted."""
     f = jnp.full((12, 12), 0.1, dtype)
     kernel = jnp.full((3, 3), 1 / 9, dtype)
     got = filters.correlate(f, kernel, border="constant", fill=1e6)

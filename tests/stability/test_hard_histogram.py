@@ -1,7 +1,7 @@
-"""Histograms, equalisation, integral images and neighbourhood filters where they break naively, in
-both precisions: millions of equal values, values on edges, one value only, huge and tiny scales.
+"""Histograms, equalisation, integral images and neighbourhood filters where naive formulas fail, in
+both precisions: millions of equal values, values on edges, a single value, huge and tiny scales.
 
-Values against 50 digits on the very floating-point inputs; gradients are finite everywhere.
+Values against 50 digits for the same floating-point inputs; gradients are finite everywhere.
 """
 
 import jax
@@ -52,7 +52,7 @@ def test_millions_of_equal_values(dtype):
 
 @both_precisions
 def test_values_on_every_edge_fall_to_the_right_of_it(dtype):
-    """97 bins: no edge but the ends is a binary fraction."""
+    """97 bins: only the two end edges are binary fractions."""
     edges = np.linspace(0, 1, 98).astype(dtype)
     counts = exact_histogram(jnp.asarray(edges)[None], bins=97).counts
     np.testing.assert_array_equal(counts, [1] * 96 + [2])

@@ -1,8 +1,8 @@
-"""Optics where naive formulas break: z_o at f, inside it, at 0 and at infinity; circles that touch;
+"""Optics where naive formulas fail: z_o at f, inside it, at 0 and at infinity; circles that touch;
 slivers of polygons; the zeros of the Airy pattern; closed apertures; the fold of a barrel.
 
-Values against 50 digits on the very floating-point inputs, in units of the last place where the
-problem is well conditioned, else with its conditioning written out. Gradients are finite
+Values against 50 digits for the same floating-point inputs, in units of the last place where the
+problem is well conditioned, otherwise with its conditioning written out. Gradients are finite
 everywhere, in both precisions.
 """
 
@@ -36,7 +36,7 @@ def each(function, *columns):
 
 @both_precisions
 def test_lens_law_in_ulps(dtype):
-    """Both sides of f as near as there are numbers, inside it, behind the lens, far, infinite."""
+    """On both sides of f at adjacent numbers, inside it, behind the lens, far away, at infinity."""
     f = jnp.asarray(0.05, dtype)
     around = [jnp.nextafter(f, jnp.asarray(v, dtype)) for v in (0, 1)]
     z = jnp.stack(
@@ -222,7 +222,8 @@ def test_mtf_near_the_cut_off(dtype):
 @both_precisions
 def test_airy_amplitude_against_fifty_digits(dtype):
     """In the middle, across the seam of the two expansions, at the zeros, far out: to a few eps of
-    the envelope, and beyond x = 8 to the rounding of x as well."""
+    the envelope, and beyond x = 8 also to the rounding of x.
+    """
     from jaxvision.optics._bessel import jinc
 
     x = jnp.asarray([0, 1e-4, 1, 3.8317059702075125, 7.999, 8.001, 13.3, 97.1, 1.2e3], dtype)
@@ -325,7 +326,7 @@ def test_rays_irradiance_and_blur_of_hard_views(dtype):
 
 @both_precisions
 def test_diffraction_of_hard_views(dtype):
-    """Through a closed aperture, and to a sensor at or beyond infinity; of light and of none."""
+    """Through a closed aperture, and to a sensor at or beyond infinity; with light and without."""
 
     def spread(view, diffraction, irradiance):
         return optics.diffracted(view, diffraction, irradiance)

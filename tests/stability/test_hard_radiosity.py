@@ -1,5 +1,6 @@
-"""Form factors where the textbook's expressions lose every digit: tiny, huge and unequal sides;
-both precisions, against 50 digits, with finite gradients."""
+"""Form factors where the textbook's expressions lose every digit: tiny, huge and unequal sides; in
+both precisions, against 50 digits, with finite gradients.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -70,7 +71,7 @@ def test_closed_forms_keep_their_digits(form, dtype):
 
 
 def test_what_the_printed_form_returns_as_zero():
-    """X = Y = .01: 3.18e-5, of which float32 keeps nothing in the printed order of terms."""
+    """X = Y = 0.01: 3.18e-5, of which float32 keeps no digit in the printed order of terms."""
     tiny = parallel_rectangles(*(jnp.asarray(x, jnp.float32) for x in (0.01, 0.01, 1.0)))
     np.testing.assert_allclose(float(tiny), 1e-4 / np.pi, rtol=1e-4)
 
@@ -86,7 +87,7 @@ def test_no_area_and_no_gap(form, sizes, dtype):
 
 
 def corner_sum(first, second, corner):
-    """Sixteen signed corners: brute force, in digits enough for what cancels."""
+    """Sixteen signed corners by brute force, with enough digits for the cancellation."""
     total = mp.mpf(0)
     for i in range(2):
         for j in range(2):
@@ -100,8 +101,9 @@ def corner_sum(first, second, corner):
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
 def test_patches_at_any_distance(apart, dtype):
-    """Two patches of .1 m, `apart` of their sizes beside each other in planes .1 m apart: within
-    what the docstring states of C-13 in 50 digits."""
+    """Two patches of 0.1 m, shifted by `apart` of their size, in planes 0.1 m apart: within the
+    bound that the docstring states for C-13, in 50 digits.
+    """
     first = jnp.asarray([[0.0, 0.1], [0.0, 0.1]], dtype)
     second = first + jnp.asarray([[0.1 * apart], [0.0]], dtype)
     gap = jnp.asarray(0.1, dtype)

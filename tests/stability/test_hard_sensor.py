@@ -1,5 +1,6 @@
-"""The sensor at its edges, in both precisions: no photon, far too many, wells at the brim, and the
-closed forms where they cancel. Values against 50 digits; gradients finite everywhere."""
+"""The sensor at its limits, in both precisions: no photon, far too many, wells just full, and
+closed forms that cancel. Values against 50 digits; gradients finite everywhere.
+"""
 
 from dataclasses import replace
 
@@ -174,7 +175,7 @@ def test_exposure_of_no_time_is_dark_not_undefined(dtype):
 
 
 def test_float32_and_float64_draw_the_same_frame():
-    """The bits are the same, so the pictures differ by rounding, and by a DN where it decides."""
+    """The bits are equal, so the pictures differ by rounding, and by one DN where it decides."""
     sensor = s.Sensor(
         prnu=0.01, shot_noise=s.GaussianShotNoise(), read_noise=5.0, gain=0.5, offset=50.0
     )
