@@ -32,7 +32,11 @@ class Diffuse(Entry):
 
 
 class LambertEntry(Diffuse):
-    """A diffuse surface."""
+    """A diffuse surface.
+
+    Attributes:
+        family: "lambert".
+    """
 
     family: Literal["lambert"]
 
@@ -41,6 +45,7 @@ class OrenNayarEntry(Diffuse):
     """A rough diffuse surface.
 
     Attributes:
+        family: "oren_nayar".
         sigma: degrees, standard deviation of the slopes of the facets.
         form: "qualitative" or "full".
     """
@@ -53,7 +58,10 @@ class OrenNayarEntry(Diffuse):
 class PowerLobeEntry(Diffuse):
     """A surface with a Phong or Blinn lobe.
 
-    `phong` and `blinn` are textbook shading; the others are BRDFs.
+    Attributes:
+        family: "phong" and "blinn" are textbook shading; the others are BRDFs.
+        specular: k_s of the family's record.
+        exponent: of the lobe, >= 0, no unit.
     """
 
     family: Literal[
@@ -66,7 +74,10 @@ class PowerLobeEntry(Diffuse):
 class GaussianLobeEntry(Diffuse):
     """A surface with a Gaussian lobe.
 
-    `gaussian_lobe` is textbook shading, the other a BRDF.
+    Attributes:
+        family: "gaussian_lobe" is textbook shading, "gaussian_lobe_brdf" a BRDF.
+        specular: k_s of the family's record.
+        concentration: of the lobe, >= 0, as in the family's record.
     """
 
     family: Literal["gaussian_lobe", "gaussian_lobe_brdf"]
@@ -78,6 +89,7 @@ class TorranceSparrowEntry(Diffuse):
     """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
 
     Attributes:
+        family: "torrance_sparrow".
         specular: factor on the specular part, no unit.
         roughness: alpha, or one for each of two axes, no unit.
         eta: refractive index of a dielectric or, with `k`, of a metal.
@@ -106,7 +118,12 @@ class TorranceSparrowEntry(Diffuse):
 
 
 class MirrorEntry(Entry):
-    """A smooth mirror."""
+    """A smooth mirror.
+
+    Attributes:
+        family: "mirror".
+        reflectance: no unit.
+    """
 
     family: Literal["mirror"]
     reflectance: Spectrum = 1.0
@@ -116,6 +133,7 @@ class GlassEntry(Entry):
     """Smooth glass.
 
     Attributes:
+        family: "glass".
         index: refractive index.
         absorption: m^-1; absent for perfectly clear glass.
     """
@@ -129,6 +147,7 @@ class MeasuredEntry(Entry):
     """A measured BRDF.
 
     Attributes:
+        family: "measured".
         file: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).
     """
 

@@ -51,7 +51,13 @@ class _Surface(Entry):
 
 
 class SphereEntry(_Surface):
-    """A sphere."""
+    """A sphere.
+
+    Attributes:
+        shape: "sphere".
+        centre: m.
+        radius: m, > 0.
+    """
 
     shape: Literal["sphere"]
     centre: Vector
@@ -59,7 +65,13 @@ class SphereEntry(_Surface):
 
 
 class PlaneEntry(_Surface):
-    """An unbounded plane."""
+    """An unbounded plane.
+
+    Attributes:
+        shape: "plane".
+        point: m, any point of it.
+        normal: direction towards its front.
+    """
 
     shape: Literal["plane"]
     point: Vector
@@ -67,7 +79,14 @@ class PlaneEntry(_Surface):
 
 
 class DiscEntry(_Surface):
-    """A flat disc."""
+    """A flat disc.
+
+    Attributes:
+        shape: "disc".
+        centre: m.
+        normal: direction towards its front.
+        radius: m, > 0.
+    """
 
     shape: Literal["disc"]
     centre: Vector
@@ -76,7 +95,14 @@ class DiscEntry(_Surface):
 
 
 class QuadEntry(_Surface):
-    """A flat parallelogram."""
+    """A flat parallelogram.
+
+    Attributes:
+        shape: "quad".
+        corner: m.
+        edge_u: m, from the corner.
+        edge_v: m, from the corner; the front is the side of edge_u x edge_v.
+    """
 
     shape: Literal["quad"]
     corner: Vector
@@ -85,7 +111,14 @@ class QuadEntry(_Surface):
 
 
 class BoxEntry(_Surface):
-    """A box; its axes are those of the world unless `rotation` gives them as rows."""
+    """A box.
+
+    Attributes:
+        shape: "box".
+        centre: m.
+        half_extents: m, > 0, half of each side.
+        rotation: rows are the axes of its sides in the world; absent for the world's axes.
+    """
 
     shape: Literal["box"]
     centre: Vector
@@ -97,6 +130,7 @@ class MeshEntry(_Surface):
     """Triangles from a file. Points are scaled, then rotated, then moved.
 
     Attributes:
+        shape: "mesh".
         file: OBJ, PLY, GLB or another format that trimesh reads.
         scale: m per unit of the file.
         rotation: rows are the file's axes in the world.
@@ -124,7 +158,14 @@ Surface = Annotated[
 
 
 class PointEntry(Entry):
-    """Light from a point."""
+    """A point light.
+
+    Attributes:
+        kind: "point".
+        name: for messages.
+        position: m.
+        intensity: W sr^-1.
+    """
 
     kind: Literal["point"]
     name: str | None = None
@@ -133,7 +174,14 @@ class PointEntry(Entry):
 
 
 class DirectionalEntry(Entry):
-    """Light from one direction."""
+    """Light from one direction.
+
+    Attributes:
+        kind: "directional".
+        name: for messages.
+        direction: from the scene towards the light.
+        irradiance: W m^-2 on a surface that faces the light.
+    """
 
     kind: Literal["directional"]
     name: str | None = None
@@ -142,7 +190,16 @@ class DirectionalEntry(Entry):
 
 
 class RectangleEntry(Entry):
-    """A rectangle that emits from one side."""
+    """A rectangle that emits from one side.
+
+    Attributes:
+        kind: "rectangle".
+        name: for messages.
+        corner: m.
+        edge_u: m, from the corner.
+        edge_v: m, from the corner; it emits from the side of edge_u x edge_v.
+        radiance: W m^-2 sr^-1.
+    """
 
     kind: Literal["rectangle"]
     name: str | None = None
@@ -156,6 +213,7 @@ class EnvironmentEntry(Entry):
     """Distant light from all directions: a picture or a constant.
 
     Attributes:
+        kind: "environment".
         name: for messages.
         file: a latitude-longitude EXR or HDR with as many bands as the scene.
         radiance: W m^-2 sr^-1, the same from all directions, instead of a file.
@@ -185,7 +243,11 @@ Light = Annotated[
 
 
 class AmbientEntry(Entry):
-    """Uniform light from all directions, W m^-2 sr^-1."""
+    """Uniform light from all directions.
+
+    Attributes:
+        radiance: W m^-2 sr^-1.
+    """
 
     radiance: Spectrum
 
@@ -213,6 +275,7 @@ class OrthographicEntry(_Camera):
     """Parallel projection.
 
     Attributes:
+        kind: "orthographic".
         width: m of the scene across the picture.
     """
 
@@ -224,6 +287,7 @@ class PinholeEntry(_Camera):
     """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`.
 
     Attributes:
+        kind: "pinhole".
         field_of_view: degrees across the width of the picture.
         focal_length: m.
         pixel_pitch: m.
@@ -246,6 +310,7 @@ class ThinLensEntry(_Camera):
     """Central projection through a lens.
 
     Attributes:
+        kind: "thin_lens".
         focal_length: m.
         pixel_pitch: m.
         f_number: no unit.
@@ -280,16 +345,23 @@ _USUAL = {
 class RenderEntry(Entry):
     """How the scene is rendered unless the command says otherwise.
 
-    `integrator`: "direct" sums over the lights; "path" adds what bounces; "rays" follows mirrors
-    and glass; "light" traces from the lights; "radiosity" solves for diffuse patches. `samples`:
-    rays or paths a pixel; 64 of "path" and "light" if absent, else 1. `depth`: the most straight
-    pieces of a path, 6 if absent; of "rays", how many rays of the tree are followed, 16. `rule`,
-    `order`: how "direct", "rays" and "radiosity" take an extended light apart: by quadrature of
-    `order` a side, or, but not by "rays", by `order` random samples. `shadows`: of "direct".
-    `patches`: about how many, of "radiosity". `gather`: of "radiosity" alone, rays from each point
-    seen that look for what other surfaces send there, drawn anew for each sample; 0: that is
-    interpolated between patches. `seed`: of what is random. `tile`: pixels computed at once; of
-    "light" without meaning, whose passes are whole pictures.
+    Attributes:
+        integrator: "direct" sums over the lights; "path" adds reflected light; "rays" follows
+            mirrors and glass; "light" traces from the lights; "radiosity" solves for diffuse
+            patches.
+        samples: rays or paths per pixel; by default 64 for "path" and "light", else 1.
+        depth: the most segments of a path, by default 6; for "rays" the most rays of the tree, by
+            default 16.
+        rule: how "direct", "rays" and "radiosity" sample an extended light: by quadrature or,
+            except for "rays", at random.
+        order: quadrature nodes per side of a light, or random samples per light.
+        shadows: whether "direct" traces shadows.
+        patches: approximate number of patches for "radiosity".
+        gather: rays from each visible point by which "radiosity" gathers the light of other
+            surfaces, drawn anew for each sample; 0 interpolates between patches instead.
+        seed: of all random numbers.
+        tile: pixels computed at once; unused by "light", which renders whole pictures.
+        dtype: "float32" or "float64".
     """
 
     integrator: Literal["direct", "path", "rays", "light", "radiosity"] = "direct"
