@@ -99,6 +99,11 @@ def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
 
     Raises:
         ValueError: the pattern does not tile the plane or has other bands than the image.
+
+    Example:
+        >>> red, green, blue = (jnp.full((2, 2), x) for x in (1.0, 2.0, 3.0))
+        >>> jv.mosaic(jnp.stack([red, green, blue], axis=-1), jv.bayer("RGGB")).tolist()
+        [[1.0, 2.0], [2.0, 3.0]]
     """
     if image.ndim < 3:
         raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")

@@ -80,6 +80,12 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
     Returns:
         (right, down), each () m per m.
+
+    Example:
+        >>> barrel = jv.Distortion(radial=jnp.array([-0.1]))
+        >>> x, y = jv.optics.undistort(barrel, jnp.array(0.4875), jnp.array(0.0))
+        >>> round(float(x), 12)
+        0.5
     """
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 

@@ -81,6 +81,11 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
     Returns:
         (...) relative; negative where the image is inverted.
+
+    Example:
+        >>> f = jnp.array(0.05)
+        >>> round(float(jv.optics.magnification(2 * f, f)), 6)
+        -1.0
     """
     return -focal_length * _reciprocal(object_distance - focal_length)
 
@@ -179,6 +184,12 @@ def circle_of_confusion(
 
     Returns:
         (...) m on the sensor; 0, with gradient 0, in focus.
+
+    Example:
+        >>> z_f, f, N = jnp.array(1.0), jnp.array(0.05), jnp.array(2.0)
+        >>> c = jv.circle_of_confusion(jnp.array(jnp.inf), z_f, f, N)
+        >>> round(float(c) * 1e3, 4)  # f^2 / (N (z_f - f)), in mm
+        1.3158
     """
     image = image_distance(focus_distance, focal_length)
     blur = image * vergence_difference(object_distance, focus_distance)
@@ -200,6 +211,12 @@ def depth_of_field(
 
     Returns:
         (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
+
+    Example:
+        >>> z_f, f, N, c = (jnp.array(x) for x in (3.0, 0.05, 8.0, 30e-6))
+        >>> near, far = jv.depth_of_field(z_f, f, N, c)
+        >>> round(float(1 / near + 1 / far), 6)  # 2 / z_f
+        0.666667
     """
     focused = _reciprocal(focus_distance)
     image = image_vergence(focus_distance, focal_length)

@@ -35,6 +35,12 @@ def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
 
     Raises:
         ValueError: `electrons` is not an image.
+
+    Example:
+        >>> column = jnp.array([0.0, 0.0, 300.0, 0.0, 0.0]).reshape(5, 1, 1)
+        >>> spilled = jv.sensor.bloomed(column, jnp.array(100.0), jnp.array(1.0))
+        >>> spilled.ravel().tolist()
+        [0.0, 100.0, 100.0, 100.0, 0.0]
     """
     check_image("Sensor.blooming", electrons.shape)
     excess = jnp.maximum(electrons - full_well, 0)
