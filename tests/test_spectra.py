@@ -110,7 +110,7 @@ def test_widths_and_integral():
     fine = jnp.linspace(0.0, 1.0, 401)
     hump = jnp.sin(jnp.pi * fine) ** 2
     np.testing.assert_allclose(spectra.integrate_spectrum(hump, fine), 0.5, rtol=1e-12)
-    with pytest.raises(ValueError, match="at least two, got 1"):
+    with pytest.raises(ValueError, match="at least two values, got 1"):
         spectra.band_widths(jnp.ones(1))
 
 
