@@ -97,8 +97,7 @@ def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
 
 
 def norm(v: Vec3) -> Scalars:
-    """Euclidean length of vectors, which neither over- nor underflows; gradient 0 at the zero
-    vector.
+    """Euclidean length of vectors; gradient 0 at the zero vector.
 
     Args:
         v: (..., 3) or `Vec`, in any unit.
@@ -287,8 +286,7 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """log(1 + less) where `rounded` is that sum as it was rounded, and log(rounded) where `less` is
-    0.
+    """log(1 + less) with `rounded` the rounded sum; log(rounded) where `less` is 0.
 
     One logarithm, corrected for the rounding of the sum (Kahan; log1p costs twice as much).
     """
@@ -305,8 +303,7 @@ def _log_of_sum_jvp(primals, tangents):
 
 
 def power(base: Scalars, exponent: Scalars) -> Scalars:
-    """base ** exponent for base >= 0, with 0 ** positive = 0 and finite gradients in both
-    arguments.
+    """base ** exponent, with 0 ** positive = 0 and finite gradients in both arguments.
 
     A negative base counts as 0.
     """

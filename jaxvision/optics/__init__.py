@@ -1,5 +1,6 @@
-"""From the scene to the sensor's surface: projection, focus, apertures, diffraction, vignetting,
-distortion and chromatic aberrations of a lens.
+"""The optics of a camera, from the scene to the sensor's surface.
+
+Projection, focus, apertures, diffraction, vignetting, distortion and chromatic aberrations.
 """
 
 from .aperture import aperture_area, aperture_corners, aperture_kernel, aperture_point

@@ -44,8 +44,7 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
 
 
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
-    """Irradiance of the Airy pattern relative to its middle: (2 J_1(x) / x)^2, x = pi r / (lambda
-    N).
+    """The Airy pattern: irradiance (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
     Times pi / (2 lambda N)^2 its integral over the plane is 1.
 

@@ -1,9 +1,9 @@
-"""Distortion of the image by a lens: from the slopes of chief rays to their places on the sensor,
-in units of the image distance, and back.
+"""Distortion by a lens: from the slopes of chief rays to their places on the sensor, and back.
 
-Slopes are relative: m to the side per m forward. Forward is the closed form of `Distortion`; back
-is Newton's method, which started at the distorted place converges for barrels and pincushions
-alike. Its derivative is that of the implicit function, not of the steps.
+Places are in units of the image distance. Slopes are relative: m to the side per m forward. Forward
+is the closed form of `Distortion`; back is Newton's method, which started at the distorted place
+converges for barrels and pincushions alike. Its derivative is that of the implicit function, not of
+the steps.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).

@@ -78,8 +78,7 @@ def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str 
 def undistort_image(
     view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic"
 ) -> Image:
-    """The picture that the view would have taken without distortion: the inverse of
-    `distort_image`.
+    """The picture without the view's distortion: the inverse of `distort_image`.
 
     Args:
         view: the lens; without distortion it returns the picture itself.

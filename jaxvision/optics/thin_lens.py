@@ -91,8 +91,7 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Image distance over lens diameter, z_i / d = N (1 + |m|), with the lens in focus at a
-    distance.
+    """Image distance over lens diameter, z_i / d = N (1 + |m|), for a lens in focus.
 
     It determines exposure and diffraction, and is N at infinity focus.
 

@@ -73,8 +73,7 @@ Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularA
 
 
 class Rim(eqx.Module):
-    """A round aperture in front of the lens (the edge of its front element) that cuts off oblique
-    light.
+    """A round edge in front of the aperture, of the front element, that cuts off oblique light.
 
     Attributes:
         distance: () m in front of the aperture, >= 0.
@@ -111,8 +110,7 @@ class Diffraction(eqx.Module):
 
 
 class Distortion(eqx.Module):
-    """Polynomial distortion: where the lens images the ray of slope (x, y), relative to an ideal
-    lens.
+    """Polynomial distortion: where the lens images a ray that an ideal lens images at (x, y).
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)

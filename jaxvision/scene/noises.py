@@ -100,8 +100,7 @@ ShotNoise = PoissonShotNoise | FastPoissonShotNoise | GaussianShotNoise
 
 
 class ResetNoise(eqx.Module):
-    """The kT/C noise of a sense node that is reset before each read-out, without correlated
-    sampling.
+    """The kT/C noise of a sense node reset before each read-out without correlated sampling.
 
     Attributes:
         capacitance: () F, >= 0.

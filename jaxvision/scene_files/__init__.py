@@ -1,5 +1,4 @@
-"""Scene files: TOML with lights, surfaces, materials and a camera, read as the records of a
-`Scene`.
+"""Scene files: TOML with lights, surfaces, materials and a camera, read as records.
 
 `schema` documents the format. Eager; every mistake is an `InputError` of one sentence that names
 the file and the object. The scenes that ship with the library are read by their names.

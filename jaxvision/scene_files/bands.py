@@ -94,8 +94,7 @@ def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quan
 
 
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
-    """Matrix that reduces a spectrum at given wavelengths to the bands of the scene, before
-    clipping.
+    """Matrix from a spectrum at given wavelengths to the bands of the scene, before clipping.
 
     Args:
         known: (known,) m.

@@ -26,8 +26,9 @@ Counts = Float[Array, "... channels"]  # one channel under a colour filter, else
 
 
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
-    """Photons per second and pixel: lambda E A / (h c). Times the exposure time it is mu_p of EMVA
-    1288.
+    """Photons per second and pixel: lambda E A / (h c).
+
+    Times the exposure time it is mu_p of EMVA 1288.
 
     Args:
         irradiance: (..., bands) W m^-2.
