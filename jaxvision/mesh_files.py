@@ -39,7 +39,7 @@ def read_mesh(
 
     Args:
         path: the file.
-        scale: m per unit of the file, no unit if the file is in m.
+        scale: m per unit of the file, 1 if it is in m.
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
         smooth: take the file's normals at the vertices or, if it has none, the means of the
