@@ -44,12 +44,19 @@ from ._numerics import (
     safe_sqrt as safe_sqrt,
 )
 from ._types import (
+    Colour as Colour,
+    Image as Image,
+    Key as Key,
+    Scalar as Scalar,
+    Scalars as Scalars,
+    Spectrum as Spectrum,
     as_dtype as as_dtype,
     as_float as as_float,
     as_optional_float as as_optional_float,
 )
 from ._vector import (
     Vec as Vec,
+    Vector as Vector,
     as_array as as_array,
     as_vec as as_vec,
 )

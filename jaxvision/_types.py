@@ -1,4 +1,4 @@
-"""Array aliases, the dtype-keeping conversions, shape checks and grouping. Nothing here computes.
+"""Array aliases, the conversions that keep a dtype, and checks. Nothing here computes.
 
 Axis names: `...` any batch, `bands` spectral bands (RGB is three bands), `h w` image rows and
 columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray or pixel: the caller
@@ -13,7 +13,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
+
+
+class _OneOf(type):
+    """The class of an alias of several kinds, of which an instance is one."""
+
+    kinds: tuple[type, ...]
+
+    def __instancecheck__(cls, x: Any) -> bool:
+        return any(isinstance(x, kind) for kind in cls.kinds)
+
+
+def print_by_name(aliases: dict[str, Any], *names: str) -> None:
+    """Makes each alias of array types a class of that name, so that signatures, `help` and type
+    errors say `Scalar` instead of what it stands for. `aliases`: the `globals()` of its module."""
+    module = aliases["__name__"].partition("._")[0]
+    for name in names:
+        alias, kinds = aliases[name], get_args(aliases[name])
+        members = {"__module__": module, "__doc__": f"{name} = {alias}", "kinds": kinds}
+        is_one = not kinds
+        aliases[name] = (type(alias) if is_one else _OneOf)(name, (alias,) * is_one, members)
+
 
 Scalar = Float[Array, ""]
 Scalars = Float[Array, "..."]
@@ -21,6 +42,7 @@ Colour = Float[Array, " bands"]
 Spectrum = Float[Array, "... bands"]
 Image = Float[Array, "*batch h w bands"]
 Key = PRNGKeyArray | Shaped[Array, "2"]
+print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key")
 
 Record = TypeVar("Record")
 
@@ -174,58 +196,3 @@ def check_range(
         most = "" if high == np.inf else f" and at most {high:g}"
         kind = "finite, " if finite else ""
         raise ValueError(f"{name} must be {kind}{least} {low:g}{most}, got {wrong}.")
-
-
-def group_by_structure(
-    records: Sequence[Record], *, largest: int | None = None
-) -> list[tuple[tuple[int, ...], Record]]:
-    """Records of equal kind and leaf shapes, stacked along a new leading axis.
-
-    Each group is (indices into `records`, stacked record); groups and members keep their order.
-    Structure is what `jit` compiles for, so one group is one piece of compiled code. A record with
-    an array of more than `largest` numbers is a group of its own: `take` by a pixel's index would
-    copy its tables for every pixel.
-    """
-    members: dict[Any, list[int]] = {}
-    for i, record in enumerate(records):
-        leaves, structure = jax.tree.flatten(record)
-        kind = structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        if largest is not None and any(leaf.size > largest for leaf in leaves):
-            kind = kind, i
-        members.setdefault(kind, []).append(i)
-    return [
-        (
-            tuple(group),
-            jax.tree.map(lambda *leaves: jnp.stack(leaves), *(records[i] for i in group)),
-        )
-        for group in members.values()
-    ]
-
-
-def take(
-    members: tuple[int, ...], group: Record, index: Int[Array, ""]
-) -> tuple[Record, Bool[Array, ""]]:
-    """The record of that index from a stacked group, and whether it is a member (if not, the
-    record is the group's first). A group of one is not gathered from."""
-    if len(members) == 1:
-        return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
-    if members == tuple(range(members[0], members[0] + len(members))):
-        slot = index - members[0]
-        found = (slot >= 0) & (slot < len(members))
-        slot = jnp.where(found, slot, 0)
-    else:
-        slots = np.full(max(members) + 2, -1)
-        slots[list(members)] = np.arange(len(members))
-        slot = jnp.asarray(slots)[jnp.minimum(index, len(slots) - 1)]
-        found = slot >= 0
-        slot = jnp.maximum(slot, 0)
-    return jax.tree.map(lambda leaf: row(leaf, slot), group), found
-
-
-def row(leaf: Array, slot: Int[Array, ""]) -> Array:
-    """leaf[slot] for a slot that exists, of a few numbers one by one: each is then a gather of
-    scalars, which vector units have, and only those that are used are read."""
-    if leaf.ndim == 2 and leaf.shape[1] <= 4:
-        columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
-        return jnp.stack(columns)
-    return leaf.at[slot].get(mode="promise_in_bounds")

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._types import Scalars
+from ._types import Scalars, print_by_name
 
 
 class Vec(eqx.Module):
@@ -53,6 +53,7 @@ class Vec(eqx.Module):
 
 Vec3 = Float[Array, "... 3"] | Vec
 Vector = Float[Array, "3"] | Vec
+print_by_name(globals(), "Vector")
 
 
 def as_vec(v: Vec3) -> Vec:

@@ -17,11 +17,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._numerics import arctan2, norm, safe_sqrt, smallest_divisor
-from ._types import Scalars, as_relative
+from ._types import Scalars, as_relative, print_by_name
 from ._vector import Vec
 from .colour_data import cone_matrix, luma_weights, rgb_to_xyz_matrix
 
 Colours = Float[Array, "... 3"]
+print_by_name(globals(), "Colours")
 
 # ---------------------------------------------------------------- linear maps
 

@@ -23,11 +23,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._numerics import smallest_divisor
-from ._types import Scalars, as_relative
+from ._types import Scalars, as_relative, print_by_name
 from .point_ops import srgb_decode, srgb_encode
 
 Layer = Float[Array, "... _"]
 Alpha = Float[Array, "... 1"]
+print_by_name(globals(), "Layer", "Alpha")
 
 # (F_A of alpha_B, F_B of alpha_A): Porter and Duff, section 4.2, and their "plus" of section 4.5.
 _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]] = {

@@ -7,7 +7,7 @@ one axis
 
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
-with static numbers that `_ghosts` gives for any reach, also beyond several widths of the picture.
+with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
 The names are those of Szeliski, Computer Vision, section 3.2. OpenCV's default, c b | a b c d |
 c b, is not among them: `numpy.pad` with mode "reflect" makes it, before any filter.
 """
@@ -21,11 +21,12 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped
 
-from ._types import as_float
+from ._types import as_float, print_by_name
 
 Picture = Shaped[Array | np.ndarray, "*picture"]
 Filtered = Float[Array, "*filtered"]
 Widths = Sequence[Sequence[int]]
+print_by_name(globals(), "Picture", "Filtered")
 
 # name: what stands beyond (a b c d), then the names of others
 BORDERS = {
@@ -63,7 +64,7 @@ class Ghosts(NamedTuple):
     last: np.ndarray
 
 
-def _check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
+def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
     """Raises `ValueError` for an unknown border, its message lists all, with the names that numpy
     and scipy give them; and for one of those `refused`."""
     if border not in BORDERS:
@@ -75,7 +76,7 @@ def _check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
         raise ValueError(f'border "{border}" {_REFUSALS[border]}.')
 
 
-def _check_picture(picture: ArrayLike) -> None:
+def check_picture(picture: ArrayLike) -> None:
     """Raises `ValueError` for a picture of fewer than two axes, without pixels or complex."""
     shape = jnp.shape(picture)
     if len(shape) < 2 or 0 in shape:
@@ -90,7 +91,7 @@ def _check_picture(picture: ArrayLike) -> None:
         )
 
 
-def _ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
+def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
     """The border of an axis of n samples, as the coefficients of the module's equation.
 
     With "constant" and "normalised_zero" they are those of "zero".
@@ -133,17 +134,17 @@ def pad(
     fewer than two axes, without pixels or complex, widths of another form or below 0, or an unknown
     border.
     """
-    image, restore = _as_planes(picture)
-    _check_border(border)
+    image, restore = as_planes(picture)
+    check_border(border)
     if np.shape(widths) != (2, 2) or np.min(widths) < 0:
         raise ValueError(f"widths must be ((top, bottom), (left, right)), each >= 0, got {widths}.")
     outside = jnp.asarray(fill, image.dtype) if border == "constant" else jnp.zeros((), image.dtype)
     for axis, (before, after) in zip((1, 2), widths, strict=True):
-        image = _continued(image, axis, before, after, border, outside)
+        image = continued(image, axis, before, after, border, outside)
     return restore(image)
 
 
-def _continued(
+def continued(
     image: Float[Array, "images h w bands"],
     axis: int,
     before: int,
@@ -153,7 +154,7 @@ def _continued(
 ) -> Float[Array, "images _ _ bands"]:
     """One axis of a stack of images continued: only the two strips that are new are gathered."""
     n = image.shape[axis]
-    rule = _ghosts(border, n, before, after)
+    rule = ghosts(border, n, before, after)
     first_sample, last_sample = (lax.slice_in_dim(image, k, k + 1, axis=axis) for k in (0, n - 1))
 
     def strip(chosen: slice) -> Float[Array, "images rows columns bands"]:
@@ -180,14 +181,14 @@ def _continued(
     return joined.reshape(image.shape[0], rows, -1, image.shape[-1])
 
 
-def _as_planes(
+def as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
     """A picture as a stack of floating images, and the way back to its own axes.
 
-    `ValueError` as for `_check_picture`.
+    `ValueError` as for `check_picture`.
     """
-    _check_picture(picture)
+    check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)
     if len(shape) == 2:
         return image[None, :, :, None], lambda stack: stack[0, :, :, 0]

@@ -13,9 +13,10 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from ._bands import FEW, apart
+from ._groups import group_by_structure, take
 from ._numerics import dot
 from ._staging import in_tiles, reordered, stored, together
-from ._types import Colour, Image, Key, Scalar, group_by_structure, take
+from ._types import Colour, Image, Key, Scalar
 from ._vector import Vec, where
 from .geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from .lights import Balanced, LightFieldLight, Rule, Window, can_be_seen, nearest_seen, rule_for

@@ -19,8 +19,9 @@ from jaxtyping import Array, Bool, Float
 from . import brdf
 from ._bands import FEW, Bands, apart, plus
 from ._directions import balanced, in_frame, where_clear
+from ._groups import group_by_structure
 from ._staging import derived_together, together
-from ._types import Colour, Scalar, common_dtype, group_by_structure
+from ._types import Colour, Scalar, common_dtype
 from ._vector import Vec, Vector, as_vec
 from .brdf.mirror import Mirror
 from .geometry import Ray, Shapes, mirror_direction, sorted_shapes

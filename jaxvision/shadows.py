@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool
 
+from ._groups import group_by_structure
 from ._staging import stored
-from ._types import Scalar, common_dtype, group_by_structure
+from ._types import Scalar, common_dtype
 from ._vector import Vector, as_vec
 from .geometry import Shapes, blocked, occluded, sorted_shapes
 from .lights import Incident, Quadrature, Rule, incident, incident_sample, light_nodes

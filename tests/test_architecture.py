@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 # Modules that do not exist yet have their place already; one that is not named here is an error.
 FLOORS = [
     {"errors", "_types", "_staging"},
-    {"_vector", "_bands", "scene", "_random", "colour_filters"},
+    {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics"},
     {"spectra", "hemisphere", "padding"},
     {"geometry", "colour_data"},

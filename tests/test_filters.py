@@ -10,7 +10,7 @@ from jax.test_util import check_grads
 from scipy import ndimage
 
 from jaxvision import filters
-from jaxvision.filters.convolution import METHODS
+from jaxvision.filters.convolution import CHOICES
 from jaxvision.padding import BORDERS
 
 RNG = np.random.default_rng(8)
@@ -91,7 +91,7 @@ def test_anchor(anchor):
     np.testing.assert_allclose(turned, got, atol=1e-12)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", CHOICES)
 def test_batch_bands_and_a_kernel_for_each_band(method):
     batch = RNG.normal(size=(2, 2, 9, 7, 3))
     kernel = RNG.normal(size=(5, 5, 3))
@@ -109,7 +109,7 @@ def test_methods_agree_in_single_precision(border):
     kernel = np.outer(np.hanning(13)[1:-1], np.hanning(13)[1:-1])
     kernel /= kernel.sum()
     truth = filters.correlate(image.astype(jnp.float64), kernel, border=border, method="conv")
-    for method in METHODS:
+    for method in CHOICES:
         got = filters.correlate(image, kernel, border=border, method=method)
         assert got.dtype == jnp.float32
         np.testing.assert_allclose(got, truth, atol=1e-6, err_msg=method)
@@ -140,7 +140,7 @@ def test_integers_strides_and_orders_of_memory():
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-8)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", CHOICES)
 def test_nan_reaches_its_windows_and_with_fft_its_plane(method):
     image = np.ones((11, 11, 2))
     image[5, 5, 0] = np.nan
@@ -315,7 +315,7 @@ def test_separable_is_its_outer_product():
     for border in ("mirror", "normalised_zero"):
         positive = [np.abs(v) for v in (column, row)]
         expected = filters.correlate(PLANE, np.outer(*positive), border=border, fill=0.2)
-        for method in METHODS:
+        for method in CHOICES:
             got = filters.correlate_separable(
                 PLANE, *positive, border=border, fill=0.2, method=method
             )

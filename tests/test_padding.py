@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from jaxvision.padding import BORDERS, _ghosts, pad
+from jaxvision.padding import BORDERS, ghosts, pad
 
 RNG = np.random.default_rng(4)
 NUMPY = {
@@ -67,7 +67,7 @@ def test_batch_and_bands_are_planes_of_their_own(border):
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_ghosts_are_what_pad_does(border, n):
     row = RNG.normal(size=n)
-    rule = _ghosts(border, n, 7, 12)
+    rule = ghosts(border, n, 7, 12)
     by_rule = rule.own * row[rule.source] + rule.first * row[0] + rule.last * row[-1]
     np.testing.assert_allclose(
         pad(row[None], ((0, 0), (7, 12)), border=border)[0], by_rule, atol=1e-12

@@ -1,11 +1,18 @@
 """Conversions keep dtypes, checks say what they got, grouping keeps order."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beartype import beartype
+from jaxtyping import TypeCheckError, jaxtyped
 
+from jaxvision._groups import group_by_structure, take
 from jaxvision._types import (
+    Colour,
+    Key,
     as_dtype,
     as_float,
     as_optional_float,
@@ -13,12 +20,26 @@ from jaxvision._types import (
     check_count,
     check_kind,
     check_shape,
-    group_by_structure,
-    take,
 )
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.phong import Phong
 from jaxvision.scene import Sphere
+
+
+def test_aliases_print_as_their_names_and_still_check():
+    """What a signature and a type error say, and that axes of one name still have one length."""
+
+    @jaxtyped(typechecker=beartype)
+    def mixed(a: Colour, b: Colour, key: Key) -> Colour:
+        return a + b
+
+    assert str(inspect.signature(mixed)).count("jaxvision.Colour") == 3
+    assert str(inspect.signature(mixed)).count("jaxvision.Key") == 1
+    for key in (jax.random.key(1), jax.random.PRNGKey(1)):
+        assert mixed(jnp.ones(3), jnp.ones(3), key).shape == (3,)
+    for wrong in ((jnp.ones(4), jax.random.key(1)), (jnp.ones(3), jnp.ones(3))):
+        with pytest.raises(TypeCheckError, match=r"jaxvision\.(Colour|Key)"):
+            mixed(jnp.ones(3), *wrong)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
 from .._staging import stored
-from .._types import as_float, check_choice
+from .._types import as_float, check_choice, print_by_name
 from ..colour_filters import Pattern, check_pattern, sites
 from ..filters import correlate_separable
 from ..padding import pad
@@ -31,6 +31,7 @@ Mosaic = Shaped[Array | np.ndarray, "*mosaic"]
 Picture = Float[Array, "*batch h w bands"]
 Plane = Float[Array, "h w"]
 Mask = Bool[Array, "h w"]
+print_by_name(globals(), "Mosaic", "Picture")
 
 
 def demosaic(

@@ -6,11 +6,12 @@ Elementwise on relative values of any shape; the named curves are in `point_ops`
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Scalars, as_relative
+from .._types import Scalars, as_relative, print_by_name
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
 
 Points = Float[Array, " points"]
+print_by_name(globals(), "Points")
 
 
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import power, smallest_divisor
-from .._types import Image, Scalar, Spectrum, as_relative
+from .._types import Image, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
+print_by_name(globals(), "Gains")
 
 
 def white_balance(

@@ -1,7 +1,7 @@
 """Three ways to one number: g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
 
 Images are (n, h, w, c), kernels (kh, kw, c), or (kh, kw, 1) for all bands alike. Borders are "none"
-(only whole windows: h - kh + 1 rows) or one that `padding._ghosts` knows; the result is then (n, h,
+(only whole windows: h - kh + 1 rows) or one that `padding.ghosts` knows; the result is then (n, h,
 w, c). Values in any unit.
 """
 
@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._staging import stored
-from ..padding import _continued, _ghosts
+from ..padding import continued, ghosts
 
 Stack = Float[Array, "n h w c"]
 Result = Float[Array, "n _ _ c"]
@@ -31,7 +31,7 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
     zero = jnp.zeros((), image.dtype)
     for axis in (1, 2):
         before, after = anchor[axis - 1], size[axis - 1] - 1 - anchor[axis - 1]
-        image = _continued(image, axis, before, after, border, zero)
+        image = continued(image, axis, before, after, border, zero)
     return image
 
 
@@ -99,7 +99,7 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
         h -= kh - 1
         index, inside = np.arange(h + kh - 1), np.ones(h + kh - 1)
     else:
-        index, inside, *_ = _ghosts(border, h, anchor[0], kh - 1 - anchor[0])
+        index, inside, *_ = ghosts(border, h, anchor[0], kh - 1 - anchor[0])
     # one weight for all bands is a number in the loop, else a row of numbers
     weights = kernel if kernel.shape[-1] == 1 else stored(lambda k: jnp.tile(k, w), kernel)
 

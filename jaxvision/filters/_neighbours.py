@@ -13,12 +13,13 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from .._numerics import smallest_divisor
-from .._types import Scalars
-from ..padding import _as_planes, pad
+from .._types import Scalars, print_by_name
+from ..padding import as_planes, pad
 
 # Pictures in one call may differ in size or bands, so their axes have no names to agree on.
 AnyPicture = Shaped[Array | np.ndarray, "..."]
 Floats = Float[Array, "..."]
+print_by_name(globals(), "AnyPicture", "Floats")
 
 Plane = Float[Array, "images _ _"]
 Planes = tuple[Plane, ...]
@@ -26,7 +27,7 @@ Planes = tuple[Plane, ...]
 
 def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
     """The bands of a picture, and the way back."""
-    stack, restore = _as_planes(picture)
+    stack, restore = as_planes(picture)
     planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
     return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
 

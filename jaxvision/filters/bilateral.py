@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Int
 
 from .._numerics import log_of_zero
 from .._types import Scalars
-from ..padding import _check_border
+from ..padding import check_border
 from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
 
 
@@ -80,7 +80,7 @@ def joint_bilateral_filter(
             f"window must be one of {', '.join(WINDOWS)} and difference one of "
             f"{', '.join(DIFFERENCES)}, got {window!r} and {difference!r}."
         )
-    _check_border(border, refused=("constant",))
+    check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     edges, _ = planes_of(guide)
     if values[0].shape != edges[0].shape:

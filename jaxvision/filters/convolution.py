@@ -26,33 +26,28 @@ under "auto" their reach grows with the kernel: on a CPU one of 15 x 15 spoils 2
 Derivatives by picture and by kernel are correlations themselves, of any order, forward and reverse.
 """
 
-from collections.abc import Iterable, Sequence
-from functools import partial, reduce
-from operator import add, index, mul
+from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Shaped
 
-from .._numerics import smallest_divisor
-from .._types import as_float
-from ..padding import Filtered, Picture, _as_planes, _check_border, _check_picture, _ghosts
-from ._bilinear import correlate_stack
-from ._methods import Anchor, Kernel, Stack
+from .._types import check_choice, print_by_name
+from ..padding import Filtered, Picture, check_border, check_picture
+from ._methods import METHODS, Anchor
+from ._terms import Fill, Settings, Terms, filtered
 
-# (kh, kw) or (kh, kw, bands); (taps,) or (taps, bands); () or (bands,)
+# (kh, kw) or (kh, kw, bands); (taps,) or (taps, bands)
 AnyKernel = Shaped[Array | np.ndarray, "..."]
 AnyTaps = Shaped[Array | np.ndarray, "..."]
+print_by_name(globals(), "AnyKernel", "AnyTaps")
 Numbers = Sequence[Any]
-Fill = Float[Array | np.ndarray, "..."] | float
-# The kernel is the sum of terms, each the product of its passes.
-Terms = tuple[tuple[AnyKernel, ...], ...]
 
-METHODS = ("auto", "conv", "separable", "direct", "fft")
+CHOICES = ("auto", "separable", *METHODS)
 
 # What a transform and what a pair of passes cost on a CPU, in taps of a direct sum.
 _TRANSFORM, _PAIR = 240, 8
@@ -77,19 +72,15 @@ def correlate(
     with a kernel that has no rank to know: traced (`low_rank` factors it) or not finite.
     """
     picture, weights = _as_array(picture), _as_array(kernel)
-    _check_picture(picture)
+    check_picture(picture)
     size = _size(weights)
     if weights.ndim == 3:
         _check_bands(weights.shape[2], picture)
-    _check_border(border)
-    chosen = _method(method, weights, picture)
-    if chosen == "separable":
-        terms, chosen = _factored(weights, picture), _pass_method()
-    else:
-        terms = ((weights,),)
-    return _filtered(
-        picture, terms, fill, anchor=_anchor(anchor, size), border=border, method=chosen
-    )
+    check_border(border)
+    method = _method(method, weights, picture)
+    separable = method == "separable"
+    terms = _factored(weights, picture) if separable else ((weights.reshape(*size, -1),),)
+    return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, method))
 
 
 def convolve(
@@ -128,121 +119,26 @@ def correlate_separable(
     Methods "conv", "direct" and "fft" take the product kernel whole. Errors as for `correlate`.
     """
     picture, down, along = map(_as_array, (picture, column, row))
-    _check_picture(picture)
+    check_picture(picture)
     for taps in (down, along):
-        if jnp.ndim(taps) not in (1, 2) or 0 in jnp.shape(taps):
-            raise ValueError(f"taps must be (n,) or (n, bands), got shape {jnp.shape(taps)}.")
+        if taps.ndim not in (1, 2) or 0 in taps.shape:
+            raise ValueError(f"taps must be (n,) or (n, bands), got shape {taps.shape}.")
         if taps.ndim == 2:
             _check_bands(taps.shape[1], picture)
-    _check_border(border)
-    _check_method(method)
-    anchor = _anchor(anchor, (len(down), len(along)))
-    return _separable(picture, down, along, fill, anchor=anchor, border=border, method=method)
-
-
-# ---------------------------------------------------------------- the sum of terms
-
-
-@partial(jax.jit, static_argnames=("anchor", "border", "method"))
-def _filtered(
-    picture: Picture, terms: Terms, fill: Fill, *, anchor: Anchor, border: str, method: str
-) -> Filtered:
-    """The sum over terms of the picture after each of its passes, and what the border adds."""
-    image, restore = _as_planes(picture)
-    terms = tuple(tuple(_with_bands(kernel, image.dtype) for kernel in term) for term in terms)
-    outer = "zero" if border in ("constant", "normalised_zero") else border
-    total = _sum(_after(image, term, anchor, outer, method) for term in terms)
-    if border == outer:
-        return restore(total)
-    kernel = _sum(map(_product, terms))
-    inside, outside = _shares(kernel, image.shape[1:3], anchor)
-    if border == "constant":
-        return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
-    # a sum that is 0 by its weights is the rounding of as many additions
-    rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
-    least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
-    held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))
-    return restore(jnp.where(held, total / jnp.where(held, inside, 1), 0))
-
-
-@partial(jax.jit, static_argnames=("anchor", "border", "method"))
-def _separable(
-    picture: Picture,
-    column: AnyTaps,
-    row: AnyTaps,
-    fill: Fill,
-    *,
-    anchor: Anchor,
-    border: str,
-    method: str,
-) -> Filtered:
-    dtype = as_float(picture).dtype
-    down, along = _with_bands(column[:, None], dtype), _with_bands(row[None], dtype)
-    if method in ("auto", "separable"):
-        term, method = (down, along), _pass_method()
-    else:
-        term = (down * along,)
-    return _filtered(picture, (term,), fill, anchor=anchor, border=border, method=method)
-
-
-def _with_bands(kernel: AnyKernel, dtype: np.dtype) -> Kernel:
-    planes = jnp.asarray(kernel, dtype)
-    return planes if planes.ndim == 3 else planes[:, :, None]
-
-
-def _after(
-    image: Stack, term: tuple[Kernel, ...], anchor: Anchor, border: str, method: str
-) -> Stack:
-    for kernel in term:
-        own = (anchor[0] * (kernel.shape[0] > 1), anchor[1] * (kernel.shape[1] > 1))
-        image = correlate_stack(image, kernel, anchor=own, border=border, method=method)
-    return image
-
-
-def _sum(parts: Iterable[Array]) -> Array:
-    return reduce(add, parts)
-
-
-def _product(term: tuple[Kernel, ...]) -> Kernel:
-    return reduce(mul, term)
-
-
-def _shares(
-    kernel: Kernel, size: tuple[int, ...], anchor: Anchor
-) -> tuple[Float[Array, "1 h w _"], Float[Array, "1 h w _"]]:
-    """What of the kernel's sum lies inside the picture, and what outside, for each of its pixels:
-    two sums, so that neither is the rounding of the other."""
-
-    def reach(axis: int) -> np.ndarray:
-        n, taps = size[axis], kernel.shape[axis]
-        inside = _ghosts("zero", n, anchor[axis], taps - 1 - anchor[axis]).own
-        return inside[np.arange(n)[:, None] + np.arange(taps)]
-
-    def share(rows: np.ndarray, columns: np.ndarray) -> Float[Array, "h w _"]:
-        r, c = jnp.asarray(rows, kernel.dtype), jnp.asarray(columns, kernel.dtype)
-        return jnp.einsum("yi,ijb,xj->yxb", r, kernel, c, precision=lax.Precision.HIGHEST)
-
-    rows, columns = reach(0), reach(1)
-    beside = share(1 - rows, np.ones_like(columns)) + share(rows, 1 - columns)
-    return share(rows, columns)[None], beside[None]
+    check_border(border)
+    check_choice("method", method, CHOICES)
+    size = len(down), len(along)
+    passes = down.reshape(size[0], 1, -1), along.reshape(1, size[1], -1)
+    method = "separable" if method == "auto" else method
+    return filtered(picture, (passes,), fill, Settings(_anchor(anchor, size), border, method))
 
 
 # ---------------------------------------------------------------- choices
 
 
-def _pass_method() -> str:
-    """How one pass over columns or rows is taken where the program runs."""
-    return "direct" if jax.default_backend() == "cpu" else "conv"
-
-
-def _check_method(method: str) -> None:
-    """Raises `ValueError` for an unknown method."""
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}.")
-
-
 def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
-    _check_method(method)
+    """The method that "auto" stands for, and the refusals of "separable"."""
+    check_choice("method", method, CHOICES)
     traced = isinstance(kernel, Tracer)
     if method == "separable" and traced:
         raise ValueError(

@@ -8,7 +8,8 @@ weights of a derivative have sum 0, `ValueError`.
 from typing import NamedTuple
 
 from ..padding import Filtered, Picture
-from .convolution import Fill, _check_weighs, correlate, correlate_separable
+from ._terms import Fill
+from .convolution import _check_weighs, correlate, correlate_separable
 from .kernels import derivative_kernels, laplacian_kernel
 
 

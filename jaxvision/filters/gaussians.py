@@ -23,12 +23,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss
 
-from .._types import Scalar, as_float
+from .._types import Scalar, as_float, print_by_name
 from ..padding import Filtered, Picture
-from .convolution import Fill, _check_weighs, correlate_separable
+from ._terms import Fill
+from .convolution import _check_weighs, correlate_separable
 from .kernels import gaussian_size
 
 Sigma = Float[Array, ""] | Float[Array, "2"] | float
+print_by_name(globals(), "Sigma")
 
 _SMALLEST_SIGMA = 0.01
 _SAMPLINGS = ("sampled", "integrated")
@@ -59,10 +61,8 @@ def gaussian(
         if isinstance(sigma, Tracer):
             raise ValueError("a traced sigma needs a size: pass size=gaussian_size(largest sigma).")
         size = gaussian_size(float(np.max(np.asarray(sigma))), truncate=truncate)
-    return _gaussian(
-        picture, sigma, fill, size=size, order=order, sampling=sampling, border=border,
-        method=method,
-    )  # fmt: skip
+    column, row = _kernels(sigma, size, order, sampling)
+    return correlate_separable(picture, column, row, border=border, fill=fill, method=method)
 
 
 def laplacian_of_gaussian(
@@ -105,22 +105,16 @@ def gaussian_kernel(
     return jax.nn.softmax(-0.5 * (x / sigma) ** 2) * _hermite(x / sigma, order) / sigma**order
 
 
-@partial(jax.jit, static_argnames=("size", "order", "sampling", "border", "method"))
-def _gaussian(
-    picture: Picture,
-    sigma: Sigma,
-    fill: Fill,
-    *,
-    size: int,
-    order: tuple[int, int],
-    sampling: str,
-    border: str,
-    method: str,
-) -> Filtered:
+@partial(jax.jit, static_argnames=("size", "order", "sampling"))
+def _kernels(
+    sigma: Sigma, size: int, order: tuple[int, int], sampling: str
+) -> tuple[Float[Array, " taps"], Float[Array, " taps"]]:
+    """The kernels down and across."""
     down, across = jnp.broadcast_to(as_float(sigma), (2,))
-    column = gaussian_kernel(down, size=size, order=order[0], sampling=sampling)
-    row = gaussian_kernel(across, size=size, order=order[1], sampling=sampling)
-    return correlate_separable(picture, column, row, border=border, fill=fill, method=method)
+    return (
+        gaussian_kernel(down, size=size, order=order[0], sampling=sampling),
+        gaussian_kernel(across, size=size, order=order[1], sampling=sampling),
+    )
 
 
 def _hermite(x: Float[Array, "..."], order: int) -> Float[Array, "..."]:

@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from .._types import as_float
-from ..padding import _check_picture
+from ..padding import check_picture
 
 Pair = tuple[Array, Array]
 
@@ -40,7 +40,7 @@ def integral_image(image: ArrayLike) -> IntegralImage:
     """The integral image of (h, w) or (..., h, w, bands); integer images are summed as floating
     numbers, exactly while a sum fits the pair's digits (2^48 in float32). `ValueError` for an image
     of fewer than two axes, without pixels or complex."""
-    _check_picture(image)
+    check_picture(image)
     pixels = as_float(image)
     rows = _row_axis(pixels.ndim, "an image")
     margin = [(int(axis in (rows, rows + 1)), 0) for axis in range(pixels.ndim)]

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import as_float
-from ..padding import Filtered, Picture, _check_border, _check_picture
-from .convolution import Fill, _anchor, _filtered, _pass_method
+from ..padding import Filtered, Picture, check_border, check_picture
+from ._terms import Fill, Settings, filtered
+from .convolution import _anchor
 
 
 class LowRank(eqx.Module):
@@ -57,9 +58,11 @@ def correlate_low_rank(
 ) -> Filtered:
     """`correlate` by one pass down the columns and one along the rows for each rank.
     Errors as for `correlate`."""
-    _check_picture(picture)
-    _check_border(border)
-    rank, kh = kernel.columns.shape
-    anchor = _anchor(anchor, (kh, kernel.rows.shape[1]))
-    terms = tuple((kernel.columns[r][:, None], kernel.rows[r][None]) for r in range(rank))
-    return _filtered(picture, terms, fill, anchor=anchor, border=border, method=_pass_method())
+    check_picture(picture)
+    check_border(border)
+    size = kernel.columns.shape[1], kernel.rows.shape[1]
+    terms = tuple(
+        (column[:, None, None], row[None, :, None])
+        for column, row in zip(kernel.columns, kernel.rows, strict=True)
+    )
+    return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, "separable"))

@@ -15,11 +15,13 @@ from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
-from .._types import as_float, as_optional_float
-from ..padding import _check_border, _ghosts
-from .convolution import Fill, _anchor, _filtered
+from .._types import as_float, as_optional_float, print_by_name
+from ..padding import check_border, ghosts
+from ._terms import Fill, Settings, filtered
+from .convolution import _anchor
 
 Kernel = Float[Array | np.ndarray, "kh kw"]
+print_by_name(globals(), "Kernel")
 
 
 class MatrixForm(eqx.Module):
@@ -46,7 +48,7 @@ def filter_matrix(
 
     `ValueError` for an unknown border or an anchor outside the kernel.
     """
-    _check_border(border)
+    check_border(border)
     kernel, (h, w) = as_float(kernel), shape
     anchor = _anchor(anchor, (kernel.shape[0], kernel.shape[1]))
     stack = jnp.broadcast_to(kernel[:, :, None, None], (*kernel.shape, h, w))
@@ -65,9 +67,8 @@ def filter_matrix(
         return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
     if border == "constant":
         nothing = jnp.zeros(shape, kernel.dtype)
-        offset = _filtered(
-            nothing, ((kernel,),), fill, anchor=anchor, border=border, method="direct"
-        )
+        whole = ((kernel[:, :, None],),)
+        offset = filtered(nothing, whole, fill, Settings(anchor, border, "direct"))
         return MatrixForm(form.matrix, offset.ravel())
     return form
 
@@ -79,7 +80,7 @@ def per_pixel_matrix(
     border: str = "mirror",
 ) -> MatrixForm:
     """The matrix of `correlate_per_pixel`, which takes the same borders."""
-    _check_border(border, refused=("constant", "normalised_zero"))
+    check_border(border, refused=("constant", "normalised_zero"))
     kernels = as_float(kernels)
     kh, kw, h, w = kernels.shape
     anchor = _anchor(anchor, (kh, kw))
@@ -98,7 +99,7 @@ def _axis_entries(
     border: str, n: int, taps: int, anchor: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(tap, result, source, coefficient) of every product along one axis that is not 0."""
-    rule = _ghosts(border, n, anchor, taps - 1 - anchor)
+    rule = ghosts(border, n, anchor, taps - 1 - anchor)
     result, tap = (v.ravel() for v in np.mgrid[:n, :taps])
     ghost = result + tap
     parts = [

@@ -16,7 +16,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Shaped
 
-from ..padding import Picture, _as_planes, _check_border, pad
+from ..padding import Picture, as_planes, check_border, pad
 from .kernels import _both_ways
 
 Offsets = tuple[tuple[int, int], ...]
@@ -56,7 +56,7 @@ def median_filter(
         )
     middle = np.array(shape.shape) // 2
     offsets = tuple((int(i), int(j)) for i, j in np.argwhere(shape) - middle)
-    _check_border(border, refused=("constant", "normalised_zero"))
+    check_border(border, refused=("constant", "normalised_zero"))
     dtype = np.dtype(picture.dtype)
     if dtype not in (np.uint8, np.uint16) and not jnp.issubdtype(dtype, jnp.floating):
         raise ValueError(f"a picture is uint8, uint16 or floating here, got {dtype}.")
@@ -65,7 +65,7 @@ def median_filter(
 
 @partial(jax.jit, static_argnames=("offsets", "border"))
 def _median(picture: Picture, offsets: Offsets, border: str) -> Shaped[Array, "..."]:
-    values, restore = _as_planes(picture)
+    values, restore = as_planes(picture)
     n, height, width, bands = values.shape
     above, before = (max(0, -min(offset[side] for offset in offsets)) for side in (0, 1))
     below, after = (max(0, *(offset[side] for offset in offsets)) for side in (0, 1))

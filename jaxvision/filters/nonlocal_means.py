@@ -17,7 +17,7 @@ from jaxtyping import Array, Int
 
 from .._numerics import log_of_zero
 from .._types import Scalars
-from ..padding import Filtered, Picture, _check_border
+from ..padding import Filtered, Picture, check_border
 from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
 
 
@@ -55,7 +55,7 @@ def nonlocal_means_filter(
         raise ValueError(
             f"patch must be odd and radius at least 0, got patch={patch} and radius={radius}."
         )
-    _check_border(border, refused=("constant",))
+    check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     dtype = values[0].dtype
     scale = inverse(strength, dtype)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._staging import stored
 from .._types import as_float
-from ..padding import _as_planes, _check_border, _check_picture, _continued
+from ..padding import as_planes, check_border, check_picture, continued
 from ._neighbours import AnyPicture, Floats
 
 ROWS, COLUMNS = 1, 2  # of a stack of images
@@ -34,8 +34,8 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 
     `picture`: (h, w) or (..., h, w, bands) -> (ceil(h / 2), ceil(w / 2)) or with batch and bands.
     """
-    image, restore = _as_planes(picture)
-    _check_border(border, refused=("constant",))
+    image, restore = as_planes(picture)
+    check_border(border, refused=("constant",))
     for axis in ROWS, COLUMNS:
         image = stored(partial(_normalised, _reduced, axis=axis, border=border), image)
     return restore(image)
@@ -49,8 +49,8 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 
     `ValueError` unless `picture` has ceil(h / 2) rows and ceil(w / 2) columns.
     """
-    image, restore = _as_planes(picture)
-    _check_border(border, refused=("constant",))
+    image, restore = as_planes(picture)
+    check_border(border, refused=("constant",))
     coarse = image.shape[ROWS], image.shape[COLUMNS]
     if coarse != tuple(-(-n // 2) for n in size):
         raise ValueError(
@@ -64,7 +64,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
     """The image and `levels` - 1 reductions of it, finest first."""
     _check_levels(levels)
-    _check_picture(picture)
+    check_picture(picture)
     pyramid = [as_float(picture)]
     for _ in range(levels - 1):
         pyramid.append(reduce_by_two(pyramid[-1], border=border))
@@ -155,4 +155,4 @@ def _expanded(image: Stack, axis: int, border: str) -> Stack:
 
 
 def _around(image: Stack, axis: int, by: int, border: str) -> Stack:
-    return _continued(image, axis, by, by, border, jnp.zeros((), image.dtype))
+    return continued(image, axis, by, by, border, jnp.zeros((), image.dtype))

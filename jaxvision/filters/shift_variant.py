@@ -21,15 +21,17 @@ from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
 from .._staging import stored
-from .._types import as_float
-from ..padding import Filtered, Picture, Widths, _as_planes, _check_border, _check_picture, pad
+from .._types import as_float, print_by_name
+from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
 from ._methods import Anchor
-from .convolution import Fill, _anchor, correlate
+from ._terms import Fill
+from .convolution import _anchor, correlate
 from .gaussians import _SMALLEST_SIGMA, gaussian
 from .kernels import gaussian_size
 
 Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "..."]  # (h, w)
+print_by_name(globals(), "Kernels", "ScaleMap")
 # (radius in pixels, scale of each pixel) -> weight, before the weights are brought to sum 1
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 
@@ -209,7 +211,7 @@ def _rows_of_planes(
     picture: Picture, reach: Widths, border: str
 ) -> tuple[Planes, Callable[[Planes], Filtered]]:
     """A picture, padded, as (n, h, c, w), and the way back."""
-    image, restore = _as_planes(picture)
+    image, restore = as_planes(picture)
     wide = stored(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
     return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
 
@@ -253,7 +255,7 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
 
 def _plane(picture: Picture) -> tuple[int, ...]:
     """(h, w) of a picture; `ValueError` for what is none."""
-    _check_picture(picture)
+    check_picture(picture)
     return picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
 
 
@@ -265,7 +267,7 @@ def _check_map(name: str, values: Float[Array, "..."], picture: Picture) -> None
 
 
 def _check_linear(border: str) -> None:
-    _check_border(border)
+    check_border(border)
     if border in ("constant", "normalised_zero"):
         raise ValueError(
             f"a kernel for each pixel takes border zero, clamp, wrap, mirror or extend, got "

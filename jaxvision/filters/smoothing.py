@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 from .._numerics import smallest_divisor
 from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
-from .convolution import Fill, correlate_separable
+from ._terms import Fill
+from .convolution import correlate_separable
 from .gaussians import Sigma, gaussian
 from .kernels import _both_ways, binomial_kernel, box_kernel
 

@@ -13,12 +13,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Scalar, as_float
+from .._types import Scalar, as_float, print_by_name
 from ..padding import Filtered, Picture
-from .convolution import Fill, _check_weighs, correlate_separable
+from ._terms import Fill
+from .convolution import _check_weighs, correlate_separable
 from .gaussians import Sigma, gaussian
 
 Angle = Float[Array, ""] | Float[Array, "h w"]
+print_by_name(globals(), "Angle")
 Basis = tuple[Filtered, ...]
 
 # The paper's tables III and V: each basis filter is exp(-x^2 - y^2) times one polynomial in x and

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from .._groups import group_by_structure, take
 from .._numerics import dot
 from .._staging import stored, together
-from .._types import Scalar, group_by_structure, take
+from .._types import Scalar
 from .._vector import Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest

@@ -14,8 +14,11 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._types import print_by_name
+
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
 Stack = Shaped[Array, "n _ _ bands"]
+print_by_name(globals(), "Pixels")
 Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}

@@ -16,11 +16,12 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._types import as_relative
+from .._types import as_relative, print_by_name
 from ..compositing import checked_alpha
 
 Picture = Float[Array, "h w bands"]
 Alpha = Float[Array, "h w 1"]
+print_by_name(globals(), "Picture", "Alpha")
 
 
 def estimate_foreground(

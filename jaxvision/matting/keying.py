@@ -11,13 +11,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._numerics import safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars, as_relative
+from .._types import Scalar, Scalars, as_relative, print_by_name
 from ..compositing import checked_alpha
 from ..point_ops import clip
 
 Picture = Float[Array, "... bands"]
 Alpha = Float[Array, "... 1"]
 Layer = Float[Array, "... _"]
+print_by_name(globals(), "Picture", "Alpha", "Layer")
 
 
 def difference_matte(

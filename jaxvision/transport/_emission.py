@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._groups import take
 from .._numerics import dot, norm, normalize, safe_sqrt, select
-from .._types import Colour, Scalar, take
+from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
 from ..geometry import Ray
 from ..hemisphere import cosine_direction, cross, direction_at, local_frame, to_world

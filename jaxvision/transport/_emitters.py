@@ -16,9 +16,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._bands import Bands, apart, plus, times
+from .._groups import group_by_structure, row, take
 from .._numerics import dot, reciprocal, safe_sqrt, select, smallest_divisor
 from .._staging import stored
-from .._types import Colour, Scalar, group_by_structure, row, take
+from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
 from ..geometry import Ray, largest_size, offset_length
 from ..lights import (

@@ -24,9 +24,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import brdf
 from .._bands import Bands, apart
+from .._groups import group_by_structure, take
 from .._numerics import dot, reciprocal, select, smallest_divisor
 from .._staging import together
-from .._types import Colour, Scalar, group_by_structure, take
+from .._types import Colour, Scalar
 from .._vector import Vec, as_vec, where
 from ..brdf.glass import Glass, Split, interface
 from ..brdf.mirror import Mirror

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._groups import group_by_structure
 from ..._numerics import dot, normalize
 from ..._staging import stored
-from ..._types import Colour, Scalar, group_by_structure
+from ..._types import Colour, Scalar
 from ..._vector import Vec, as_array, as_vec
 from ...brdf.lambert import Lambert
 from ...geometry import Shapes, Sorted, occluded, offset_origin, sorted_shapes

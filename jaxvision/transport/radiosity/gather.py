@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._groups import group_by_structure, take
 from ..._numerics import dot
 from ..._random import Stream, uniforms
 from ..._staging import TILE, in_tiles, stored
-from ..._types import Colour, Image, Scalar, group_by_structure, take
+from ..._types import Colour, Image, Scalar
 from ..._vector import Vec, where
 from ...geometry import (
     Encounter,

@@ -1,0 +1,91 @@
+"""Where every linear filter of this room ends: a kernel as a sum of terms, each a product of
+passes, applied to a picture at a border.
+
+One compiled program for each kind of picture and each `Settings`; the numbers of the kernel and of
+the fill are free.
+"""
+
+from functools import partial, reduce
+from operator import add, mul
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Shaped
+
+from .._numerics import smallest_divisor
+from .._types import print_by_name
+from ..padding import Filtered, Picture, as_planes, ghosts
+from ._bilinear import correlate_stack
+from ._methods import Anchor, Kernel, Stack
+
+Fill = Float[Array | np.ndarray, "..."] | float  # () or (bands,)
+print_by_name(globals(), "Fill")
+# The passes of each term: (kh, kw, bands) or (kh, kw, 1) for all bands alike.
+Terms = tuple[tuple[Shaped[Array | np.ndarray, "_ _ _"], ...], ...]
+
+
+class Settings(NamedTuple):
+    """What the program is compiled for. `method`: one of `_methods.METHODS` for the product of a
+    term's passes, or "separable" for one pass after the other."""
+
+    anchor: Anchor
+    border: str
+    method: str
+
+
+@partial(jax.jit, static_argnames="settings")
+def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
+    """The picture correlated with the sum of the terms, and what the border adds."""
+    anchor, border, method = settings
+    image, restore = as_planes(picture)
+    terms = tuple(tuple(jnp.asarray(k, image.dtype) for k in term) for term in terms)
+    kernels = tuple(reduce(mul, term) for term in terms)
+    if method == "separable":
+        method = "direct" if jax.default_backend() == "cpu" else "conv"
+    else:
+        terms = tuple((kernel,) for kernel in kernels)
+    outer = "zero" if border in ("constant", "normalised_zero") else border
+    total = reduce(add, (_after(image, term, Settings(anchor, outer, method)) for term in terms))
+    if border == outer:
+        return restore(total)
+    kernel = reduce(add, kernels)
+    inside, outside = _shares(kernel, image.shape[1:3], anchor)
+    if border == "constant":
+        return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
+    # a sum that is 0 by its weights is the rounding of as many additions
+    rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
+    least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
+    held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))
+    return restore(jnp.where(held, total / jnp.where(held, inside, 1), 0))
+
+
+def _after(image: Stack, term: tuple[Kernel, ...], settings: Settings) -> Stack:
+    """The image after each pass of a term."""
+    (row, column), border, method = settings
+    for kernel in term:
+        own = (row * (kernel.shape[0] > 1), column * (kernel.shape[1] > 1))
+        image = correlate_stack(image, kernel, anchor=own, border=border, method=method)
+    return image
+
+
+def _shares(
+    kernel: Kernel, size: tuple[int, ...], anchor: Anchor
+) -> tuple[Float[Array, "1 h w _"], Float[Array, "1 h w _"]]:
+    """The sums of the weights that lie inside and outside the picture, for each of its pixels:
+    two sums, so that neither is the rounding of the other."""
+
+    def reach(axis: int) -> np.ndarray:
+        n, taps = size[axis], kernel.shape[axis]
+        inside = ghosts("zero", n, anchor[axis], taps - 1 - anchor[axis]).own
+        return inside[np.arange(n)[:, None] + np.arange(taps)]
+
+    def share(rows: np.ndarray, columns: np.ndarray) -> Float[Array, "h w _"]:
+        r, c = jnp.asarray(rows, kernel.dtype), jnp.asarray(columns, kernel.dtype)
+        return jnp.einsum("yi,ijb,xj->yxb", r, kernel, c, precision=lax.Precision.HIGHEST)
+
+    rows, columns = reach(0), reach(1)
+    beside = share(1 - rows, np.ones_like(columns)) + share(rows, 1 - columns)
+    return share(rows, columns)[None], beside[None]
