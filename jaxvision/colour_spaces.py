@@ -1,15 +1,17 @@
 """Colour spaces: conversions on arrays whose last axis holds the three components.
 
-RGB is linear and relative (1 is white) unless a name says otherwise; XYZ has Y = 1 at the white;
-L* of Lab and Luv is 0 to 100; the hue of LCh is rad in [0, 2 pi), that of HSV and HSL a turn in
-[0, 1). Nothing is clipped: colours outside a gamut convert there and back, save those out of [0, 1]
-whose largest component is 0, by HSV, or whose lightness is 0 or 1, by HSL.
+RGB is linear and relative (1 is white) unless a name says otherwise. XYZ has Y = 1 at the white. L*
+of Lab and Luv runs from 0 to 100. The hue of LCh is in rad in [0, 2 pi), that of HSV and HSL in
+turns in [0, 1). Nothing is clipped. Colours outside a gamut convert there and back, except these
+colours outside [0, 1]: by HSV those with a largest component of 0, and by HSL those of lightness 0
+or 1.
 
-Values and gradients are finite at black, white and every grey, where an undefined hue is 0 with
-gradient 0, and however near to them. A divisor below `smallest_divisor` (3e-10 in float32) counts
-as 0: a colour so dark has no chromaticity and no saturation, one so grey no hue in HSV and HSL. A
-last axis other than 3 and integer codes are a `ValueError`. Matrices come from `colour_data` by
-name, an option of the trace, and are never multiplied by `@`, which is slow over an axis of three.
+Values and gradients are finite at black, white and every grey, and however near to them; there the
+undefined hue is 0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as
+0: so dark a colour has no chromaticity and no saturation, and so grey a colour has no hue in HSV
+and HSL. A last axis other than 3 and integer codes are a `ValueError`. Matrices come from
+`colour_data` by name, a static option. They are never applied by `@`, which is slow over an axis of
+three.
 """
 
 import jax.numpy as jnp
@@ -28,8 +30,18 @@ print_by_name(globals(), "Colours")
 
 
 def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
-    """matrix times each colour, (..., 3): a camera's colour correction, or any linear change of
-    three relative primaries."""
+    """A 3 x 3 matrix times each colour: a camera's colour correction, or any change of primaries.
+
+    Args:
+        colours: (..., 3) relative.
+        matrix: (3, 3) no unit.
+
+    Returns:
+        (..., 3) relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     colours = _checked(colours)
     over_pixels = (1,) * (colours.ndim - 1) + (3,)
     # a sum of columns: on a CPU 25 times faster than `@`, and 3 times than three rows stacked
@@ -61,20 +73,55 @@ def _joined(*parts: Scalars) -> Colours:
 
 
 def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
-    """Linear RGB of a working space to XYZ under the white of that space, both relative.
+    """Linear RGB of a working space to XYZ under the white of that space.
 
-    `space`: a name of `colour_data.rgb_to_xyz_matrix`.
+    Args:
+        rgb: (..., 3) linear, relative.
+        space: a name of `colour_data.rgb_to_xyz_matrix`.
+
+    Returns:
+        (..., 3) XYZ, relative: Y = 1 is white.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Example:
+        >>> white = jv.colour_spaces.rgb_to_xyz(jnp.ones(3))
+        >>> print(white.round(3))
+        [0.951 1.    1.089]
     """
     return _by_constant(rgb, rgb_to_xyz_matrix(space))
 
 
 def xyz_to_rgb(xyz: Colours, *, space: str = "sRGB") -> Colours:
-    """The inverse of `rgb_to_xyz`."""
+    """The inverse of `rgb_to_xyz`.
+
+    Args:
+        xyz: (..., 3) relative.
+        space: a name of `colour_data.rgb_to_xyz_matrix`.
+
+    Returns:
+        (..., 3) linear RGB, relative; components outside the gamut are below 0.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     return _by_constant(xyz, np.linalg.inv(rgb_to_xyz_matrix(space)))
 
 
 def luminance(rgb: Colours, *, space: str = "sRGB") -> Scalars:
-    """Y of linear RGB, relative: (..., 3) to (...)."""
+    """Y of linear RGB.
+
+    Args:
+        rgb: (..., 3) linear, relative.
+        space: a name of `colour_data.rgb_to_xyz_matrix`.
+
+    Returns:
+        (...) relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     red, green, blue = rgb_to_xyz_matrix(space)[1].tolist()
     r, g, b = _parts(rgb)
     return red * r + green * g + blue * b
@@ -87,11 +134,21 @@ def adapt(
     *,
     method: str = "Bradford",
 ) -> Colours:
-    """Chromatic adaptation: the colours that look under the white `wanted` as `xyz` do under
-    `white`, by scaling the cones' responses (von Kries' law).
+    """Chromatic adaptation: the colours that look the same under another white.
 
-    `white`, `wanted`: (3,) relative XYZ, as `colour_data.white_point` gives them. `method`: a name
-    of `colour_data.cone_matrix`.
+    The responses of the cones are scaled (von Kries' law).
+
+    Args:
+        xyz: (..., 3) relative, seen under `white`.
+        white: (3,) relative XYZ, as `colour_data.white_point` gives it.
+        wanted: (3,) relative XYZ of the white to adapt to.
+        method: a name of `colour_data.cone_matrix`.
+
+    Returns:
+        (..., 3) relative XYZ under the white `wanted`.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
     """
     cones = cone_matrix(method)
     seen, sought = _by_constant(white, cones), _by_constant(wanted, cones)
@@ -104,10 +161,20 @@ def adapt(
 def change_rgb_space(
     rgb: Colours, *, source: str, target: str, adaptation: str | None = "Bradford"
 ) -> Colours:
-    """Linear RGB of one working space in the primaries of another, relative: (..., 3).
+    """Linear RGB of one working space in the primaries of another.
 
-    Where their whites differ, white goes to white by this adaptation, or colours stay what they
-    are (None).
+    Args:
+        rgb: (..., 3) linear, relative.
+        source: the space of `rgb`, a name of `colour_data.rgb_to_xyz_matrix`.
+        target: the wanted space, likewise.
+        adaptation: a name of `colour_data.cone_matrix`, by which the white of the source becomes
+            the white of the target; None keeps the colours themselves.
+
+    Returns:
+        (..., 3) linear, relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
     """
     to_xyz, from_xyz = rgb_to_xyz_matrix(source), np.linalg.inv(rgb_to_xyz_matrix(target))
     if adaptation is not None:
@@ -121,14 +188,34 @@ def change_rgb_space(
 
 
 def xyz_to_xyy(xyz: Colours) -> Colours:
-    """(x, y, Y), relative: chromaticities and luminance; black has x = y = 0."""
+    """Chromaticities and luminance (x, y, Y).
+
+    Args:
+        xyz: (..., 3) relative.
+
+    Returns:
+        (..., 3) relative; black has x = y = 0.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     x, y, z = _parts(xyz)
     share = _reciprocal(x + y + z)
     return _joined(x * share, y * share, y)
 
 
 def xyy_to_xyz(xyy: Colours) -> Colours:
-    """The inverse of `xyz_to_xyy`, relative; y = 0 is black."""
+    """The inverse of `xyz_to_xyy`.
+
+    Args:
+        xyy: (..., 3) chromaticities x, y, no unit, and relative Y; y = 0 is black.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     x, y, luminance = _parts(xyy)
     scale = luminance * _reciprocal(y)
     return _joined(x * scale, jnp.where(_vanishes(y), 0, luminance), (1 - x - y) * scale)
@@ -160,13 +247,37 @@ def _from_lightness(f: Scalars) -> Scalars:
 
 
 def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
-    """CIE 1976 L*, a*, b*; `white`: (3,) XYZ, relative like `xyz` (CIE 15:2018, 8.2.1)."""
+    """CIE 1976 L*, a*, b*.
+
+    Args:
+        xyz: (..., 3) relative.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) L* from 0 to 100, a* and b*, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: CIE 15:2018, 8.2.1.
+    """
     fx, fy, fz = (_lightness(part / white[i]) for i, part in enumerate(_parts(xyz)))
     return _joined(116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz))
 
 
 def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
-    """The inverse of `xyz_to_lab`, to relative XYZ."""
+    """The inverse of `xyz_to_lab`.
+
+    Args:
+        lab: (..., 3) L* from 0 to 100, a* and b*, no unit.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     lightness, a, b = _parts(lab)
     fy = (lightness + 16) / 116
     parts = (fy + a / 500, fy, fy - b / 200)
@@ -174,8 +285,20 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
 
 
 def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
-    """CIE 1976 L*, u*, v*; `white`: (3,) XYZ, relative like `xyz` (CIE 15:2018, 8.2.2). Black is
-    0, 0, 0."""
+    """CIE 1976 L*, u*, v*.
+
+    Args:
+        xyz: (..., 3) relative; black gives 0, 0, 0.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) L* from 0 to 100, u* and v*, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: CIE 15:2018, 8.2.2.
+    """
     x, y, z = _parts(xyz)
     lightness = 116 * _lightness(y / white[1]) - 16
     # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
@@ -187,7 +310,18 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
 
 def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
-    """The inverse of `xyz_to_luv`, to relative XYZ."""
+    """The inverse of `xyz_to_luv`.
+
+    Args:
+        luv: (..., 3) L* from 0 to 100, u* and v*, no unit.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     lightness, u, v = _parts(luv)
     share = _reciprocal(13 * lightness)
     x_n, y_n, z_n = white
@@ -199,13 +333,33 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
 
 
 def to_lch(lab: Colours) -> Colours:
-    """Lab or Luv in polar form: lightness, chroma, hue in rad in [0, 2 pi), 0 for greys."""
+    """Lab or Luv in polar form: lightness, chroma, hue.
+
+    Args:
+        lab: (..., 3) Lab or Luv, no unit.
+
+    Returns:
+        (..., 3) lightness and chroma, no unit, and hue in rad in [0, 2 pi), 0 for greys.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     lightness, a, b = _parts(lab)
     return _joined(lightness, _chroma(a, b), _hue_angle(a, b))
 
 
 def from_lch(lch: Colours) -> Colours:
-    """The inverse of `to_lch`; hue in rad."""
+    """The inverse of `to_lch`.
+
+    Args:
+        lch: (..., 3) lightness and chroma, no unit, and hue in rad.
+
+    Returns:
+        (..., 3) Lab or Luv, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     lightness, chroma, hue = _parts(lch)
     return _joined(lightness, chroma * jnp.cos(hue), chroma * jnp.sin(hue))
 
@@ -229,16 +383,43 @@ def _within(hue: Scalars, turn: float) -> Scalars:
 
 
 def delta_e_76(lab: Colours, other: Colours) -> Scalars:
-    """Euclidean distance in Lab, CIE 1976, no unit: (..., 3) to (...); gradient 0 between equal
-    colours."""
+    """Euclidean distance in Lab, CIE 1976; the gradient is 0 between equal colours.
+
+    Args:
+        lab: (..., 3) Lab, no unit.
+        other: (..., 3) Lab.
+
+    Returns:
+        (...) no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     return norm(Vec(*_parts(lab - other)))
 
 
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
-    """CIEDE2000 colour difference, no unit: (..., 3) to (...); gradient 0 between equal colours.
+    """The CIEDE2000 colour difference; the gradient is 0 between equal colours.
 
-    Discontinuous, as published, between colours of opposite hue. Source: Sharma, Wu, Dalal, "The
-    CIEDE2000 Color-Difference Formula", Color Research and Application 30 (2005), equations 2-22.
+    Discontinuous, as published, between colours of opposite hue.
+
+    Args:
+        lab: (..., 3) Lab, no unit.
+        other: (..., 3) Lab.
+
+    Returns:
+        (...) no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: Sharma, Wu, Dalal, "The CIEDE2000 Color-Difference Formula", Color Research and
+    Application 30 (2005), equations 2-22.
+
+    Example:
+        >>> first = jnp.array([50.0, 2.6772, -79.7751])  # the paper's first pair
+        >>> print(f"{jv.colour_spaces.delta_e_2000(first, jnp.array([50.0, 0.0, -82.7485])):.4f}")
+        2.0425
     """
     l1, a1, b1 = _parts(lab)
     l2, a2, b2 = _parts(other)
@@ -289,14 +470,35 @@ def _chroma_weight(chroma: Scalars) -> Scalars:
 
 
 def rgb_to_hsv(rgb: Colours) -> Colours:
-    """Hue, saturation, value of relative RGB, usually encoded: hue a turn in [0, 1), 0 for greys;
-    black has saturation 0 (Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978)."""
+    """Hue, saturation and value of RGB, usually encoded.
+
+    Args:
+        rgb: (..., 3) relative.
+
+    Returns:
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black, and value, relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978.
+    """
     hue, least, most = _hexagon(rgb)
     return _joined(hue, (most - least) * _reciprocal(most), most)
 
 
 def hsv_to_rgb(hsv: Colours) -> Colours:
-    """The inverse of `rgb_to_hsv`, to relative RGB; hue is taken modulo 1."""
+    """The inverse of `rgb_to_hsv`.
+
+    Args:
+        hsv: (..., 3) hue in turns, taken modulo 1; saturation and value, relative.
+
+    Returns:
+        (..., 3) relative RGB.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     hue, saturation, value = _parts(hsv)
 
     def channel(n: int) -> Scalars:
@@ -307,8 +509,18 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
 
 
 def rgb_to_hsl(rgb: Colours) -> Colours:
-    """Hue, saturation, lightness of relative RGB, usually encoded: hue a turn in [0, 1), 0 for
-    greys; black and white have saturation 0."""
+    """Hue, saturation and lightness of RGB, usually encoded.
+
+    Args:
+        rgb: (..., 3) relative.
+
+    Returns:
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black and white, and
+        lightness, relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     hue, least, most = _hexagon(rgb)
     # 1 - |2 lightness - 1|, which keeps its digits near black
     room = jnp.minimum(most + least, 2 - (most + least))
@@ -316,7 +528,17 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
 
 
 def hsl_to_rgb(hsl: Colours) -> Colours:
-    """The inverse of `rgb_to_hsl`, to relative RGB; hue is taken modulo 1."""
+    """The inverse of `rgb_to_hsl`.
+
+    Args:
+        hsl: (..., 3) hue in turns, taken modulo 1; saturation and lightness, relative.
+
+    Returns:
+        (..., 3) relative RGB.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
     hue, saturation, lightness = _parts(hsl)
     reach = saturation * jnp.minimum(lightness, 1 - lightness)
 
@@ -347,11 +569,21 @@ def _hexagon(rgb: Colours) -> tuple[Scalars, Scalars, Scalars]:
 def rgb_to_ycbcr(
     rgb: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
 ) -> Colours:
-    """Luma and colour differences Y', Cb, Cr of encoded R'G'B', relative.
+    """Luma and colour differences Y', Cb, Cr of encoded R'G'B'.
 
-    `standard`: "ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020" (non-constant luminance). `levels`:
-    "full" gives Y' in [0, 1] and Cb, Cr in [-0.5, 0.5]; "legal" the studio codes over the largest
-    code of `bits`: at 8 bits Y' in [16, 235] / 255 and Cb, Cr in [16, 240] / 255.
+    Args:
+        rgb: (..., 3) encoded, relative.
+        standard: "ITU-R BT.601", "ITU-R BT.709" or "ITU-R BT.2020" (non-constant luminance).
+        levels: "full" gives Y' in [0, 1] and Cb, Cr in [-0.5, 0.5]. "legal" gives the studio codes
+            over the largest code: at 8 bits Y' in [16, 235] / 255 and Cb, Cr in [16, 240] / 255.
+        bits: of the studio codes, at least 8.
+
+    Returns:
+        (..., 3) relative.
+
+    Raises:
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
+            codes.
     """
     matrix, zero = _ycbcr(standard, levels, bits)
     centred = _by_constant(rgb, matrix)
@@ -361,7 +593,21 @@ def rgb_to_ycbcr(
 def ycbcr_to_rgb(
     ycbcr: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
 ) -> Colours:
-    """The inverse of `rgb_to_ycbcr`, to encoded R'G'B', relative."""
+    """The inverse of `rgb_to_ycbcr`.
+
+    Args:
+        ycbcr: (..., 3) relative.
+        standard: as for `rgb_to_ycbcr`.
+        levels: "full" or "legal".
+        bits: of the studio codes, at least 8.
+
+    Returns:
+        (..., 3) encoded R'G'B', relative.
+
+    Raises:
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
+            codes.
+    """
     matrix, zero = _ycbcr(standard, levels, bits)
     ycbcr = _checked(ycbcr)
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)

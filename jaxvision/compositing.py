@@ -1,18 +1,18 @@
 """Compositing: pictures with coverage, laid over each other in linear light.
 
 A layer is (..., bands + 1): linear relative light already multiplied by its coverage, then the
-coverage alpha in [0, 1] as the last channel. So stored, every operator of Porter and Duff is one
+coverage alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one
 line for all channels,
 
     result = F_A A + F_B B,
 
-and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` lead from and to the
-straight, encoded RGBA of files. Integer codes are a `ValueError`.
+and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` convert from and to
+the straight, encoded RGBA of files. Integer codes are a `ValueError`.
 
-An alpha outside [0, 1] by more than rounding (100 units of the last place: blurred full coverage
-reaches 1 + 4 eps), or not a number, is a `ValueError` that says how many there are when it comes
-with numbers; under a trace nothing is looked at and the same polynomials continue. Nothing is
-clipped. Source: Porter and Duff, "Compositing Digital Images", SIGGRAPH 1984.
+An alpha that is not a number, or outside [0, 1] by more than rounding (100 units of the last place:
+blurred full coverage reaches 1 + 4 eps), is a `ValueError` that says how many there are. Under a
+trace alpha is not checked, and the same polynomials continue. Nothing is clipped. Source: Porter
+and Duff, "Compositing Digital Images", SIGGRAPH 1984.
 """
 
 from collections.abc import Callable
@@ -49,18 +49,46 @@ _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]]
 
 
 def over(front: Layer, back: Layer) -> Layer:
-    """front + (1 - alpha) back: the layer that hides what lies behind it in proportion to its
-    coverage. Associative, not commutative."""
+    """front + (1 - alpha) back: the front hides the back in proportion to its coverage.
+
+    Associative, not commutative.
+
+    Args:
+        front: (..., bands + 1) premultiplied relative light and coverage.
+        back: the same channels.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for unequal channels, and for an alpha outside [0, 1].
+
+    Example:
+        >>> glass = jnp.array([0.2, 0.0, 0.0, 0.5])  # half covering, red
+        >>> print(jv.compositing.over(glass, jnp.array([0.0, 0.0, 1.0, 1.0])))
+        [0.2 0.  0.5 1. ]
+    """
     return composite(front, back, operator="over")
 
 
 def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
-    """F_A front + F_B back for any of the thirteen operators, both (..., channels), relative light.
+    """F_A front + F_B back, for any of the thirteen operators.
 
-    Their names: "in" is the front where the back covers, "out" where it does not, "atop" the front
-    in the back's outline, "xor" each where the other is not; "back ..." exchanges the roles. "plus"
-    adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may pass 1.
-    `ValueError` for another name or unequal channels.
+    "in" is the front where the back covers, "out" where it does not, "atop" the front within the
+    outline of the back, "xor" each where the other is not; "back ..." exchanges the roles. "plus"
+    adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may exceed 1.
+
+    Args:
+        front: (..., bands + 1) premultiplied relative light and coverage.
+        back: the same channels.
+        operator: "clear", "front", "back", "over", "in", "out", "atop", "back over", "back in",
+            "back out", "back atop", "xor" or "plus".
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for another operator, for unequal channels, and for an alpha outside [0, 1].
     """
     if operator not in _FRACTIONS:
         raise ValueError(f"operator must be one of {', '.join(_FRACTIONS)}, got {operator!r}.")
@@ -76,27 +104,62 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 
 def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
-    """All layers as one, the first in front: (layers, ..., channels) to (..., channels), relative
-    light; `over` from the back to the front. `ValueError` for no layer at all."""
+    """All layers as one, the first in front: `over` from the back to the front.
+
+    Args:
+        layers: (layers, ..., bands + 1) premultiplied relative light and coverage, at least one.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for no layer, and for an alpha outside [0, 1].
+    """
     if layers.shape[0] == 0:
         raise ValueError(f"flatten needs at least one layer, got shape {layers.shape}.")
     return reduce(lambda behind, layer: over(layer, behind), layers[::-1])
 
 
 def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
-    """The part `fraction` of a layer's surface, light and coverage alike; relative."""
+    """A layer with light and coverage times `fraction`.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+        fraction: no unit, in [0, 1].
+
+    Returns:
+        (..., bands + 1), a layer.
+    """
     return as_relative(layer) * fraction
 
 
 def darken(layer: Layer, factor: Scalars | float) -> Layer:
-    """A layer with its relative light times `factor` and its coverage kept."""
+    """A layer with its light times `factor` and its coverage kept.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+        factor: no unit; above 1 it brightens.
+
+    Returns:
+        (..., bands + 1), a layer.
+    """
     layer = as_relative(layer)
     return jnp.concatenate([layer[..., :-1] * factor, layer[..., -1:]], axis=-1)
 
 
 def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
-    """The layer of a straight colour (..., bands), linear and relative, and its alpha (..., 1).
-    `ValueError` for shapes that do not fit."""
+    """The layer of a straight colour and its coverage.
+
+    Args:
+        colour: (..., bands) linear relative light.
+        alpha: (..., 1) coverage in [0, 1], no unit.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for shapes that do not fit, and for an alpha outside [0, 1].
+    """
     if alpha.shape != (*colour.shape[:-1], 1):
         raise ValueError(
             f"alpha must be (..., 1) for its colour (..., bands), got shapes {alpha.shape} and "
@@ -107,28 +170,67 @@ def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
 
 
 def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
-    """The straight colour of a layer, relative light over coverage: (..., bands). Where nothing is
-    covered there is no colour: 0, with gradient 0."""
+    """The straight colour of a layer: light over coverage.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+
+    Returns:
+        (..., bands) linear relative light; 0 with gradient 0 where nothing is covered.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
     alpha = checked_alpha(layer[..., -1:])
     empty = alpha <= smallest_divisor(alpha.dtype)
     return jnp.where(empty, 0, layer[..., :-1] / jnp.where(empty, 1, alpha))
 
 
 def layer_from_srgb(rgba: Layer) -> Layer:
-    """The layer of straight sRGB with coverage, as PNG files hold it, in [0, 1] relative: decoded
-    to linear light, then premultiplied. The coverage is not encoded."""
+    """The layer of straight sRGB with coverage, as PNG files store it.
+
+    The colour is decoded to linear light, then premultiplied. The coverage is not encoded.
+
+    Args:
+        rgba: (..., 4) relative, in [0, 1].
+
+    Returns:
+        (..., 4), a layer.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
     return premultiply(srgb_decode(rgba[..., :-1]), rgba[..., -1:])
 
 
 def layer_to_srgb(layer: Layer) -> Layer:
-    """The inverse of `layer_from_srgb`: straight sRGB and coverage, relative; black where nothing
-    is covered."""
+    """The inverse of `layer_from_srgb`.
+
+    Args:
+        layer: (..., 4) premultiplied relative light and coverage.
+
+    Returns:
+        (..., 4) straight sRGB and coverage, relative; black where nothing is covered.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
     return jnp.concatenate([srgb_encode(unpremultiply(layer)), layer[..., -1:]], axis=-1)
 
 
 def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`alpha` itself, relative; numbers outside [0, 1] by more than 100 units of the last place or
-    not finite are a `ValueError`, tracers pass."""
+    """`alpha` itself, after a check that all of it lies in [0, 1].
+
+    Args:
+        alpha: (...) coverage, relative; a tracer passes unchecked.
+
+    Returns:
+        (...) the same.
+
+    Raises:
+        ValueError: for values that are not finite, or outside [0, 1] by more than 100 units of the
+            last place.
+    """
     alpha = as_relative(alpha)
     if isinstance(alpha, Tracer):
         return alpha

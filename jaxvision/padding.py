@@ -1,15 +1,15 @@
 """What lies beyond the border of a picture.
 
-A picture is (h, w), one grey plane, or (..., h, w, bands), each band of each image a plane of its
-own; values are relative or in any unit, which they keep. Integers become floating numbers of the
-same value, complex ones are refused. Every border except "constant" is linear in the picture, along
-one axis
+A picture is (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
+of its own. Values are relative or in any unit, which they keep. Integers become floating numbers of
+the same value; complex numbers are refused. Every border except "constant" is linear in the
+picture. Along one axis
 
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
 with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
 The names are those of Szeliski, Computer Vision, section 3.2. OpenCV's default, c b | a b c d |
-c b, is not among them: `numpy.pad` with mode "reflect" makes it, before any filter.
+c b, is not among them: make it by `numpy.pad` with mode "reflect" before the filter.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,8 +55,14 @@ _REFUSALS = {
 
 
 class Ghosts(NamedTuple):
-    """One axis continued, from `before` samples ahead of it to `after` behind it: each a NumPy
-    array of length before + n + after. `own` is 0 where a value from outside is to stand."""
+    """The coefficients of the module's equation for one axis of n samples.
+
+    Attributes:
+        source: (before + n + after,) whole numbers in [0, n), the sample that each place copies.
+        own: (before + n + after,) its factor, no unit; 0 where a value from outside stands.
+        first: (before + n + after,) the factor of the first sample, no unit.
+        last: (before + n + after,) the factor of the last sample, no unit.
+    """
 
     source: np.ndarray
     own: np.ndarray
@@ -65,8 +71,16 @@ class Ghosts(NamedTuple):
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
-    """Raises `ValueError` for an unknown border, its message lists all, with the names that numpy
-    and scipy give them; and for one of those `refused`."""
+    """Checks the name of a border.
+
+    Args:
+        border: a key of `BORDERS`.
+        refused: the borders that the calling filter cannot take.
+
+    Raises:
+        ValueError: for an unknown border (the message lists all of them with their names in numpy
+            and scipy), and for one that is refused.
+    """
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
         raise ValueError(
@@ -77,7 +91,14 @@ def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
 
 
 def check_picture(picture: ArrayLike) -> None:
-    """Raises `ValueError` for a picture of fewer than two axes, without pixels or complex."""
+    """Checks that an array is a picture.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+
+    Raises:
+        ValueError: for fewer than two axes, for no pixels, and for complex numbers.
+    """
     shape = jnp.shape(picture)
     if len(shape) < 2 or 0 in shape:
         raise ValueError(
@@ -92,9 +113,18 @@ def check_picture(picture: ArrayLike) -> None:
 
 
 def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
-    """The border of an axis of n samples, as the coefficients of the module's equation.
+    """The coefficients that continue one axis of a picture.
 
-    With "constant" and "normalised_zero" they are those of "zero".
+    For "constant" and "normalised_zero" they are those of "zero".
+
+    Args:
+        border: a key of `BORDERS`.
+        n: samples along the axis.
+        before: samples to add ahead of the first.
+        after: samples to add behind the last.
+
+    Returns:
+        Four NumPy arrays of length before + n + after, no unit.
     """
     i = np.arange(-before, n + after)
     inside = (i >= 0) & (i < n)
@@ -126,13 +156,28 @@ def pad(
     border: str = "mirror",
     fill: Float[Array | np.ndarray, "..."] | float = 0.0,
 ) -> Filtered:
-    """The picture, continued by ((top, bottom), (left, right)) pixels: the two axes of its plane
-    grow by as much.
+    """The picture, continued beyond its border.
 
-    `fill`: () or (bands,), what stands outside with border "constant", in the picture's unit.
-    "normalised_zero" pads with 0: it is the filter that divides. `ValueError` for a picture of
-    fewer than two axes, without pixels or complex, widths of another form or below 0, or an unknown
-    border.
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        widths: ((top, bottom), (left, right)) in pixels, each at least 0.
+        border: a key of `BORDERS`. "normalised_zero" pads with 0, since it is the filter that
+            divides.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        (top + h + bottom, left + w + right), or with batch and bands, in the picture's unit.
+
+    Raises:
+        ValueError: for an array that is no picture (see `check_picture`), an unknown border, and
+            widths of another form or below 0.
+
+    Example:
+        >>> row = jnp.arange(4.0)[None]
+        >>> print(jv.padding.pad(row, ((0, 0), (2, 2)), border="mirror")[0])
+        [1. 0. 0. 1. 2. 3. 3. 2.]
+        >>> print(jv.padding.pad(row, ((0, 0), (2, 2)), border="extend")[0])
+        [-2. -1.  0.  1.  2.  3.  4.  5.]
     """
     image, restore = as_planes(picture)
     check_border(border)
@@ -152,7 +197,20 @@ def continued(
     border: str,
     outside: Float[Array, "..."],
 ) -> Float[Array, "images _ _ bands"]:
-    """One axis of a stack of images continued: only the two strips that are new are gathered."""
+    """A stack of images with one axis continued; only the two new strips are gathered.
+
+    Args:
+        image: (images, h, w, bands), any unit.
+        axis: 1 for rows, 2 for columns.
+        before: pixels to add ahead of the first.
+        after: pixels to add behind the last.
+        border: a key of `BORDERS`; "normalised_zero" pads with 0.
+        outside: () or (bands,) in the image's unit: the value outside with "constant" (0 for
+            "zero").
+
+    Returns:
+        (images, rows, columns, bands), `before` + `after` longer along the axis.
+    """
     n = image.shape[axis]
     rule = ghosts(border, n, before, after)
     first_sample, last_sample = (lax.slice_in_dim(image, k, k + 1, axis=axis) for k in (0, n - 1))
@@ -184,9 +242,17 @@ def continued(
 def as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
-    """A picture as a stack of floating images, and the way back to its own axes.
+    """A picture as a stack of floating images, and the way back.
 
-    `ValueError` as for `check_picture`.
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+
+    Returns:
+        (images, h, w, bands) in the picture's unit, and the function that gives a stack the
+        picture's own axes again.
+
+    Raises:
+        ValueError: for an array that is no picture (see `check_picture`).
     """
     check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)

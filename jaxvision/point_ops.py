@@ -1,11 +1,11 @@
 """Point operators: each pixel by itself, elementwise on arrays of any shape and floating dtype.
 
-Encoded and linear values are relative, nominally in [0, 1] and continued above 1: integer codes are
+Encoded and linear values are relative, nominally in [0, 1] and continued above 1; integer codes are
 a `ValueError`. Values and gradients of finite pixels are finite everywhere, also at and below 0.
-NaN stays NaN and touches no other pixel, nor does infinity. Parameters are Python floats or arrays
-that broadcast with the pixels, so that one per band or one per pixel is as good as one.
-Inside one `jit` a chain of these is a single pass over the picture. The sources of linear light and
-superposition: Szeliski, Computer Vision, section 3.1.
+NaN stays NaN; neither it nor infinity affects another pixel. Parameters are Python floats or arrays
+that broadcast with the pixels: one number, one per band, or one per pixel. Inside one `jit` a chain
+of these operators is a single pass over the picture. For linear light and superposition see
+Szeliski, Computer Vision, section 3.1.
 """
 
 import jax
@@ -22,8 +22,18 @@ _LN_10 = 2.302585092994046
 
 
 def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scalars:
-    """gain x + bias, `bias` in the unit of the result (Szeliski, Computer Vision, 3.1.1). A map
-    (h, w, 1) for either makes it vary over the picture."""
+    """gain x + bias.
+
+    Args:
+        x: (...) relative.
+        gain: no unit; a map (h, w, 1) makes it vary over the picture.
+        bias: in the unit of the result; a map likewise.
+
+    Returns:
+        (...) relative.
+
+    Source: Szeliski, Computer Vision, section 3.1.1.
+    """
     return gain * as_relative(x) + bias
 
 
@@ -34,25 +44,64 @@ def contrast_brightness(
     *,
     pivot: Scalars | float = 0.5,
 ) -> Scalars:
-    """contrast (x - pivot) + pivot + brightness: contrast turns about the grey that it keeps."""
+    """contrast (x - pivot) + pivot + brightness: the contrast changes about the grey `pivot`.
+
+    Args:
+        x: (...) relative.
+        contrast: no unit; 1 changes nothing.
+        brightness: relative, added.
+        pivot: relative, the grey that a change of contrast keeps.
+
+    Returns:
+        (...) relative.
+    """
     return contrast * (as_relative(x) - pivot) + (pivot + brightness)
 
 
 def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
-    """2 ** stops x: what `stops` more exposure would have made of linear light."""
+    """2^stops x: linear light as `stops` more of exposure would have recorded it.
+
+    Args:
+        x: (...) relative, linear.
+        stops: no unit; may be negative.
+
+    Returns:
+        (...) relative.
+    """
     return jnp.exp2(stops) * as_relative(x)
 
 
 def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:
-    """(1 - fraction) first + fraction second, the linear blend (Szeliski, Computer Vision, 3.1)."""
+    """(1 - fraction) first + fraction second, the linear blend.
+
+    Args:
+        first: (...) relative.
+        second: (...) relative.
+        fraction: no unit; outside [0, 1] it extrapolates.
+
+    Returns:
+        (...) relative.
+
+    Source: Szeliski, Computer Vision, section 3.1.
+    """
     return (1 - fraction) * as_relative(first) + fraction * as_relative(second)
 
 
 def cross_dissolve(
     first: Float[Array, "frames ..."], second: Float[Array, "..."]
 ) -> Float[Array, "frames ..."]:
-    """Two sequences blended frame by frame, from all `first` at the first frame to all `second` at
-    the last: (frames, ...). `ValueError` for unequal shapes or fewer than two frames."""
+    """Two sequences blended frame by frame: `first` alone at the first frame, `second` at the last.
+
+    Args:
+        first: (frames, ...) relative, at least two frames.
+        second: the same shape, relative.
+
+    Returns:
+        (frames, ...) relative.
+
+    Raises:
+        ValueError: for unequal shapes or fewer than two frames.
+    """
     if first.shape != second.shape or first.shape[0] < 2:
         raise ValueError(
             "cross_dissolve needs two sequences of one shape and at least two frames, got "
@@ -70,13 +119,23 @@ def graded_filter(
     centre: Scalar | float,
     width: Scalar | float,
 ) -> Image:
-    """A graded neutral density filter before the lens: linear light times 10 ** (-density s), with
-    s rising smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
+    """A graded neutral density filter before the lens: linear light times 10^(-density s).
 
-    `density`: () optical density of the dark side (0.3 is one stop). `angle`: () rad, the way it
-    darkens: 0 to the right, pi/2 up. `centre`: () where half of it is reached and `width`: () over
-    which it rises, both relative to the height of the picture, from its centre; a `width` of 0 or
-    less is a step.
+    s rises smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        density: () optical density of the dark side, no unit; 0.3 is one stop.
+        angle: () rad, the direction in which it darkens: 0 to the right, pi/2 up.
+        centre: () where half the density is reached, relative to the picture's height, from its
+            centre.
+        width: () over which it rises, relative to the picture's height; 0 or less is a step.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
     """
     image, rows, columns = _sized(image)
     right, up = _from_centre(rows, columns, image.dtype, unit=rows)
@@ -86,19 +145,40 @@ def graded_filter(
 
 
 def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
-    """Linear light times 1 + k_1 r^2 + k_2 r^4 + ..., r the distance from the centre of the picture
-    over that of its corner: relative, 1 in the corner.
+    """Linear light times the falloff 1 + k_1 r^2 + k_2 r^4 + ...
 
-    `coefficients`: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0. Source: the "pa"
-    model of lens tables; the cos^4 law of an ideal lens belongs to `optics`.
+    r is the distance from the centre of the picture relative to that of its corner. The cos^4 law
+    of an ideal lens belongs to `optics`.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        coefficients: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
+
+    Source: the "pa" model of lens tables.
     """
     image, rows, columns = _sized(image)
     return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
 
 
 def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Image:
-    """The inverse of `vignette`, relative r and coefficients as there; pixels that got no light at
-    all stay 0."""
+    """The inverse of `vignette`; pixels that received no light at all stay 0.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        coefficients: (terms,) k_1, k_2, ..., no unit, as for `vignette`.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
+    """
     image, rows, columns = _sized(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
     lit = falloff > smallest_divisor(image.dtype)
@@ -144,26 +224,58 @@ def _per_pixel(values: Float[Array, "h w"], image: Image) -> Float[Array, "... h
 
 
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
-    """linear ** (1 / gamma), gamma > 0; values below 0 count as 0, where the gradient is 0.
+    """linear^(1 / gamma); values below 0 count as 0, where the gradient is 0.
 
-    `method` as in `gamma_decode`.
+    Args:
+        linear: (...) relative.
+        gamma: no unit, above 0.
+        method: "power" or "exp2", as for `gamma_decode`.
+
+    Returns:
+        (...) relative, encoded.
+
+    Raises:
+        ValueError: for an unknown method.
     """
     return _raised(as_relative(linear), 1 / gamma, method)
 
 
 def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
-    """encoded ** gamma, the inverse of `gamma_encode`; values below 0 count as 0.
+    """encoded^gamma, the inverse of `gamma_encode`; values below 0 count as 0.
 
-    `method`: "power" is right to the last place; "exp2", exp2(gamma log2 x), takes a third of its
-    time on a CPU and is off by up to 60 units of the last place on [1e-5, 1].
+    Args:
+        encoded: (...) relative.
+        gamma: no unit, above 0.
+        method: "power" is right to the last place. "exp2", exp2(gamma log2 x), takes a third of its
+            time on a CPU and is off by up to 60 units of the last place on [1e-5, 1].
+
+    Returns:
+        (...) relative, linear.
+
+    Raises:
+        ValueError: for an unknown method.
     """
     return _raised(as_relative(encoded), gamma, method)
 
 
 def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
-    """12.92 x up to 0.0031308 (also below 0), else 1.055 x^(1/2.4) - 0.055 (IEC 61966-2-1).
+    """The sRGB curve: 12.92 x up to 0.0031308 (also below 0), else 1.055 x^(1/2.4) - 0.055.
 
-    `method` as in `gamma_decode`.
+    Args:
+        linear: (...) relative.
+        method: "power" or "exp2", as for `gamma_decode`.
+
+    Returns:
+        (...) relative, encoded.
+
+    Raises:
+        ValueError: for an unknown method.
+
+    Source: IEC 61966-2-1.
+
+    Example:
+        >>> print(jv.srgb_encode(jnp.array([0.0, 0.18, 1.0])).round(4))
+        [0.     0.4614 1.    ]
     """
     linear = as_relative(linear)
     curved = linear > 0.0031308
@@ -172,9 +284,20 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
 
 
 def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
-    """x / 12.92 up to 0.04045 (also below 0), else ((x + 0.055) / 1.055)^2.4 (IEC 61966-2-1).
+    """The inverse sRGB curve: x / 12.92 up to 0.04045 (also below 0), then ((x + 0.055) /
+    1.055)^2.4
 
-    `method` as in `gamma_decode`.
+    Args:
+        encoded: (...) relative.
+        method: "power" or "exp2", as for `gamma_decode`.
+
+    Returns:
+        (...) relative, linear.
+
+    Raises:
+        ValueError: for an unknown method.
+
+    Source: IEC 61966-2-1.
     """
     encoded = as_relative(encoded)
     curved = encoded > 0.04045
@@ -194,14 +317,32 @@ def _raised(base: Scalars, exponent: Scalars | float, method: str) -> Scalars:
 
 
 def clip(x: Scalars, low: Scalars | float, high: Scalars | float) -> Scalars:
-    """x limited to [low, high]; beyond, the gradient goes to the limit."""
+    """x limited to [low, high]; outside, the gradient goes to the limit.
+
+    Args:
+        x: (...) relative.
+        low: relative.
+        high: relative.
+
+    Returns:
+        (...) relative.
+    """
     x = as_relative(x)
     return jnp.where(x < low, low, jnp.where(x > high, high, x))
 
 
 def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
-    """A curve given by equally spaced entries, the first at x = 0 and the last at 1: piecewise
-    linear, constant beyond. `ValueError` for fewer than two entries.
+    """A curve through equally spaced entries: piecewise linear, constant outside [0, 1].
+
+    Args:
+        x: (...) relative.
+        table: (entries,) any unit, the first entry at x = 0 and the last at x = 1.
+
+    Returns:
+        (...) in the table's unit.
+
+    Raises:
+        ValueError: for fewer than two entries.
     """
     if table.shape[0] < 2:
         raise ValueError(f"table must hold at least two entries, got {table.shape[0]}.")
@@ -212,16 +353,32 @@ def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
 def lookup_codes(
     codes: UInt[Array, "..."] | Int[Array, "..."], table: Float[Array, " entries"]
 ) -> Float[Array, "..."]:
-    """table[codes]: the exact curve of integer codes, of relative or any other unit; a code beyond
-    the table takes its nearest end."""
+    """table[codes]: the exact curve of integer codes.
+
+    Args:
+        codes: (...) whole numbers; a code outside the table takes its nearest end.
+        table: (entries,) relative, or any unit.
+
+    Returns:
+        (...) in the table's unit.
+    """
     return table[jnp.clip(codes, 0, table.shape[0] - 1)]
 
 
 def lookup_3d(
     image: Float[Array, "... 3"], table: Float[Array, "red green blue channels"]
 ) -> Float[Array, "... channels"]:
-    """A colour table (n_r, n_g, n_b, channels), its axes spanning [0, 1] of R, G, B: trilinear,
-    constant beyond. `ValueError` for an axis of fewer than two entries or other than three bands.
+    """A colour table over the cube of R, G and B: trilinear, constant outside [0, 1].
+
+    Args:
+        image: (..., 3) relative.
+        table: (n_r, n_g, n_b, channels) any unit, its axes spanning [0, 1].
+
+    Returns:
+        (..., channels) in the table's unit.
+
+    Raises:
+        ValueError: for an axis of fewer than two entries, and for an image without three bands.
     """
     image = as_relative(image)
     if image.shape[-1:] != (3,):
@@ -252,11 +409,19 @@ def _cell(x: Scalars, entries: int) -> tuple[Int[Array, "..."], Scalars]:
 
 
 def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
-    """x / (1 + x), or with `white`, the smallest x that burns out to 1, x (1 + x / white^2) /
-    (1 + x). Relative x >= 0; below, x itself, which continues value and slope.
+    """Reinhard's tone curve: x / (1 + x), or with a white x (1 + x / white^2) / (1 + x).
+
+    Below 0 it is x itself, which continues value and slope.
+
+    Args:
+        x: (...) relative scaled luminance, as `scaled_to_key` gives it.
+        white: relative, the smallest x that maps to 1; None for a curve that only tends to 1.
+
+    Returns:
+        (...) relative.
 
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
-    equations 3 and 4; x is their scaled luminance, as `scaled_to_key` gives it.
+    equations 3 and 4.
     """
     x = as_relative(x)
     positive = jnp.maximum(x, 0)
@@ -265,10 +430,18 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
 
 
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
-    """Luminance times key / log-average: relative, the picture's middle grey at `key_value`.
+    """Luminance times key / log-average, which moves the picture's middle grey to the key.
 
-    The log-average clamps black at 1e-6 of the mean and leaves out what is not finite. Source:
-    Reinhard et al. 2002, equations 1, 2.
+    The log-average clamps black at 1e-6 of the mean and leaves out values that are not finite.
+
+    Args:
+        luminance: (h, w) relative.
+        key_value: relative, the wanted middle grey.
+
+    Returns:
+        (h, w) relative.
+
+    Source: Reinhard et al. 2002, equations 1 and 2.
     """
     luminance = as_relative(luminance)
     known = jnp.isfinite(luminance)
@@ -279,9 +452,18 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
 
 
 def filmic(x: Scalars) -> Scalars:
-    """x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), to [0, 1]: the ACES film curve. Relative
-    x >= 0; below counts as 0. Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve"
-    (2016); it ends a little above 1, at 1.033, and is clipped there."""
+    """The ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
+
+    Unclipped it ends a little above 1, at 1.033.
+
+    Args:
+        x: (...) relative; below 0 counts as 0.
+
+    Returns:
+        (...) relative, in [0, 1].
+
+    Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve" (2016).
+    """
     positive = jnp.maximum(as_relative(x), 0)
     # both sides over x^2 where x is large, so that nothing overflows
     small = jnp.minimum(positive, 1)
@@ -292,16 +474,33 @@ def filmic(x: Scalars) -> Scalars:
 
 
 def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
-    """log(1 + strength x) / log(1 + strength): 0 at 0, 1 at 1, `strength` > 0 times steeper at the
-    dark end. Relative x >= 0; below counts as 0. Source: the mu-law of ITU-T G.711."""
+    """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
+
+    Args:
+        x: (...) relative; below 0 counts as 0.
+        strength: no unit, above 0; the larger, the steeper at the dark end.
+
+    Returns:
+        (...) relative.
+
+    Source: the mu-law of ITU-T G.711.
+    """
     return jnp.log1p(strength * jnp.maximum(as_relative(x), 0)) / jnp.log1p(strength)
 
 
 def with_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:
-    """image times wanted / luminance, pixel by pixel: a curve of the luminance that keeps the
-    chromaticity. `luminance`, `wanted`: (...) in one unit, or relative; black stays black."""
+    """image times wanted / luminance, pixel by pixel: applies a curve and keeps the chromaticity.
+
+    Args:
+        image: (..., channels) relative.
+        luminance: (...) of the image, relative or in any unit; black stays black.
+        wanted: (...) in the unit of `luminance`.
+
+    Returns:
+        (..., channels) relative.
+    """
     image, luminance = as_relative(image), as_relative(luminance)
     black = luminance <= smallest_divisor(luminance.dtype)
     return image * jnp.where(black, 0, wanted / jnp.where(black, 1, luminance))[..., None]

@@ -390,7 +390,7 @@ def test_zero_border_darkens_and_normalising_cures():
         ({"anchor": (1,)}, "anchor"),
         ({"picture": 1j * np.ones((4, 4))}, "complex"),
         ({"border": "nearest"}, 'scipy "nearest"'),
-        ({"method": "winograd"}, "conv, separable, direct, fft"),
+        ({"method": "winograd"}, "separable, conv, direct, fft"),
     ],
 )
 def test_bad_input_is_named(options, words):

@@ -1,7 +1,7 @@
-"""Filters of pictures: linear ones of any kernel at any border, with gradients by picture and by
-kernel; shift-variant ones; filters as matrices; and the non-linear companions.
+"""Filters of pictures: linear filters with any kernel, at any border, with gradients with respect
+to picture and kernel; shift-variant filters; filters as matrices; and non-linear filters.
 
-The matrix forms bring scipy with them, and are loaded when they are first asked for.
+The matrix forms need scipy, which is loaded when they are first used.
 """
 
 from importlib import import_module

@@ -1,8 +1,8 @@
 """Three ways to one number: g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
 
-Images are (n, h, w, c), kernels (kh, kw, c), or (kh, kw, 1) for all bands alike. Borders are "none"
-(only whole windows: h - kh + 1 rows) or one that `padding.ghosts` knows; the result is then (n, h,
-w, c). Values in any unit.
+Images are (n, h, w, c), kernels (kh, kw, c), or (kh, kw, 1) for all bands alike. A border is "none"
+(only whole windows: h - kh + 1 rows), or one that `padding.ghosts` knows; the result is then
+(n, h, w, c). Values in any unit.
 """
 
 from functools import partial
@@ -81,11 +81,12 @@ def _fast_length(n: int) -> int:
 
 
 def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """The sum of shifted images, in loops over whole rows (h, w c): there a shift by one pixel is
-    one by c numbers, and vector code does not mind how few the bands are.
+    """The sum of shifted images, in loops over whole rows (h, w c).
 
-    Rows beyond the border are read in place by their index; columns, and rows that do not equal one
-    of the image (the border "extend"), are added to the image first.
+    A shift by one pixel is then a shift by c numbers: the loop vectorises even for few bands.
+
+    Rows beyond the border are read in place by their index. Columns beyond it are added to the
+    image first, and so are rows that do not equal a row of the image (border "extend").
     """
     (kh, kw), (n, _, _, c) = kernel.shape[:2], image.shape
     if border == "extend":

@@ -1,6 +1,6 @@
-"""What the filters that weigh every neighbour share: a weighted mean, row of neighbours by row.
+"""The weighted mean that bilateral and non-local means share: row of neighbours by row.
 
-A band is an array of its own here: a trailing axis of three ruins vector code.
+A band is an array of its own here, since vector code is slow over a trailing axis of three.
 """
 
 from collections.abc import Callable

@@ -1,12 +1,12 @@
 """The bilateral filter (Tomasi & Manduchi, ICCV 1998) and the joint one (Petschnigg et al.;
-Eisemann & Durand, SIGGRAPH 2004), by definition, every neighbour weighed:
+Eisemann & Durand, SIGGRAPH 2004), by their definition, which weighs every neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,
     w = exp(-|p - q|^2 / (2 sigma_space^2)) exp(-d(p, q)^2 / (2 sigma_range^2)),
 
-with d the difference of the colours of the guide (for the bilateral filter, the image itself). One
-weight for all bands. `sigma_space` is in pixels; values, and with them `sigma_range`, are relative
-or DN.
+where d is the difference of the guide's colours (for the bilateral filter, the guide is the image
+itself). All bands share one weight. `sigma_space` is in pixels; values, and with them
+`sigma_range`, are relative or DN.
 """
 
 import functools
@@ -33,16 +33,24 @@ def bilateral_filter(
 ) -> Floats:
     """Smooths within regions, not across edges.
 
-    `picture`: (h, w) or (..., h, w, bands). `sigma_space`: () pixels. `sigma_range`: () in the unit
-    of the image. `radius`: neighbours up to so many pixels away take part, in a "square" of
-    2 radius + 1 or a "disc"; beyond 3 sigma_space little is left. `difference`: of two colours, the
-    "euclidean" length or the "sum" of absolute values. OpenCV has the disc and the sum.
+    A sigma of 0 or below stands for the limit: the pixel itself, or equal colours only. NaN spreads
+    to every window that holds it.
 
-    `border`: as in `padding`, but "constant", which takes a fill; with "normalised_zero" what lies
-    outside takes no part.
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        sigma_space: () in pixels.
+        sigma_range: () in the picture's unit.
+        radius: reach of the neighbours in pixels, at least 0; beyond 3 sigma_space little is left.
+        window: "square" of 2 radius + 1 pixels, or "disc" (as in OpenCV).
+        difference: of two colours, "euclidean" or the "sum" of absolute values (as in OpenCV).
+        border: a key of `padding.BORDERS` but "constant"; with "normalised_zero" pixels outside
+            take no part.
 
-    A sigma of 0 (or below) stands for the limit: each pixel itself, or equals only. NaN spreads to
-    every window that holds it.
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for a radius below 0 and for an unknown window, difference or border.
     """
     return joint_bilateral_filter(
         picture,
@@ -68,10 +76,23 @@ def joint_bilateral_filter(
     difference: str = "euclidean",
     border: str = "mirror",
 ) -> Floats:
-    """The bilateral filter with the edges of another picture of the scene, as one taken with flash.
+    """The bilateral filter with the edges of another picture, such as one taken with flash.
 
-    `guide`: like `picture`, with any number of bands; `sigma_range` is in its unit. The rest as in
-    `bilateral_filter`.
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        guide: the picture with the edges, of the same h, w and batch, with any number of bands.
+        sigma_space: () in pixels.
+        sigma_range: () in the guide's unit.
+        radius: reach of the neighbours in pixels, at least 0.
+        window: "square" or "disc".
+        difference: of two colours, "euclidean" or the "sum" of absolute values.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: as for `bilateral_filter`, and for a guide of another size.
     """
     if radius < 0:
         raise ValueError(f"radius must be at least 0, got {radius}.")

@@ -1,29 +1,31 @@
 """Correlation and convolution with any kernel, at any border.
 
-Pictures are (h, w), one grey plane, or (..., h, w, bands), each band of each image a plane of its
-own; the result has the picture's shape, unit and floating dtype. Integers (uint8, uint16) become
-floating numbers of the same value, never scaled. Kernels are (kh, kw), or (kh, kw, bands) with one
-for each band; they may be larger than the picture. `anchor` is the entry of the kernel that stands
-on the pixel which gets the result: by default (kh // 2, kw // 2), the middle of an odd kernel and
-the second of the two middle ones of an even kernel, as in scipy and OpenCV.
+Pictures are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
+of its own; the result has the picture's shape, unit and floating dtype. Integers (uint8, uint16)
+become floating numbers of the same value and are never scaled. Kernels are (kh, kw), or
+(kh, kw, bands) with one kernel a band; they may be larger than the picture. `anchor` is the entry
+of the kernel that lies on the pixel of the result: by default (kh // 2, kw // 2), the middle of an
+odd kernel and the second of the two middle entries of an even one, as in scipy and OpenCV.
 
-`border` is one of `padding.BORDERS`; "constant" puts `fill`, () or (bands,), outside, and
-"normalised_zero" is filter(f) / filter(1), both bordered by zero: a weighted mean of the pixels
-that are there, for kernels that are nowhere negative. Where filter(1) is 0 so is the result:
-0 within the rounding of its sum, as many eps of filter(1) by |kernel| as the kernel has taps.
+`border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
+filter(f) / filter(1), both with border "zero": a weighted mean of the pixels inside, for kernels
+without negative entries. Where filter(1) is 0 the result is 0; a sum counts as 0 within its
+rounding, which is (number of taps) eps filter(1) with |kernel|.
 
-`method` says how the sum is taken, not what it is:
-"conv" by `lax.conv_general_dilated`, "direct" by shifted pictures, "fft" by transforms, "separable"
-by passes over columns and rows, as many as the kernel's rank. "auto" takes "conv" on a GPU, and on
-a CPU the fastest that was measured for the size: "separable" for kernels of low rank (known if the
-kernel is not traced and finite), else "direct" up to 15 x 15 and "fft" beyond.
+`method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
+"direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and
+rows, as many as the kernel's rank. "auto" takes "conv" on a GPU. On a CPU it takes the method that
+was measured to be fastest for the size: "separable" for kernels of low rank (if the kernel is
+finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
 
-NaN and infinity go to every pixel whose window holds them, also under a weight of 0; with "fft" to
-the whole plane, and with "conv" and a kernel for each band, as XLA's code may be, to all bands. So
-under "auto" their reach grows with the kernel: on a CPU one of 15 x 15 spoils 225 pixels and one of
-17 x 17, if not of low rank, all. Name a method where that matters.
+NaN and infinity reach every pixel with one of them in its window, also under a weight of 0. With
+"fft" they reach the whole plane; with "conv" and one kernel a band they may reach all bands,
+depending on XLA's code. Under "auto" their reach therefore grows with the kernel: on a CPU, a NaN
+under a 15 x 15 kernel spoils 225 pixels and under a 17 x 17 kernel that is not of low rank, all of
+them. Name a method where that matters.
 
-Derivatives by picture and by kernel are correlations themselves, of any order, forward and reverse.
+Derivatives with respect to picture and kernel are correlations themselves: any order, forward and
+reverse.
 """
 
 from collections.abc import Sequence
@@ -64,12 +66,31 @@ def correlate(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """g[p] = sum over i of kernel[i] f[p + i - anchor]: the kernel lies on the picture as it is
-    written.
+    """Correlation with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
-    `ValueError` for a kernel of another rank, without entries or with other bands than the
-    picture, an anchor outside the kernel, an unknown border or method, and for method "separable"
-    with a kernel that has no rank to know: traced (`low_rank` factors it) or not finite.
+    The kernel lies on the picture as it is written.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band; no unit, or any.
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: "auto", "separable", "conv", "direct" or "fft".
+
+    Returns:
+        The picture's shape; its unit times the kernel's.
+
+    Raises:
+        ValueError: for a kernel of another rank, without entries, or with another number of bands
+            than the picture; for an anchor outside the kernel; for an unknown border or method; and
+            for method "separable" with a kernel whose rank is not known, because it is traced
+            (factor it by `low_rank`) or not finite.
+
+    Example:
+        >>> rise = jv.filters.correlate(jnp.arange(5.0)[None], [[-0.5, 0.0, 0.5]], border="extend")
+        >>> print(rise[0])
+        [1. 1. 1. 1. 1.]
     """
     picture, weights = _as_array(picture), _as_array(kernel)
     check_picture(picture)
@@ -92,8 +113,24 @@ def convolve(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """g[p] = sum over i of kernel[i] f[p - i + anchor]: each pixel spreads into a copy of the
-    kernel, which is the answer to an impulse. Arguments and errors as for `correlate`."""
+    """Convolution with a kernel: g[p] = sum over i of kernel[i] f[p - i + anchor].
+
+    Each pixel spreads into a copy of the kernel, which is the response to an impulse.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band; no unit, or any.
+        anchor: (row, column) of the entry that lands on the pixel itself; None takes the middle.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate`.
+
+    Returns:
+        The picture's shape; its unit times the kernel's.
+
+    Raises:
+        ValueError: as for `correlate`.
+    """
     weights = _as_array(kernel)
     kh, kw = _size(weights)
     top, left = _anchor(anchor, (kh, kw))
@@ -113,10 +150,26 @@ def correlate_separable(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """`correlate` with the kernel column[i] row[j], (kh,) and (kw,) or with bands last: first down
-    the columns, then along the rows; kh + kw products a pixel in place of kh kw.
+    """Correlation with the kernel column[i] row[j]: first down the columns, then along the rows.
 
-    Methods "conv", "direct" and "fft" take the product kernel whole. Errors as for `correlate`.
+    That takes kh + kw products a pixel instead of kh kw.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        column: (kh,), or (kh, bands) with one column a band; no unit, or any.
+        row: (kw,), or (kw, bands).
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: "auto" and "separable" take two passes; "conv", "direct" and "fft" apply the product
+            kernel as a whole.
+
+    Returns:
+        The picture's shape; its unit times those of column and row.
+
+    Raises:
+        ValueError: for taps of another rank, without entries, or with another number of bands than
+            the picture; for an anchor outside the kernel; and for an unknown border or method.
     """
     picture, down, along = map(_as_array, (picture, column, row))
     check_picture(picture)

@@ -1,8 +1,8 @@
 """Slopes and curvatures of pictures, in the picture's unit per pixel.
 
-x is to the right and y is down, as rows and columns are counted. All are exact for parabolas away
-from the border. Pictures, borders and methods as in `convolution`, but "normalised_zero": the
-weights of a derivative have sum 0, `ValueError`.
+x points right and y points down, as columns and rows are counted. Away from the border all are
+exact for parabolas. Pictures, borders and methods as in `convolution`, except that the border
+"normalised_zero" is a `ValueError`: the weights of a derivative have sum 0.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,12 @@ from .kernels import derivative_kernels, laplacian_kernel
 
 
 class Gradient(NamedTuple):
-    """Slopes to the right and downwards, each of the picture's shape, per pixel."""
+    """The slopes of a picture.
+
+    Attributes:
+        x: the picture's shape, its unit per pixel, positive where it rises to the right.
+        y: the picture's shape, its unit per pixel, positive where it rises downwards.
+    """
 
     x: Filtered
     y: Filtered
@@ -28,8 +33,23 @@ def derivative(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Gradient:
-    """First differences, per pixel, by "central", "prewitt", "sobel" or "scharr" kernels (scaled so
-    that a slope of 1 gives 1). Smoother ones: `gaussian` with an order."""
+    """First differences along both axes.
+
+    For smoother ones take `gaussian` with an order.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        scheme: "central", "prewitt", "sobel" or "scharr", all scaled so that a slope of 1 gives 1.
+        border: a key of `padding.BORDERS` but "normalised_zero".
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate_separable`.
+
+    Returns:
+        The slopes x and y, each of the picture's shape, in its unit per pixel.
+
+    Raises:
+        ValueError: for an unknown scheme, border or method.
+    """
     _check_weighs(border, of="a derivative")
     along, across = derivative_kernels(scheme=scheme)
     return Gradient(
@@ -46,8 +66,21 @@ def laplacian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """f_xx + f_yy by second differences, per square pixel; `isotropic` takes the nine-point
-    stencil."""
+    """f_xx + f_yy by second differences.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        isotropic: whether to take the nine-point stencil.
+        border: a key of `padding.BORDERS` but "normalised_zero".
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate`.
+
+    Returns:
+        The picture's shape; its unit per square pixel.
+
+    Raises:
+        ValueError: for an unknown border or method.
+    """
     _check_weighs(border, of="a derivative")
     kernel = laplacian_kernel(isotropic=isotropic)
     return correlate(picture, kernel, border=border, fill=fill, method=method)

@@ -1,17 +1,19 @@
 """The Gaussian and its derivatives.
 
-`sigma` in pixels may be traced; the size of the kernel is then the caller's, since it is the shape
-of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an impulse in
-either precision. `sampling` is what a weight means: "sampled" is the function at the pixel's
-centre, as in scipy and OpenCV; "integrated" its mean over the pixel. Of a narrow one, sigma = 0.5,
-the first has 0.035 square pixels too little variance, the second the pixel's own 1/12 more, to
-0.01. Cut off at `truncate` sigmas and rescaled to sum 1: the knob of accuracy.
+`sigma`, in pixels, may be traced. The caller then gives the size of the kernel, since that is the
+shape of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an impulse
+in either precision. `sampling` says what a weight means: "sampled" is the function at the pixel's
+centre, as in scipy and OpenCV; "integrated" is its mean over the pixel. For a narrow Gaussian of
+sigma 0.5 the first has 0.035 square pixels too little variance, and the second the pixel's own 1/12
+more, to 0.01. The kernel is cut off at `truncate` sigmas and rescaled to sum 1: that is the knob of
+accuracy.
 
-Derivatives want a sigma of 0.7 or more. Narrower ones fall between the pixels: of a ramp of slope 1
-the first order gives, at sigma 0.3, 0.5 and 0.7, 0.085, 0.860 and 0.998 "sampled", 0.663, 0.986 and
-0.9999 "integrated", and at 0 nothing; of a flat 1 the second order at 0.5 makes -0.56 "sampled",
-rounding "integrated". `derivatives.derivative` and `laplacian` of the blurred picture are exact for
-parabolas at any sigma.
+Derivatives need a sigma of 0.7 or more; narrower ones fall between the pixels. For a ramp of slope
+1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with "sampled", and 0.663,
+0.986 and 0.9999 with "integrated"; at sigma 0 it gives 0. For a flat picture of 1 and sigma 0.5,
+the second order gives -0.56 with "sampled" and rounding errors with "integrated".
+`derivatives.derivative` and `laplacian` of the blurred picture are exact for parabolas at any
+sigma.
 """
 
 from functools import partial
@@ -48,12 +50,32 @@ def gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The picture under a Gaussian: `sigma` in pixels, () or (2,) down and across.
+    """The picture under a Gaussian, or under a derivative of it.
 
-    `size`: of the kernel both ways, by default from `truncate`. `order`: of the derivative down
-    and across, per pixel ** order. The other arguments as for `correlate`. `ValueError` for a
-    traced sigma without a size, an unknown sampling, or the border "normalised_zero" of a
-    derivative, whose weights have sum 0.
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        sigma: () or (2,), down and across, in pixels, at least 0.
+        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
+        order: order of the derivative down and across; (0, 0) is the Gaussian itself.
+        sampling: "sampled" or "integrated".
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate_separable`.
+
+    Returns:
+        The picture's shape; its unit per pixel to the power of the total order.
+
+    Raises:
+        ValueError: for a traced sigma without a size; for an unknown sampling; for the border
+            "normalised_zero" with a derivative, whose weights have sum 0; and as for
+            `correlate_separable`.
+
+    Example:
+        >>> impulse = jnp.zeros((9, 9)).at[4, 4].set(1.0)
+        >>> blurred = jv.filters.gaussian(impulse, 1.0)
+        >>> print(f"{blurred[4, 4]:.4f} {blurred.sum():.4f}")
+        0.1592 1.0000
     """
     if any(order):
         _check_weighs(border, of="a derivative")
@@ -76,9 +98,27 @@ def laplacian_of_gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The sum of both second derivatives of the picture under a Gaussian, per square pixel; times
-    sigma^2 it does not depend on scale. Arguments, and what a narrow one loses, as for `gaussian`:
-    below a sigma of 0.7 take "integrated", whose answer to a flat picture is 0."""
+    """The sum of both second derivatives of the picture under a Gaussian.
+
+    Times sigma^2 it does not depend on scale. Below a sigma of 0.7 pixels take "integrated", which
+    gives 0 for a flat picture.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        sigma: () or (2,), down and across, in pixels.
+        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
+        sampling: "sampled" or "integrated".
+        border: a key of `padding.BORDERS` but "normalised_zero".
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate_separable`.
+
+    Returns:
+        The picture's shape; its unit per square pixel.
+
+    Raises:
+        ValueError: as for `gaussian`.
+    """
     along = partial(
         gaussian, picture, sigma, size=size, truncate=truncate, sampling=sampling, border=border,
         fill=fill, method=method,
@@ -89,10 +129,22 @@ def laplacian_of_gaussian(
 def gaussian_kernel(
     sigma: Scalar, *, size: int, order: int = 0, sampling: str = "sampled"
 ) -> Float[Array, " taps"]:
-    """(size,) weights of the Gaussian, or of its derivative, about the middle of the kernel.
+    """The weights of a Gaussian, or of its derivative, about the middle of the kernel.
 
-    sigma: () pixels. The weights of order 0 have sum 1; those of order n are them times
-    He_n(x / sigma) / sigma^n, the derivative as a kernel of correlation, per pixel ** n.
+    Those of order n are those of order 0 times He_n(x / sigma) / sigma^n: the derivative as a
+    kernel of correlation.
+
+    Args:
+        sigma: () in pixels; below 0.01 it counts as 0.01.
+        size: number of taps, at least 1.
+        order: order of the derivative, at least 0.
+        sampling: "sampled" or "integrated".
+
+    Returns:
+        (size,) in pixels to the power of -order; those of order 0 have sum 1.
+
+    Raises:
+        ValueError: for an unknown sampling, a size below 1, or an order below 0.
     """
     if sampling not in _SAMPLINGS:
         raise ValueError(f"sampling must be one of {', '.join(_SAMPLINGS)}, got {sampling!r}.")

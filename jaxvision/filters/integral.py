@@ -1,14 +1,14 @@
 """Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
 
-Exclusive, as OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns < j, so there
-is one more row and column than pixels, and the first of each is 0. The inclusive convention
-(scikit-image's `integral_image`) is the same without them: its entry (i, j) is ours (i + 1, j + 1).
+Exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns < j, so
+there is one more row and column than pixels, and the first of each is 0. The inclusive convention
+(scikit-image's `integral_image`) leaves these out: its entry (i, j) is our (i + 1, j + 1).
 
-Sums are in the unit of the image (relative values or DN). They are carried as an unevaluated pair
+Sums are in the unit of the image (relative values or DN). Each is carried as an unevaluated pair
 high + low (Dekker 1971), so that a small box in a large float32 image keeps its digits: beyond the
 rounding of its own sum it errs by some 2^-46 (float64: 2^-104) of the sum over everything above
-and left of it, where a single float32 number would lose 2^-24. NaN and infinity make NaN of every
-box that ends below and right of them.
+and left of it, where a single float32 number would lose 2^-24. NaN and infinity turn every box that
+ends below and right of them into NaN.
 """
 
 from functools import partial
@@ -26,9 +26,11 @@ Pair = tuple[Array, Array]
 
 
 class IntegralImage(eqx.Module):
-    """Sums over all boxes from the first pixel: (h + 1, w + 1) or (..., h + 1, w + 1, bands).
+    """Sums over all boxes from the first pixel, as pairs high + low.
 
-    `high`: the sums, rounded. `low`: what the rounding cut off.
+    Attributes:
+        high: (h + 1, w + 1) or (..., h + 1, w + 1, bands), the rounded sums, in the image's unit.
+        low: the same shape and unit, the rounding error of `high`.
     """
 
     high: Float[Array, "..."]
@@ -37,9 +39,23 @@ class IntegralImage(eqx.Module):
 
 @jax.jit
 def integral_image(image: ArrayLike) -> IntegralImage:
-    """The integral image of (h, w) or (..., h, w, bands); integer images are summed as floating
-    numbers, exactly while a sum fits the pair's digits (2^48 in float32). `ValueError` for an image
-    of fewer than two axes, without pixels or complex."""
+    """The integral image.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), any unit. Integers are summed as floating numbers,
+            exactly while a sum fits the digits of the pair (2^48 in float32).
+
+    Returns:
+        Sums over all boxes from the first pixel, in the image's unit.
+
+    Raises:
+        ValueError: for an image with fewer than two axes, without pixels, or complex.
+
+    Example:
+        >>> sums = jv.filters.integral_image(jnp.ones((4, 5)))
+        >>> print(float(jv.filters.box_sum(sums, *map(jnp.asarray, (1, 1, 3, 4)))))
+        6.0
+    """
     check_picture(image)
     pixels = as_float(image)
     rows = _row_axis(pixels.ndim, "an image")
@@ -54,10 +70,20 @@ def box_sum(
     bottom: Int[Array, ""],
     right: Int[Array, ""],
 ) -> Float[Array, "..."]:
-    """The sum over rows top <= i < bottom and columns left <= j < right: () or (..., bands).
+    """The sum over rows top <= i < bottom and columns left <= j < right.
 
-    One box; `vmap` over many. Bounds beyond the image are moved to its edge, a box turned inside
-    out is empty: 0.
+    One box; `vmap` over many. Bounds outside the image move to its edge; a box with bottom < top or
+    right < left is empty and sums to 0.
+
+    Args:
+        integral: the integral image.
+        top: () first row, whole number of pixels.
+        left: () first column.
+        bottom: () one past the last row.
+        right: () one past the last column.
+
+    Returns:
+        () or (..., bands), in the image's unit.
     """
     rows = _row_axis(integral.high.ndim, "an integral image")
     height, width = (size - 1 for size in integral.high.shape[rows : rows + 2])
@@ -75,10 +101,17 @@ def box_sum(
 
 
 def window_sum(integral: IntegralImage, size: tuple[int, int]) -> Float[Array, "..."]:
-    """The sums over all windows of `size` = (rows, columns) that lie inside the image, at a cost
-    that does not grow with the size: (h - rows + 1, w - columns + 1) or with batch and bands.
+    """The sums over all windows of one size; the cost does not grow with the size.
 
-    `ValueError` where the window is empty or larger than the image.
+    Args:
+        integral: the integral image.
+        size: (rows, columns) of the window, in pixels.
+
+    Returns:
+        (h - rows + 1, w - columns + 1), or with batch and bands, in the image's unit.
+
+    Raises:
+        ValueError: for a window that is empty or larger than the image.
     """
     axis = _row_axis(integral.high.ndim, "an integral image")
     shape = tuple(n - 1 for n in integral.high.shape[axis : axis + 2])

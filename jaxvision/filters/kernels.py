@@ -1,8 +1,8 @@
 """Kernels of plain numbers, as NumPy arrays: they are known before anything is traced.
 
-All are kernels of correlation, (taps,) down a column or along a row, or (kh, kw): an entry stands
-on the picture where it is written, so that a derivative is positive where the picture rises to the
-right, or downwards. Distances are in pixels, weights have no unit unless they say so.
+All are kernels of correlation, (taps,) down a column or along a row, or (kh, kw): an entry lies on
+the picture where it is written, so that a derivative is positive where the picture rises to the
+right, or downwards. Distances are in pixels; weights have no unit unless stated.
 """
 
 import math
@@ -21,24 +21,55 @@ SMOOTHING = {
 
 
 def box_kernel(size: int) -> np.ndarray:
-    """(size,) equal weights of sum 1. `ValueError` for size < 1."""
+    """Equal weights of sum 1.
+
+    Args:
+        size: number of taps, at least 1.
+
+    Returns:
+        (size,) no unit.
+
+    Raises:
+        ValueError: for a size that is not a whole number of at least 1.
+    """
     return np.full(_checked(size), 1 / size)
 
 
 def binomial_kernel(size: int) -> np.ndarray:
-    """(size,) binomial coefficients over their sum 2 ** (size - 1): variance (size - 1) / 4.
-    `ValueError` for size < 1."""
+    """Binomial coefficients over their sum 2^(size - 1), of variance (size - 1) / 4 pixels^2.
+
+    Args:
+        size: number of taps, at least 1.
+
+    Returns:
+        (size,) no unit.
+
+    Raises:
+        ValueError: for a size that is not a whole number of at least 1.
+
+    Example:
+        >>> print(jv.filters.binomial_kernel(5) * 16)
+        [1. 4. 6. 4. 1.]
+    """
     n = _checked(size) - 1
     # whole numbers divided: of the largest there is no float, of every quotient there is
     return np.array([math.comb(n, k) / 2**n for k in range(size)])
 
 
 def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarray]:
-    """(derivative, smoothing), each (3,): the slope per pixel along an axis, exact for a parabola,
-    and the weights of sum 1 across it.
+    """The first difference along an axis, and the smoothing across it.
 
-    `scheme`: "central" differences, no smoothing; "prewitt"; "sobel"; "scharr", whose direction is
-    the most nearly true (Scharr, thesis, Heidelberg 2000). `ValueError` for another.
+    Args:
+        scheme: "central" differences without smoothing; "prewitt"; "sobel"; or "scharr", whose
+            direction is the most accurate.
+
+    Returns:
+        (3,) the slope per pixel, exact for a parabola, and (3,) weights of sum 1, no unit.
+
+    Raises:
+        ValueError: for another scheme.
+
+    Source: H. Scharr, thesis, Heidelberg 2000, for "scharr".
     """
     if scheme not in SMOOTHING:
         raise ValueError(f"scheme must be one of {', '.join(SMOOTHING)}, got {scheme!r}.")
@@ -47,25 +78,56 @@ def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarr
 
 
 def laplacian_kernel(*, isotropic: bool = False) -> np.ndarray:
-    """(3, 3) sum of second differences, per square pixel: the five-point stencil, or with
-    `isotropic` the nine-point one, whose first error is the same in all directions."""
+    """The sum of both second differences.
+
+    Args:
+        isotropic: whether to take the nine-point stencil, whose leading error is the same in all
+            directions, instead of the five-point one.
+
+    Returns:
+        (3, 3) per square pixel.
+    """
     if isotropic:
         return np.array([[1, 4, 1], [4, -20, 4], [1, 4, 1]]) / 6.0
     return np.array([[0.0, 1, 0], [1, -4, 1], [0, 1, 0]])
 
 
 def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
-    """The odd size that reaches `truncate` sigmas to both sides, 2 round(truncate sigma) + 1, as in
-    scipy; at 4 a share of 6e-5 is cut off, at 6 2e-9. `ValueError` for sigma < 0 or not finite."""
+    """The odd size that reaches `truncate` sigmas to both sides, as in scipy.
+
+    It is 2 round(truncate sigma) + 1. At 4 sigmas a share of 6e-5 is cut off, at 6 a share of 2e-9.
+
+    Args:
+        sigma: in pixels, at least 0.
+        truncate: in sigmas, no unit.
+
+    Returns:
+        The number of taps.
+
+    Raises:
+        ValueError: for a sigma below 0 or not finite.
+    """
     if not (np.isfinite(sigma) and sigma >= 0):
         raise ValueError(f"sigma must be finite and >= 0 pixels, got {sigma}.")
     return 2 * int(truncate * sigma + 0.5) + 1
 
 
 def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
-    """The sigmas of a bank from `low` to `high` pixels, equally spaced in log(sigma + 1 / 2): the
-    error is the same at all, wide blurs being smooth. `ValueError` unless 0 <= low < high and
-    members >= 2."""
+    """The sigmas of a bank of Gaussians, equally spaced in log(sigma + 1 / 2).
+
+    The blend of two neighbours then errs equally everywhere, since wide blurs are smooth.
+
+    Args:
+        low: the smallest sigma, in pixels, at least 0.
+        high: the largest sigma, in pixels, above `low`.
+        members: how many, at least 2.
+
+    Returns:
+        The sigmas in pixels, ascending.
+
+    Raises:
+        ValueError: unless 0 <= low < high and members >= 2.
+    """
     if not 0 <= low < high or members < 2:
         raise ValueError(
             f"a bank needs 0 <= low < high and members >= 2, got {low}, {high} and {members}."

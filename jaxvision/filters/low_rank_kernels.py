@@ -1,7 +1,7 @@
-"""A kernel as the sum of few separable ones: the rank is the knob, the error is stated.
+"""A kernel as the sum of a few separable ones: the rank is the knob, and the error is stated.
 
-The best of each rank is the singular value decomposition cut short (Eckart and Young 1936; for
-filters: Treitel and Shanks 1971). Kernels and pictures in any unit.
+The best approximation of each rank is the truncated singular value decomposition (Eckart and Young
+1936; for filters: Treitel and Shanks 1971). Kernels and pictures in any unit.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,13 @@ from .convolution import _anchor
 
 
 class LowRank(eqx.Module):
-    """sum over r of columns[r, i] rows[r, j], in the kernel's unit.
+    """A kernel as the sum over r of columns[r, i] rows[r, j].
 
-    error: () root of the sum of squares of what is missing of the kernel. No pixel of a picture
-    within [-1, 1] is off by more than sqrt(kh kw) error.
+    Attributes:
+        columns: (rank, kh) factors down the columns, in the square root of the kernel's unit.
+        rows: (rank, kw) factors along the rows, in the square root of the kernel's unit.
+        error: () root of the sum of squares of the missing part, in the kernel's unit. No pixel of
+            a picture within [-1, 1] is off by more than sqrt(kh kw) error.
     """
 
     columns: Float[Array, "rank kh"] = eqx.field(converter=as_float)
@@ -35,10 +38,26 @@ class LowRank(eqx.Module):
 
 
 def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRank:
-    """The best approximation of a kernel, in any unit, by `rank` separable ones.
+    """The best approximation of a kernel by `rank` separable ones.
 
-    Differentiable where the singular values differ. `ValueError` for a rank beyond [1, min(kh,
-    kw)].
+    Differentiable where the singular values differ.
+
+    Args:
+        kernel: (kh, kw), any unit.
+        rank: 1 to min(kh, kw).
+
+    Returns:
+        The factors and the error of the approximation.
+
+    Raises:
+        ValueError: for a rank outside [1, min(kh, kw)].
+
+    Example:
+        >>> disc = np.hypot(*np.mgrid[-3:4, -3:4]) <= 3
+        >>> kernel = jnp.asarray(disc / disc.sum())
+        >>> errors = [jv.filters.low_rank(kernel, rank=r).error for r in (1, 2, 3)]
+        >>> print([f"{error:.3f}" for error in errors])
+        ['0.061', '0.042', '0.000']
     """
     if not 1 <= rank <= min(kernel.shape):
         raise ValueError(f"rank must be in [1, {min(kernel.shape)}], got {rank}.")
@@ -57,7 +76,20 @@ def correlate_low_rank(
     fill: Fill = 0.0,
 ) -> Filtered:
     """`correlate` by one pass down the columns and one along the rows for each rank.
-    Errors as for `correlate`."""
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        kernel: the factors, as `low_rank` gives them.
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        The picture's shape; its unit times the kernel's.
+
+    Raises:
+        ValueError: for an anchor outside the kernel and an unknown border.
+    """
     check_picture(picture)
     check_border(border)
     size = kernel.columns.shape[1], kernel.rows.shape[1]

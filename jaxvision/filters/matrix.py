@@ -1,9 +1,10 @@
 """A filter as a matrix: g = H f + offset, with the pixels of one plane row by row in f and g.
 
 Exact at every border and for kernels that change from pixel to pixel. The entries are those of the
-filter, in no unit; only the border "constant" has an offset, in the picture's unit. H has h w rows
-and columns and some kh kw h w entries: for looking at filters and for solvers of sparse systems.
-The same operator without a matrix is the filter itself, and its transpose `operators.adjoint`.
+filter, without unit; only the border "constant" has an offset, in the picture's unit. H has h w
+rows and columns and some kh kw h w entries: it serves to inspect filters and to solve sparse
+systems. The same operator without a matrix is the filter itself, and its transpose is
+`operators.adjoint`.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,9 @@ print_by_name(globals(), "Kernel")
 class MatrixForm(eqx.Module):
     """g = matrix @ f + offset for a plane f of (h w,) pixels.
 
-    matrix: (h w, h w) sparse, no unit. offset: (h w,) in the picture's unit, or None where the
-    border brings nothing from outside.
+    Attributes:
+        matrix: (h w, h w) sparse, no unit.
+        offset: (h w,) in the picture's unit, or None where the border adds nothing from outside.
     """
 
     matrix: BCOO
@@ -43,10 +45,23 @@ def filter_matrix(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> MatrixForm:
-    """The matrix of `correlate` on planes (h, w) = `shape`: every entry one number of the kernel
-    times one of the border, entries of one place not yet added up (`sum_duplicates` does).
+    """The matrix of `correlate` on one plane.
 
-    `ValueError` for an unknown border or an anchor outside the kernel.
+    Every entry is one number of the kernel times one coefficient of the border. Entries at one
+    place are not yet added up; `sum_duplicates` does that.
+
+    Args:
+        kernel: (kh, kw), no unit.
+        shape: (h, w) of the planes.
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: a key of `padding.BORDERS`.
+        fill: () in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        The matrix (h w, h w) and, with border "constant", the offset (h w,) in the unit of `fill`.
+
+    Raises:
+        ValueError: for an unknown border or an anchor outside the kernel.
     """
     check_border(border)
     kernel, (h, w) = as_float(kernel), shape
@@ -79,7 +94,19 @@ def per_pixel_matrix(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> MatrixForm:
-    """The matrix of `correlate_per_pixel`, which takes the same borders."""
+    """The matrix of `correlate_per_pixel`.
+
+    Args:
+        kernels: (kh, kw, h, w), one kernel a pixel, no unit.
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: "zero", "clamp", "wrap", "mirror" or "extend".
+
+    Returns:
+        The matrix (h w, h w), without an offset.
+
+    Raises:
+        ValueError: for another border or an anchor outside the kernels.
+    """
     check_border(border, refused=("constant", "normalised_zero"))
     kernels = as_float(kernels)
     kh, kw, h, w = kernels.shape

@@ -1,9 +1,10 @@
 """The median of each pixel's neighbourhood, by a selection network.
 
-The neighbourhood's shifted images go, whole, through the comparators (minimum, maximum) of
-Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M), of
-which only those that lead to the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. No branch and
-no index, so it runs at the speed of vector minima. Values keep their unit (relative or DN).
+The shifted images of the neighbourhood go, whole, through the comparators (minimum, maximum) of
+Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M). Only
+the comparators that lead to the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. There is no
+branch and no index, so it runs at the speed of vector minima. Values keep their unit (relative or
+DN).
 """
 
 from collections.abc import Sequence
@@ -30,20 +31,28 @@ def median_filter(
     footprint: ArrayLike | None = None,
     border: str = "mirror",
 ) -> Shaped[Array, "..."]:
-    """The median over a rectangle or a footprint about each pixel, in the image's own dtype.
+    """The median over a rectangle or a footprint about each pixel.
 
-    `picture`: (h, w) or (..., h, w, bands), each band by itself; uint8, uint16 or floating.
-    `size`: (rows, columns), or one number for both. `footprint`: (rows, columns), true where a
-    neighbour counts; it replaces `size`. Its middle, element n // 2 of a side of n, lies on
-    the pixel. Of an even number of neighbours the upper of the two middle ones is taken, as
-    `scipy.ndimage` does.
+    Of an even number of neighbours the upper of the two middle ones is taken, as in
+    `scipy.ndimage`. A NaN in the neighbourhood makes the result NaN. The gradient goes to the
+    neighbour that is the median, in equal parts where several are. Compile time grows with the
+    footprint: below 1 s up to 7 x 7, some seconds for 15 x 15.
 
-    `border`: any of `padding` but "normalised_zero", which is for weighted means, and "constant",
-    which takes a fill; "extend" continues within the codes that an integer image can hold.
+    Args:
+        picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band by
+            itself.
+        size: (rows, columns) in pixels, or one number for both.
+        footprint: (rows, columns), true where a neighbour counts; replaces `size`. Its middle,
+            element n // 2 of a side of n, lies on the pixel.
+        border: a key of `padding.BORDERS` but "normalised_zero", which is for weighted means, and
+            "constant"; "extend" stays within the codes of an integer image.
 
-    A NaN in the neighbourhood makes the result NaN. The gradient goes to the neighbour that is the
-    median, in equal parts where several are. Compile time grows with the footprint: up to 7 x 7
-    below 1 s, 15 x 15 some seconds.
+    Returns:
+        The picture's shape, unit and dtype.
+
+    Raises:
+        ValueError: for an empty footprint, a size of another form, an unknown border, or another
+            dtype.
     """
     if footprint is None:
         shape = np.ones(_both_ways(size), bool)

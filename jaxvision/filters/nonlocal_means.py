@@ -1,10 +1,11 @@
-"""Non-local means (Buades, Coll & Morel, CVPR 2005), by definition, every neighbour weighed:
+"""Non-local means (Buades, Coll & Morel, CVPR 2005), by its definition, which weighs every
+neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,    w = exp(-max(D(p, q) - 2 noise^2, 0) / strength^2),
 
-with D the mean squared difference of the patches about p and q over their pixels (weighted by a
-profile) and bands, q in a square about p. One weight for all bands. `strength` and `noise` are in
-the unit of the image: relative or DN.
+where D is the mean squared difference of the patches about p and q over their pixels (weighted by a
+profile) and bands, and q lies in a square about p. All bands share one weight. `strength` and
+`noise` are in the unit of the image: relative or DN.
 """
 
 import functools
@@ -33,21 +34,33 @@ def nonlocal_means_filter(
     cutoff: float | Scalars | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """The mean of the pixels whose surroundings look alike.
+    """The mean of the pixels with similar surroundings.
 
-    `picture`: (h, w) or (..., h, w, bands). `strength`: () how unlike patches still count; of the
-    order of the noise. `noise`: () standard deviation of the noise, whose share of D is taken off.
-    `patch`: the side of the patches, odd. `radius`: neighbours up to so many rows and columns away
-    are searched. `profile`: the weights of D over a patch, "uniform" or "gaussian" with a standard
-    deviation of (patch - 1) / 4. `cutoff`: () a neighbour whose exponent is larger is left out;
-    None keeps all. scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an
-    approximate exp (with `fast_mode`, uniform patches one row and column smaller than asked for).
+    A strength of 0 or below stands for the limit: equal patches only. NaN spreads to every pixel
+    with one in its search window, or in a patch of that window.
 
-    `border`: as in `padding`, but "constant", which takes a fill; with "normalised_zero" pixels
-    outside take no part (they are 0 in patches that reach out).
+    scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an approximate exp
+    (with `fast_mode`, uniform patches one row and column smaller than asked for).
 
-    A strength of 0 (or below) stands for the limit: equal patches only. NaN spreads to every pixel
-    that has it in its search window or in a patch of it.
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        strength: () in the picture's unit, how different patches may be and still count; of the
+            order of the noise.
+        noise: () in the picture's unit, standard deviation of the noise, whose share of D is
+            subtracted.
+        patch: side of the patches in pixels, odd.
+        radius: rows and columns to search on each side, at least 0.
+        profile: weights of D over a patch, "uniform", or "gaussian" with a standard deviation of
+            (patch - 1) / 4 pixels.
+        cutoff: () no unit; neighbours with a larger exponent are left out. None keeps all.
+        border: a key of `padding.BORDERS` but "constant"; with "normalised_zero" pixels outside
+            take no part (they are 0 in patches that reach out).
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for an unknown profile or border, an even patch, and a radius below 0.
     """
     if profile not in ("uniform", "gaussian"):
         raise ValueError(f'profile must be "uniform" or "gaussian", got {profile!r}.')

@@ -1,5 +1,5 @@
-"""What can be asked of any linear filter, given as a function from pictures to pictures of the same
-shape, in any unit."""
+"""Impulse response and transpose of any linear filter, given as a function from pictures to
+pictures of the same shape, in any unit."""
 
 from collections.abc import Callable
 
@@ -19,10 +19,17 @@ def impulse_response(
     operator: Callable[[Filtered], Filtered],
     shape: tuple[int, ...],
 ) -> Filtered:
-    """What `operator` makes of a picture of that shape, (h, w) or (..., h, w, bands), which is
-    `height` in the middle pixel (h // 2, w // 2) of every plane and 0 elsewhere, in any unit.
+    """The response of a filter to one bright pixel in every plane.
 
-    Of `convolve` it is the kernel, of `correlate` the kernel turned by half a turn.
+    For `convolve` it is the kernel, for `correlate` the kernel rotated by half a turn.
+
+    Args:
+        height: () value of the middle pixel (h // 2, w // 2), any unit; all others are 0.
+        operator: the filter.
+        shape: (h, w) or (..., h, w, bands) of the picture.
+
+    Returns:
+        The result of the filter, of the given shape.
     """
     rows, columns = shape if len(shape) == 2 else shape[-3:-1]
     height = as_float(height)
@@ -31,11 +38,18 @@ def impulse_response(
 
 
 def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> Filtered:
-    """H' g for g = `picture`, in its unit: the transpose of a filter that is linear and keeps the
-    shape. <operator(f), g> = <f, adjoint(g)>.
+    """The transpose of a linear filter, applied: <operator(f), g> = <f, adjoint(g)>.
 
-    `ValueError` for a filter with an offset, as the border "constant" with a fill has: seen by what
-    it makes of a picture of 0, unless `picture` is traced.
+    Args:
+        picture: g, of the shape that the filter keeps, any unit.
+        operator: the linear filter.
+
+    Returns:
+        H' g, of the same shape and unit.
+
+    Raises:
+        ValueError: for a filter with an offset, such as border "constant" with a fill. The check
+            applies it to a picture of 0, and is skipped where `picture` is traced.
     """
     if not isinstance(picture, Tracer):
         _check_no_offset(operator, picture.shape, picture.dtype)

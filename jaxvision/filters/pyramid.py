@@ -4,7 +4,7 @@ pyramids (Burt & Adelson, IEEE Trans. Communications 31, 1983; ACM Trans. Graphi
 The kernel is the binomial [1 4 6 4 1] / 16 (their a = 3/8) in rows and columns. Level l + 1 keeps
 the even rows and columns of level l: n pixels become ceil(n / 2), as in OpenCV's `pyrDown`. Values
 are relative or DN; integer images are computed as floating numbers. NaN spreads to the pixels
-whose kernel covers it. The borders are those of `padding` but "constant", which takes a fill.
+under its kernel. The borders are those of `padding` except "constant", which takes a fill.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,15 @@ Size = tuple[int, int]
 def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
     """The next level of a Gaussian pyramid: blurred, every second row and column.
 
-    `picture`: (h, w) or (..., h, w, bands) -> (ceil(h / 2), ceil(w / 2)) or with batch and bands.
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        (ceil(h / 2), ceil(w / 2)), or with batch and bands, in the picture's unit.
+
+    Raises:
+        ValueError: for an array that is no picture and for an unknown border.
     """
     image, restore = as_planes(picture)
     check_border(border, refused=("constant",))
@@ -43,11 +51,21 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 
 @partial(jax.jit, static_argnames=("size", "border"))
 def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats:
-    """A level at the `size` = (h, w) of the level below it: between the coarse pixels, which stand
-    on even rows and columns, the kernel interpolates. Constants stay constant, but for the border
-    "zero".
+    """A level of a pyramid at the size of the next finer one.
 
-    `ValueError` unless `picture` has ceil(h / 2) rows and ceil(w / 2) columns.
+    The coarse pixels stand on even rows and columns, and the kernel interpolates between them.
+    Constants stay constant, except with border "zero".
+
+    Args:
+        picture: (ceil(h / 2), ceil(w / 2)), or with batch and bands, relative or DN.
+        size: (h, w) of the finer level, in pixels.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        (h, w), or with batch and bands, in the picture's unit.
+
+    Raises:
+        ValueError: for a picture of another size and for an unknown border.
     """
     image, restore = as_planes(picture)
     check_border(border, refused=("constant",))
@@ -62,7 +80,19 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
 
 
 def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
-    """The image and `levels` - 1 reductions of it, finest first."""
+    """The picture and its successive reductions.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        levels: number of levels, at least 1.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        The levels, finest first, in the picture's unit.
+
+    Raises:
+        ValueError: for fewer than one level and as for `reduce_by_two`.
+    """
     _check_levels(levels)
     check_picture(picture)
     pyramid = [as_float(picture)]
@@ -72,8 +102,20 @@ def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror"
 
 
 def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
-    """What each level of the Gaussian pyramid adds to the expanded next one, finest first; the last
-    of the `levels` is the coarsest Gaussian level itself."""
+    """The difference of each level of the Gaussian pyramid from the expanded next one.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        levels: number of levels, at least 1.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        The levels, finest first, in the picture's unit; the last is the coarsest Gaussian level
+        itself.
+
+    Raises:
+        ValueError: for fewer than one level and as for `reduce_by_two`.
+    """
     gaussian = gaussian_pyramid(picture, levels, border=border)
     details = (
         fine - expand(coarse, _size(fine), border=border) for fine, coarse in pairwise(gaussian)
@@ -82,8 +124,28 @@ def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror
 
 
 def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
-    """The image of a Laplacian pyramid: exact up to the rounding of one subtraction and one
-    addition a level, whatever the size and border, given the border it was built with."""
+    """The picture of a Laplacian pyramid.
+
+    Exact for any size and border, up to the rounding of one subtraction and one addition a level.
+
+    Args:
+        pyramid: the levels, finest first, relative or DN.
+        border: the border that the pyramid was built with.
+
+    Returns:
+        (h, w) or (..., h, w, bands), in the pyramid's unit.
+
+    Raises:
+        ValueError: for a pyramid without levels and for levels whose sizes do not fit.
+
+    Example:
+        >>> picture = jnp.arange(35.0).reshape(5, 7)
+        >>> pyramid = jv.filters.laplacian_pyramid(picture, 3)
+        >>> print([level.shape for level in pyramid])
+        [(5, 7), (3, 4), (2, 2)]
+        >>> print(bool(jnp.allclose(jv.filters.collapse_laplacian(pyramid), picture, rtol=1e-12)))
+        True
+    """
     _check_levels(len(pyramid))
     image = pyramid[-1]
     for detail in reversed(pyramid[:-1]):
@@ -99,11 +161,24 @@ def blend_by_pyramid(
     *,
     border: str = "mirror",
 ) -> Floats:
-    """mask first + (1 - mask) second, band by band of frequencies: coarse structure crosses over
-    widely, fine detail sharply, so no seam shows.
+    """mask first + (1 - mask) second, separately for each band of spatial frequencies.
 
-    `first`, `second`: (h, w) or (..., h, w, bands). `mask`: of the same shape, or with one band for
-    all; in [0, 1], a number outside extrapolates. `levels`: of the pyramids; 1 is the plain blend.
+    Coarse structure is blended over a wide strip and fine detail over a narrow one, so that no seam
+    shows.
+
+    Args:
+        first: (h, w) or (..., h, w, bands), relative or DN.
+        second: the same shape and unit.
+        mask: the same shape, or with one band for all; no unit, in [0, 1]. Values outside
+            extrapolate.
+        levels: levels of the pyramids, at least 1; 1 is the plain blend.
+        border: a key of `padding.BORDERS` but "constant".
+
+    Returns:
+        The shape and unit of `first`.
+
+    Raises:
+        ValueError: for shapes that do not fit and as for `laplacian_pyramid`.
     """
     one, other, weight = as_float(first), as_float(second), as_float(mask)
     shapes = (one.shape, (*one.shape[:-1], 1) if one.ndim > 2 else one.shape)

@@ -1,5 +1,7 @@
-"""Filters for scipy: a sparse matrix, or an operator with its transpose, for its solvers. Pixels
-row by row, values in any unit; NumPy comes out, nothing is traced."""
+"""Filters for scipy's solvers: as a sparse matrix, or as an operator with its transpose.
+
+Pixels row by row, values in any unit. The results are NumPy's; nothing is traced.
+"""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -18,7 +20,14 @@ if TYPE_CHECKING:
 
 
 def scipy_matrix(matrix: BCOO) -> "scipy.sparse.csr_array":
-    """A sparse matrix of JAX as one of scipy, entries of one place added up."""
+    """A sparse matrix of JAX as one of scipy; entries at one place are added up.
+
+    Args:
+        matrix: (rows, columns), any unit.
+
+    Returns:
+        (rows, columns) in the same unit.
+    """
     from scipy import sparse
 
     rows, columns = np.asarray(matrix.indices).T
@@ -29,8 +38,19 @@ def scipy_matrix(matrix: BCOO) -> "scipy.sparse.csr_array":
 def scipy_operator(
     operator: Callable[[Filtered], Filtered], shape: tuple[int, ...], *, dtype: type = np.float64
 ) -> "scipy.sparse.linalg.LinearOperator":
-    """A linear filter of pictures of that shape as scipy's LinearOperator: H @ f and H.T @ g on
-    flat vectors, without a matrix. `ValueError` for a filter with an offset, as for `adjoint`."""
+    """A linear filter as scipy's LinearOperator: H @ f and H.T @ g, without a matrix.
+
+    Args:
+        operator: the filter, from pictures to pictures of the same shape, any unit.
+        shape: (h, w) or (..., h, w, bands) of the pictures.
+        dtype: of the computation.
+
+    Returns:
+        The operator on vectors of (h w,), or of all numbers of the shape.
+
+    Raises:
+        ValueError: for a filter with an offset, as for `adjoint`.
+    """
     from scipy.sparse.linalg import LinearOperator
 
     _check_no_offset(operator, shape, dtype)

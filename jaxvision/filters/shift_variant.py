@@ -1,11 +1,12 @@
 """Filters whose kernel changes from pixel to pixel: lens blur, defocus by depth, foveation.
 
-Three ways, from general to fast: a kernel for each pixel (exact); radial kernels that depend on the
-pixel through one number, its scale (exact, nothing stored); a bank of ordinary filters with
-interpolation between them, whose number is the knob of accuracy. Pictures and borders as in
-`convolution`, in any unit; the kernel of a pixel is the one by which THAT pixel gathers. Gathering
-keeps a flat picture flat but not the sum of light; to scatter, each pixel spreading its own by its
-kernel turned about, which keeps the sum, is the transpose: `operators.adjoint` of the same filter.
+There are three ways, from general to fast: a kernel for each pixel (exact); radial kernels that
+depend on the pixel through one number, its scale (exact, nothing stored); a bank of ordinary
+filters with interpolation between them, where the number of filters is the knob of accuracy.
+Pictures and borders as in `convolution`, in any unit. The kernel of a pixel is the one by which
+THAT pixel gathers. Gathering keeps a flat picture flat but not the sum of light. To scatter, so
+that each pixel spreads its own light by its rotated kernel and the sum is kept, take the transpose:
+`operators.adjoint` of the same filter.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,15 +40,32 @@ Planes = Float[Array, "n h c w"]
 
 
 def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
-    """exp(-r^2 / 2 sigma^2), both in pixels. A sigma below 0.01, also 0 or less, counts as 0.01:
-    the pixel itself."""
+    """exp(-r^2 / 2 sigma^2).
+
+    Args:
+        radius: () in pixels.
+        sigma: (h, w) in pixels. A sigma below 0.01, also 0 or less, counts as 0.01: the pixel
+            itself.
+
+    Returns:
+        (h, w) weights, no unit, not normalised.
+    """
     t = radius / jnp.maximum(sigma, _SMALLEST_SIGMA)
     return jnp.exp(-0.5 * t * t)
 
 
 def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
-    """The disk of defocus, both in pixels: 1 inside, 0 outside, and in between a straight edge one
-    pixel wide, so that it moves smoothly with the radius of blur."""
+    """The disc of defocus: 1 inside, 0 outside, with a linear edge one pixel wide.
+
+    The edge makes it move smoothly with the radius of blur.
+
+    Args:
+        radius: () in pixels.
+        blur_radius: (h, w) in pixels.
+
+    Returns:
+        (h, w) weights in [0, 1], no unit, not normalised.
+    """
     return jnp.clip(blur_radius + 0.5 - radius, 0, 1)
 
 
@@ -58,11 +76,19 @@ def correlate_per_pixel(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """g[p] = sum over i of kernels[i, p] f[p + i - anchor].
+    """Correlation with one kernel a pixel: g[p] = sum over i of kernels[i, p] f[p + i - anchor].
 
-    `kernels`: (kh, kw, h, w), each tap a picture of weights. Borders "constant" and
-    "normalised_zero" are left to the caller, who has the kernels. `ValueError` for kernels of
-    another shape, an anchor outside of them or an unknown border.
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        kernels: (kh, kw, h, w), each tap a map of weights; no unit, or any.
+        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        border: "zero", "clamp", "wrap", "mirror" or "extend".
+
+    Returns:
+        The picture's shape; its unit times the kernels'.
+
+    Raises:
+        ValueError: for kernels of another shape, an anchor outside them, or another border.
     """
     _check_linear(border)
     plane = _plane(picture)
@@ -81,11 +107,25 @@ def correlate_bank(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The picture under each kernel of a `bank`, (members, kh, kw), blended pixel by pixel:
-    `position` in [0, members - 1] counts along the bank, linear in between, constant beyond.
+    """The picture under each kernel of a bank, blended pixel by pixel.
 
-    The kernel of a pixel is the blend of two of the bank's: more members, less error, in proportion
-    to the square of their distance. `ValueError` for a bank or a position of other axes.
+    The kernel of a pixel is the blend of two kernels of the bank. The error is proportional to the
+    square of the distance between two members.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        bank: (members, kh, kw), no unit, or any.
+        position: (h, w) place in the bank, no unit, in [0, members - 1]; linear in between,
+            constant beyond.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate`.
+
+    Returns:
+        The picture's shape; its unit times the bank's.
+
+    Raises:
+        ValueError: for a bank or a position of another shape and as for `correlate`.
     """
     _check_map("position", position, picture)
     if bank.ndim != 3 or 0 in bank.shape:
@@ -103,11 +143,24 @@ def radial_blur(
     radius: int,
     border: str = "mirror",
 ) -> Filtered:
-    """The mean over all pixels within `radius` of each, weighted by profile(distance, scale[p]).
+    """The mean over the pixels within `radius`, weighted by profile(distance, scale[p]).
 
-    Exact for kernels that depend on the distance only. `scale`: (h, w) pixels, what the profile
-    makes of it. Pixels of one distance are summed first, since they share their weight: one
-    exponential a ring, not one a tap. `radius` is the knob: what lies beyond counts as 0.
+    Exact for kernels that depend on the distance alone. Pixels at one distance share their weight
+    and are summed first: that takes one exponential a ring, not one a tap. Where all weights vanish
+    the pixel keeps its value.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        scale: (h, w) in pixels, the second argument of the profile.
+        profile: weight as a function of the distance () in pixels and the scale (h, w).
+        radius: in pixels, at least 0: the knob; the kernel counts as 0 beyond it.
+        border: "zero", "clamp", "wrap", "mirror" or "extend".
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for a scale of another shape, a radius below 0, or another border.
     """
     _check_map("scale", scale, picture)
     _check_linear(border)
@@ -125,11 +178,25 @@ def gaussian_varying(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """A Gaussian whose `sigma`, (h, w) in pixels, is each pixel's own, from those of a bank.
+    """A Gaussian with a `sigma` for each pixel, interpolated in a bank of Gaussians.
 
-    Between two `sigmas` (increasing, >= 0; beyond them the nearest) the blend keeps the variance
-    exactly, so that only the fourth moment is off: the error falls with the square of their
-    distance. `kernels.blur_sigmas` chooses them. Exact: `radial_blur`.
+    Between two members the blend keeps the variance exactly, so that only the fourth moment is off:
+    the error falls with the square of their distance. `kernels.blur_sigmas` chooses the members.
+    `radial_blur` is exact.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        sigma: (h, w) in pixels; outside the bank it counts as the nearest member.
+        sigmas: the bank, at least two increasing sigmas in pixels, each at least 0.
+        truncate: sigmas at which a kernel is cut off, no unit.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for a sigma of another shape and for fewer than two or not increasing `sigmas`.
     """
     _check_map("sigma", sigma, picture)
     if len(sigmas) < 2 or any(b <= a for a, b in pairwise(sigmas)):

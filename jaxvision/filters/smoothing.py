@@ -1,4 +1,4 @@
-"""Averages, and what sharpens by undoing them.
+"""Averages, and the sharpening that undoes them.
 
 Pictures, borders and methods as in `convolution`; sizes in pixels.
 """
@@ -26,8 +26,22 @@ def box(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The mean over `size` pixels, both ways or (down, across); an even size reaches one pixel
-    further up and left."""
+    """The mean over a rectangle of pixels.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        size: pixels both ways, or (down, across); an even size reaches one pixel further up and
+            left.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate_separable`.
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for a size of another form or below 1, and as for `correlate_separable`.
+    """
     down, across = _both_ways(size)
     return correlate_separable(
         picture, box_kernel(down), box_kernel(across), border=border, fill=fill, method=method
@@ -42,7 +56,21 @@ def binomial(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The mean with binomial weights, variance (size - 1) / 4 pixels^2 each way."""
+    """The mean with binomial weights, of variance (size - 1) / 4 pixels^2 each way.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        size: taps both ways, at least 1.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+        method: as for `correlate_separable`.
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: for a size below 1, and as for `correlate_separable`.
+    """
     taps = binomial_kernel(size)
     return correlate_separable(picture, taps, taps, border=border, fill=fill, method=method)
 
@@ -57,8 +85,27 @@ def unsharp_mask(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """f + amount (f - gaussian(f)): `amount` times the detail below `sigma` pixels on top. No limit
-    is put on the overshoot. Source: Szeliski, Computer Vision, section 3.2."""
+    """f + amount (f - gaussian(f)): adds `amount` times the detail finer than `sigma`.
+
+    The overshoot is not limited.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        sigma: () or (2,) in pixels, of the Gaussian.
+        amount: () no unit; 0 changes nothing.
+        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
+        border: a key of `padding.BORDERS`.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        The picture's shape and unit.
+
+    Raises:
+        ValueError: as for `gaussian`.
+
+    Source: Szeliski, Computer Vision, section 3.2.
+    """
     blurred = gaussian(picture, sigma, size=size, truncate=truncate, border=border, fill=fill)
     sharp = as_float(picture)
     return sharp + jnp.asarray(amount, sharp.dtype) * (sharp - blurred)
@@ -67,13 +114,21 @@ def unsharp_mask(
 def blur_straight(
     picture: Float[Array, "... h w channels"], *, blur: Callable[[Filtered], Filtered]
 ) -> Float[Array, "... h w channels"]:
-    """Any blur of a picture with transparency: its last channel is the coverage alpha, the others
-    straight (not premultiplied) light; any unit.
+    """Any blur of a picture with transparency whose light is straight (not premultiplied).
 
-    Light counts in proportion to its coverage: blur(alpha light) / blur(alpha), and blur(alpha), so
-    that the colour of what is wholly transparent never shows. Where nothing is covered the light is
-    0. An alpha beyond [0, 1] continues the formula. A premultiplied layer needs none of this: blur
-    all its channels alike. Source: Porter and Duff, SIGGRAPH 1984.
+    Light counts in proportion to its coverage: the result is blur(alpha light) / blur(alpha) with
+    coverage blur(alpha), so that the colour of wholly transparent pixels never shows. A
+    premultiplied layer needs none of this: blur all its channels alike.
+
+    Args:
+        picture: (..., h, w, channels): straight light in any unit, then the coverage alpha. An
+            alpha outside [0, 1] continues the formula.
+        blur: the blur, from a picture to one of the same shape.
+
+    Returns:
+        (..., h, w, channels): straight light and coverage; the light is 0 where the coverage is.
+
+    Source: Porter and Duff, SIGGRAPH 1984.
     """
     light, alpha = picture[..., :-1], picture[..., -1:]
     layer = blur(jnp.concatenate([light * alpha, alpha], axis=-1))

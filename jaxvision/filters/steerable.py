@@ -1,7 +1,7 @@
 """Filters of any orientation as sums of a few fixed ones (Freeman and Adelson, "The Design and Use
 of Steerable Filters", PAMI 13, 1991).
 
-Angles in rad, 0 to the right and pi/2 UP; () or (h, w), one for each pixel. `width` in pixels is
+Angles in rad, 0 to the right and pi/2 UP; () or (h, w), one for each pixel. `width`, in pixels, is
 the unit of length of the paper's exp(-x^2 - y^2): a Gaussian of sigma = width / sqrt(2).
 Responses have the picture's unit per pixel (first order), or its own.
 """
@@ -40,8 +40,12 @@ _H2: tuple[tuple[_Factor, _Factor], ...] = (
 
 
 class QuadratureBasis(NamedTuple):
-    """Responses of the basis of the quadrature pair G2 (three) and H2 (four), each of the picture's
-    shape and unit."""
+    """Responses of the basis filters of the quadrature pair G2 and H2.
+
+    Attributes:
+        even: three responses for G2, each of the picture's shape and unit.
+        odd: four responses for H2, each of the picture's shape and unit.
+    """
 
     even: Basis
     odd: Basis
@@ -57,8 +61,25 @@ def directional_derivative(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """The slope towards `angle` (rad) of the picture under a Gaussian of `sigma` pixels, per pixel:
-    cos f_x + sin f_up, the steerable filter of first order."""
+    """The slope of the picture under a Gaussian, towards an angle: cos f_x + sin f_up.
+
+    This is the steerable filter of first order.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        sigma: () or (2,), down and across, in pixels.
+        angle: () or (h, w) in rad, 0 to the right and pi/2 up.
+        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
+        border: a key of `padding.BORDERS` but "normalised_zero".
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        The picture's shape; its unit per pixel.
+
+    Raises:
+        ValueError: as for `gaussian`.
+    """
 
     def along(order: tuple[int, int]) -> Filtered:
         return gaussian(
@@ -77,13 +98,26 @@ def quadrature_basis(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> QuadratureBasis:
-    """The seven separable responses from which every orientation of G2 and H2 follows.
+    """The seven separable responses that give G2 and H2 at every orientation.
 
-    `width`: () pixels; `size`: odd, of the kernels; 7 widths hold them to 1e-4. The sum of squares
-    of G2 is 1 from a width of 2 on (to 4e-5), that of H2, which is the paper's fit to a Hilbert
-    transform, 0.99; narrower ones are sampled too coarsely, at width 1 they are, by
-    the angle, 1.18 to 1.41 and 0.53 to 0.81.
-    `ValueError` for an even size, or the border "normalised_zero": the weights of most have sum 0.
+    From a width of 2 on, the sum of squares of G2 is 1 (to 4e-5) and that of H2, which is the
+    paper's fit to a Hilbert transform, 0.99. Narrower filters are sampled too coarsely: at width 1
+    the two are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        width: () in pixels.
+        size: taps of the kernels both ways, odd; 7 widths hold them to 1e-4.
+        border: a key of `padding.BORDERS` but "normalised_zero", as most weights have sum 0.
+        fill: () or (bands,) in the picture's unit: the value outside with border "constant".
+
+    Returns:
+        Three responses for G2 and four for H2, each of the picture's shape and unit.
+
+    Raises:
+        ValueError: for an even size or the border "normalised_zero".
+
+    Source: Freeman and Adelson 1991, tables III and V.
     """
     _check_weighs(border, of="the quadrature pair")
     width = as_float(width)
@@ -101,10 +135,17 @@ def quadrature_basis(
 
 
 def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filtered]:
-    """(even, odd): the responses of G2 and H2 turned to `angle` (rad), in the picture's unit.
+    """The responses of G2 and H2, rotated to an angle.
 
-    With y up, x cos + y sin to the second and third power: all signs are plus (the paper, whose y
-    is down, has some minus).
+    With y up they are x cos + y sin to the second and third power: all signs are plus. (In the
+    paper y points down, and some signs are minus.)
+
+    Args:
+        basis: the responses of `quadrature_basis`.
+        angle: () or (h, w) in rad, 0 to the right and pi/2 up.
+
+    Returns:
+        The even and the odd response, each of the picture's shape and unit.
     """
     c, s = jnp.cos(angle), jnp.sin(angle)
     even = (c * c, 2 * c * s, s * s)
@@ -113,19 +154,35 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
 
 
 def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
-    """G2^2 + H2^2 at `angle` (rad), the picture's unit squared: the strength of a line or an edge
-    across that direction, wherever in the pair's period it lies."""
+    """G2^2 + H2^2 at an angle: the strength of a line or an edge across that direction.
+
+    It does not depend on the phase, that is on where in the period of the pair the line lies.
+
+    Args:
+        basis: the responses of `quadrature_basis`.
+        angle: () or (h, w) in rad, 0 to the right and pi/2 up.
+
+    Returns:
+        The picture's shape; its unit squared.
+    """
     even, odd = steer(basis, angle)
     return even * even + odd * odd
 
 
 def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
-    """(angle, strength): the orientation, in rad in (-pi/2, pi/2], at which the energy's lowest
-    harmonic C_2 cos 2 theta + C_3 sin 2 theta has its maximum, and that maximum, in the picture's
-    unit squared. The angle is 0 where nothing has an orientation.
+    """The angle at which the energy's lowest harmonic, C_2 cos 2 theta + C_3 sin 2 theta, peaks.
 
-    The energy is a trigonometric polynomial of degree 6 in theta, period pi, so that sums over
-    seven angles give the paper's C_2 and C_3 (its table XI) without rounding them.
+    The energy is a trigonometric polynomial of degree 6 in theta with period pi, so that sums over
+    seven angles give C_2 and C_3 without error.
+
+    Args:
+        basis: the responses of `quadrature_basis`.
+
+    Returns:
+        The angle in rad in (-pi/2, pi/2], 0 where there is no orientation, and the maximum in the
+        picture's unit squared; each of the picture's shape.
+
+    Source: Freeman and Adelson 1991, table XI.
     """
     count = 7
     angles = jnp.arange(count, dtype=basis.even[0].dtype) * (jnp.pi / count)
