@@ -63,7 +63,11 @@ STATIC = {
     "jaxvision.rendering.bake",
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
-} | {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
+}
+STATIC |= {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
+STATIC |= {
+    f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
+}
 UNIT = (
     r"\b(DN|W m\^-2|W sr\^-1|sr\^-1|m|m\^2|metres|photons|electrons|e-|rad|radians|rad\^-1|"
     r"unit|pixels|relative|codes)\b"

@@ -25,6 +25,10 @@ def blur(picture):
 
 EXAMPLES = {
     "padding.pad": ((X,), {"widths": ((1, 2), (5, 0)), "border": "extend"}),
+    "padding.continued": (
+        (X[None],),
+        {"axis": 2, "before": 1, "after": 5, "border": "extend", "outside": ONE},
+    ),
     "filters.convolution.correlate": ((X, KERNEL), {"border": "normalised_zero"}),
     "filters.convolution.convolve": ((X, KERNEL), {"border": "constant", "fill": TWO}),
     "filters.convolution.correlate_separable": ((X, COLUMN, ROW), {}),
