@@ -87,8 +87,22 @@ def as_relative(x: Any) -> Array:
 
 
 def as_dtype(record: Record, dtype: Any) -> Record:
-    """The record with every floating leaf in `dtype`: float32 against float64 is the caller's
-    choice, made per call."""
+    """A record with every floating leaf in one dtype.
+
+    float32 against float64 is the caller's choice, made at each call.
+
+    Args:
+        record: any tree of arrays.
+        dtype: a floating dtype, or its name.
+
+    Returns:
+        The same tree; whole numbers, flags and random keys are kept.
+
+    Example:
+        >>> sphere = jv.as_dtype(jv.Sphere(centre=(0.0, 0.0, 0.0), radius=1.0), "float32")
+        >>> print(sphere.radius.dtype)
+        float32
+    """
     return jax.tree.map(
         lambda leaf: leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf,
         record,

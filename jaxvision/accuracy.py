@@ -17,8 +17,14 @@ from .errors import InputError
 
 @dataclass(frozen=True)
 class Trial:
-    """One setting of a knob. `error`: as the metric measures it. `seconds`: median of a warm call.
-    `first_seconds`: the first call, tracing and compilation included."""
+    """The measurement of one setting of a knob.
+
+    Attributes:
+        setting: the setting.
+        error: of its result, in the metric's unit.
+        seconds: median time of a warm call, in s.
+        first_seconds: time of the first call, with tracing and compilation, in s.
+    """
 
     setting: Any
     error: float
@@ -27,7 +33,19 @@ class Trial:
 
 
 def relative_rms(result: Any, reference: Any) -> float:
-    """Root mean square of result - reference over that of the reference, in float64; no unit."""
+    """The root mean square error relative to that of the reference, computed in float64.
+
+    Args:
+        result: any shape and unit.
+        reference: the same shape and unit.
+
+    Returns:
+        sqrt(mean (result - reference)^2 / mean reference^2), no unit.
+
+    Example:
+        >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")
+        0.0707
+    """
     computed, exact = np.asarray(result, np.float64), np.asarray(reference, np.float64)
     return float(np.sqrt(np.mean((computed - exact) ** 2) / np.mean(exact**2)))
 
@@ -39,10 +57,21 @@ def error_against_time(
     metric: Callable[[Any, Any], float] = relative_rms,
     repeats: int = 5,
 ) -> list[Trial]:
-    """Runs each setting's call and measures it: the trials in the order of `calls`.
+    """Runs the call of each setting and measures its error and time.
 
-    The warm calls are interleaved, so that a machine whose speed drifts favours none. `reference`
-    is the result to be reached, from a finer setting or in closed form.
+    The warm calls of all settings take turns, so that a machine of drifting speed favours none.
+
+    Args:
+        calls: a call without arguments for each setting.
+        reference: the result to be reached, from a finer setting or in closed form, in any unit.
+        metric: error of a result against the reference.
+        repeats: warm calls of each setting, at least 1.
+
+    Returns:
+        One trial for each setting, in the order of `calls`.
+
+    Raises:
+        InputError: for no calls or no repeats.
     """
     if not calls or repeats < 1:
         raise InputError("error_against_time needs at least one call and one repeat; give both.")
@@ -58,8 +87,18 @@ def error_against_time(
 
 
 def cheapest(trials: list[Trial], *, tolerance: float) -> Trial:
-    """The fastest trial whose error is at most `tolerance`; `InputError` naming the best error
-    reached when there is none."""
+    """The fastest trial whose error is at most the tolerance.
+
+    Args:
+        trials: from `error_against_time`.
+        tolerance: largest error, in the unit of the metric.
+
+    Returns:
+        The trial.
+
+    Raises:
+        InputError: if there is none; the message names the smallest error reached.
+    """
     enough = [trial for trial in trials if trial.error <= tolerance]
     if not enough:
         best = min(trials, key=lambda trial: trial.error)

@@ -1,8 +1,8 @@
-"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays. The edge of
-the library: eager, NumPy in and out, through OpenImageIO, which is loaded on first use.
+"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays.
 
-Arrays are (h, w) or (h, w, channels). Integer files keep their bit depth (uint8, uint16), floating
-files come as float32. Every failure is an `InputError` of one sentence.
+This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
+on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their bit depth (uint8,
+uint16); floating files come as float32. Every failure is an `InputError` of one sentence.
 """
 
 import os
@@ -23,8 +23,19 @@ _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": 
 
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it only when the block ends without error, so
-    that nothing half-written is ever left under the final name."""
+    """A temporary path beside `path`, which replaces it only when the block ends without error.
+
+    So no half-written file is ever left under the final name.
+
+    Args:
+        path: the final file; missing folders are made.
+
+    Returns:
+        A context manager that gives the temporary path.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
@@ -48,9 +59,16 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """`InputError` if the suffix of an image file holds no samples of this kind, if a folder has
-    its name, or if nothing can be written where it shall be: before the work that the file is for.
-    Folders that are missing are made with the file."""
+    """Checks, before the work that an image file is for, that it can be written.
+
+    Args:
+        path: the file. Missing folders are made later, with the file.
+        kind: type of its samples.
+
+    Raises:
+        InputError: if the format of the suffix holds no such samples, if a folder has that name, or
+            if its folder cannot be written.
+    """
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -63,10 +81,17 @@ def check_writable(path: Path, *, kind: type = np.float32) -> None:
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
-    """Pixels of an image file as stored: (h, w) for one channel, else (h, w, channels).
+    """The pixels of an image file as they are stored.
 
-    PNG and TIFF give uint8 or uint16, EXR and HDR float32, `.npy` its array. `InputError` for a
-    missing, unreadable or truncated file and for a sample type outside these.
+    Args:
+        path: a PNG, TIFF, JPEG, EXR, HDR or `.npy` file.
+
+    Returns:
+        (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF and JPEG,
+        float32 for EXR and HDR, the array itself for `.npy`.
+
+    Raises:
+        InputError: for a missing, unreadable or truncated file, and for samples of another type.
     """
     file = Path(path)
     if not file.is_file():
@@ -103,12 +128,18 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
-    """A latitude-longitude picture of radiance from an EXR or HDR file: (h, w, bands) float32, for
-    `environment_map`; an alpha channel is left out.
+    """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
-    `InputError` for a file that `read_image` refuses, for integer samples (a display picture holds
-    no radiance), for a picture that is not twice as wide as high, and for values that are negative
-    or not finite.
+    Args:
+        path: the file; an alpha channel is left out.
+
+    Returns:
+        (h, 2 h, bands) float32, W m^-2 sr^-1 or relative.
+
+    Raises:
+        InputError: for a file that `read_image` refuses, for integer samples (a display picture
+            holds no radiance), for a picture that is not twice as wide as high, and for values that
+            are negative or not finite.
     """
     picture = read_image(path)
     if not np.issubdtype(picture.dtype, np.floating):
@@ -132,13 +163,21 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: int = 95) -> None:
-    """Writes (h, w) or (h, w, channels) pixels; the suffix chooses the format.
+    """Writes an image file; the suffix chooses the format.
 
-    uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three channels to JPEG,
-    floating arrays to EXR or HDR (HDR: three channels, shared exponent, about 1 % steps).
-    `quality`: of a JPEG, 1 to 100, libjpeg's scale; colour is stored at half the resolution below
-    90, at the full one from there on. The file appears only when complete, and an integer file that
-    loses nothing is read back to prove that its depth survived. `InputError` otherwise.
+    The file appears only when it is complete. A lossless integer file is read back to prove that
+    its depth survived.
+
+    Args:
+        path: the file. uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three
+            channels to JPEG, floating arrays to EXR or HDR (HDR: three channels, shared exponent,
+            steps of about 1 %).
+        pixels: (h, w) or (h, w, channels), codes or any unit.
+        quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour is stored at half the resolution
+            below 90, at full resolution from 90 on.
+
+    Raises:
+        InputError: for pixels that do not fit the format, and for a file that cannot be written.
     """
     file, array = Path(path), np.ascontiguousarray(pixels)
     suffix = file.suffix.lower()
@@ -190,12 +229,20 @@ def write_exr(
     channels: Sequence[str] = (),
     attributes: Mapping[str, str | int] | None = None,
 ) -> None:
-    """Writes an EXR of float32 samples from blocks of rows, (rows, w, channels) each, from above:
-    a picture of `shape` (h, w, channels) that never was in memory as a whole.
+    """Writes an EXR of float32 samples from blocks of rows.
 
-    `channels`: their names; a reader gives them back in alphabetical order (but R, G, B, A).
-    `attributes`: of the file's head. The file appears only when complete. `InputError` where it
-    cannot be written; `ValueError` unless the blocks make up the shape.
+    The picture need never be in memory as a whole. The file appears only when it is complete.
+
+    Args:
+        path: the file.
+        blocks: (rows, w, channels) each, from the top, any unit.
+        shape: (h, w, channels) of the picture.
+        channels: their names; a reader gives them back in alphabetical order (except R, G, B, A).
+        attributes: of the file's header.
+
+    Raises:
+        InputError: if the file cannot be written.
+        ValueError: unless the blocks make up the shape.
     """
     with replaced_on_success(Path(path)) as partial:
         _write(partial, blocks, shape, np.dtype(np.float32), attributes or {}, channels)

@@ -1,9 +1,9 @@
-"""Looking at an image as numbers: the picture, a histogram per channel, a scan line, the grid of
-values about a pixel, the surface over the plane (Szeliski, Computer Vision, fig. 3.3). The edge of
-the library: eager, NumPy in, matplotlib loaded on first use.
+"""An image shown as numbers: the picture, a histogram of each channel, a scan line, the grid of
+values about a pixel, and the surface over the plane (Szeliski, Computer Vision, fig. 3.3).
 
-Values are DN (integer images) or relative (floating ones). What cannot be shown raises
-`InputError`, one sentence.
+This is the edge of the library: eager, NumPy in, with matplotlib loaded on first use. Values are DN
+(integer images) or relative (floating images). An image that cannot be shown raises `InputError`,
+one sentence.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,19 @@ BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of sq
 
 @dataclass(frozen=True)
 class BandSummary:
-    """One channel in numbers, over its finite values; all NaN where there are none.
+    """One channel in numbers, over its finite values; the moments are NaN where there are none.
 
-    `black`: how many values are <= 0. `saturated`: how many are >= white.
+    Attributes:
+        name: of the channel.
+        minimum: DN or relative, as all values here.
+        maximum: likewise.
+        mean: likewise.
+        standard_deviation: likewise.
+        median: likewise.
+        black: number of values <= 0.
+        saturated: number of values >= white.
+        nan: number of NaN.
+        infinite: number of infinite values.
     """
 
     name: str
@@ -58,7 +68,15 @@ class BandSummary:
 
 
 def band_names(bands: int) -> tuple[str, ...]:
-    """grey; grey, alpha; red, green, blue (, alpha); band 0, band 1 ... for any other number."""
+    """The names of an image's channels.
+
+    Args:
+        bands: their number.
+
+    Returns:
+        grey; grey, alpha; red, green, blue; red, green, blue, alpha; for any other number band 0,
+        band 1, ...
+    """
     known = {
         1: ("grey",),
         2: ("grey", "alpha"),
@@ -71,9 +89,16 @@ def band_names(bands: int) -> tuple[str, ...]:
 def summarise(image: np.ndarray, *, white: float | None = None) -> tuple[BandSummary, ...]:
     """Range, moments and the counts of black, saturated and undefined values of each channel.
 
-    `image`: (h, w) or (h, w, bands), integer or floating. `white`: the value at which a pixel
-    counts as saturated, in the unit of the image (default: the top code of the integer type; 1 for
-    floating images).
+    Args:
+        image: (h, w) or (h, w, bands), DN or relative.
+        white: the value from which a pixel counts as saturated, in the image's unit. None takes the
+            largest code of the integer type, or 1 for floating images.
+
+    Returns:
+        One summary a channel.
+
+    Raises:
+        InputError: for an array that is no image.
     """
     pixels = _checked(image)
     limit = _white(pixels, white)
@@ -89,11 +114,21 @@ def inspect(
     white: float | None = None,
     title: str = "",
 ) -> "Figure":
-    """One figure of five views of an image.
+    """One figure with five views of an image.
 
-    `image`: (h, w) or (h, w, bands); 1 to 4 bands are grey, grey and alpha, RGB and RGBA. `row`:
-    the scan line (default: that of `at`). `at`: (row, column) of the pixel whose surroundings are
-    printed (default: the middle). `white`: see `summarise`. Rows count from the top, from 0.
+    Args:
+        image: (h, w) or (h, w, bands), DN or relative; 1 to 4 bands are grey, grey and alpha, RGB
+            and RGBA.
+        row: the row of the scan line, counted from the top from 0; None takes that of `at`.
+        at: (row, column) of the pixel whose surroundings are printed; None takes the middle.
+        white: the value from which a pixel counts as saturated, as for `summarise`.
+        title: of the figure.
+
+    Returns:
+        The figure, to be saved or shown.
+
+    Raises:
+        InputError: for an array that is no image, and for a row or pixel outside it.
     """
     from matplotlib.figure import Figure
 

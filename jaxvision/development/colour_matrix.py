@@ -1,8 +1,8 @@
 """From a camera's own primaries to those of a colour space, fitted on spectra.
 
 Sensitivities are no linear combinations of the colour matching functions (no camera meets Luther's
-condition), so a matrix maps camera RGB to colours only nearly: the best one depends on the light
-and on what is looked at. Colours are linear and relative, 1 is white.
+condition), so a matrix maps camera RGB to colours only approximately. The best matrix depends on
+the light and on the objects. Colours are linear and relative; 1 is white.
 """
 
 import equinox as eqx
@@ -17,8 +17,12 @@ from .white_balancing import neutral_gains
 
 
 class CameraColour(eqx.Module):
-    """How a camera's RGB becomes a picture's under one light. `gains`: (3,) of white balance, no
-    unit. `matrix`: (3, 3), no unit, from balanced camera RGB to linear RGB."""
+    """The conversion of a camera's RGB to a picture's, under one light.
+
+    Attributes:
+        gains: (3,) of white balance, no unit.
+        matrix: (3, 3), no unit, from balanced camera RGB to linear RGB.
+    """
 
     gains: Float[Array, "3"] = eqx.field(converter=as_float)
     matrix: Float[Array, "3 3"] = eqx.field(converter=as_float)
@@ -35,12 +39,23 @@ def fit_colour_matrix(
     white: tuple[Float[Array, "3"], Float[Array, "3"]] | None = None,
     weights: Float[Array, " patches"] | None = None,
 ) -> Float[Array, "3 3"]:
-    """The matrix M, (3, 3), that minimises sum of weights |M camera - wanted|^2, relative colours.
+    """The matrix M that minimises the sum of weights |M camera - wanted|^2.
 
-    `white`: a camera colour and what it must become, exactly (Finlayson and Drew, "White-point
-    preserving color correction", CIC 1997). `weights`: (patches,) >= 0, no unit. At least three
-    patches, two with `white`, else `ValueError`; colours that span less than three dimensions (two)
-    have no answer.
+    Args:
+        camera: (patches, 3) relative, at least three patches, or two with `white`; they must span
+            three dimensions (two).
+        wanted: (patches, 3) relative.
+        white: a camera colour (3,) and the colour (3,) that it must become exactly; None demands
+            nothing.
+        weights: (patches,) no unit, at least 0; None weighs all alike.
+
+    Returns:
+        (3, 3) no unit.
+
+    Raises:
+        ValueError: for too few patches or unequal shapes.
+
+    Source: Finlayson and Drew, "White-point preserving color correction", CIC 1997, for `white`.
     """
     least = 3 if white is None else 2
     if camera.shape != wanted.shape or camera.shape[0] < least:
@@ -72,14 +87,26 @@ def camera_colour(
     space: str = "sRGB",
     keep_white: bool = True,
 ) -> CameraColour:
-    """The gains that balance a camera under a light, and the matrix from there to linear RGB that
-    reproduces reflectances best, in the least squares of that RGB.
+    """The gains that balance a camera under a light, and the matrix from there to linear RGB.
 
-    `sensitivities`: (bands, 3), relative. `illuminant`: (bands,) relative power per wavelength.
-    `reflectances`: (patches, bands). `wavelengths`: (bands,) m. `observer`: (bands, 3) colour
-    matching functions; all of these from `colour_data`. `white`: (3,) XYZ of the white of `space`,
-    Y = 1; colours under the light are adapted to it (Bradford). `keep_white`: perfect white becomes
-    exactly white.
+    The matrix reproduces the reflectances best, in the least squares of that RGB.
+
+    Args:
+        sensitivities: (bands, 3) of the camera, relative.
+        illuminant: (bands,) relative power per wavelength.
+        reflectances: (patches, bands) no unit.
+        wavelengths: (bands,) m.
+        observer: (bands, 3) colour matching functions. All of these come from `colour_data`.
+        white: (3,) relative XYZ of the white of `space`, Y = 1; colours under the light are adapted
+            to it (Bradford).
+        space: a name of `colour_data.rgb_to_xyz_matrix`.
+        keep_white: whether perfect white becomes exactly white.
+
+    Returns:
+        The gains (3,) and the matrix (3, 3), no unit.
+
+    Raises:
+        ValueError: for fewer than three patches, two with `keep_white`.
     """
     perfect = jnp.ones_like(reflectances[:1])
     lit = jnp.concatenate([reflectances, perfect])

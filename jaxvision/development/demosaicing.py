@@ -1,13 +1,13 @@
 """From a mosaic, one band a pixel, to a picture with every band at every pixel.
 
-Mosaics are (..., h, w) in DN or relative, at least one tile of the pattern high and wide; integers
-become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit; what a
-pixel has seen stays as it is, except that Menon's green is refined. NaN spreads to the windows that
-hold it. Patterns are those of `colour_filters`; three of the four methods are for the tiles of
-Bayer, two greens on a diagonal and two other bands, in any order and phase.
+Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern; integers
+become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit.
+Measured values are kept, except that Menon's green is refined. NaN spreads to the windows that
+contain it. Patterns are those of `colour_filters`. Three of the four methods are for Bayer tiles,
+two greens on a diagonal and two other bands, in any order and phase.
 
-`border` says what lies beyond: "in_phase", c b | a b c d | c b, where the colours of such a tile go
-on as they would, or one of `padding.BORDERS`, the values of which are then taken for those of the
+`border` says what lies beyond. "in_phase" is c b | a b c d | c b, which continues the colours of
+such a tile. Any key of `padding.BORDERS` is allowed too; its values are then taken for those of the
 colour that is due there.
 """
 
@@ -37,12 +37,28 @@ print_by_name(globals(), "Mosaic", "Picture")
 def demosaic(
     raw: Mosaic, pattern: Pattern, *, method: str = "malvar", border: str = "in_phase"
 ) -> Picture:
-    """The picture (..., h, w, bands) of a mosaic, by one of `METHODS`; in the mosaic's unit.
+    """The picture of a mosaic.
 
-    "bilinear": means of the nearest; "malvar": these, corrected by the gradient of the band that is
-    known; "menon": along the better of two directions, sharpest and slowest; "normalised": weighted
-    means, the one for patterns other than Bayer's. "menon" and "normalised" have a border of their
-    own. `ValueError` for an unknown method, a border it does not take, or a pattern it is not for.
+    Args:
+        raw: (..., h, w) DN or relative.
+        pattern: rows of band numbers, as `colour_filters.bayer` gives them.
+        method: "bilinear", means of the nearest pixels; "malvar", these corrected by the gradient
+            of the measured band; "menon", along the better of two directions, the sharpest and
+            slowest; or "normalised", weighted means, the one for patterns other than Bayer's.
+        border: "in_phase" or a key of `padding.BORDERS`; "menon" and "normalised" have a border of
+            their own and take "in_phase" only.
+
+    Returns:
+        (..., h, w, bands) in the mosaic's unit.
+
+    Raises:
+        ValueError: for an unknown method, a border that it does not take, or a pattern that it is
+            not for.
+
+    Example:
+        >>> raw = jnp.full((4, 4), 5.0)
+        >>> print(jv.demosaic(raw, jv.bayer("RGGB"))[1, 2])
+        [5. 5. 5.]
     """
     check_choice("method", method, DEMOSAICINGS)
     if method in ("bilinear", "malvar"):
@@ -54,8 +70,19 @@ def demosaic(
 
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
-    """The mean of the two or four nearest pixels that saw the band; a Bayer pattern, else
-    `ValueError`. In the mosaic's unit."""
+    """The mean of the two or four nearest pixels that measured the band.
+
+    Args:
+        raw: (..., h, w) DN or relative.
+        pattern: a Bayer pattern.
+        border: "in_phase" or a key of `padding.BORDERS`.
+
+    Returns:
+        (..., h, w, 3) in the mosaic's unit.
+
+    Raises:
+        ValueError: for another pattern or an unknown border.
+    """
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
@@ -69,11 +96,23 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase"
 
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
-    """`demosaic_bilinear` plus a share of the Laplacian of the band that the pixel saw: four 5 x 5
-    filters, in eighths; a Bayer pattern, else `ValueError`. In the mosaic's unit.
+    """Bilinear means plus a share of the Laplacian of the measured band: four 5 x 5 filters.
+
+    (colour-demosaicing does this with border "mirror".)
+
+    Args:
+        raw: (..., h, w) DN or relative.
+        pattern: a Bayer pattern.
+        border: "in_phase" or a key of `padding.BORDERS`.
+
+    Returns:
+        (..., h, w, 3) in the mosaic's unit.
+
+    Raises:
+        ValueError: for another pattern or an unknown border.
 
     Source: Malvar, He, Cutler, "High-quality linear interpolation for demosaicing of
-    Bayer-patterned color images", ICASSP 2004, figure 2. (colour-demosaicing: border "mirror".)
+    Bayer-patterned color images", ICASSP 2004, figure 2.
     """
     layout = _layout(pattern)
 
@@ -97,14 +136,25 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") 
 
 @partial(jax.jit, static_argnames=("pattern", "refine"))
 def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Picture:
-    """Directional filtering and a posteriori decision: green along rows or columns, whichever has
-    the smoother colour differences around, the other bands by their difference from it; then, if
-    `refine`, once more with what is known by now. A Bayer pattern, else `ValueError`. In the
-    mosaic's unit; the border is "in_phase", and beyond it no difference counts.
+    """Directional filtering and a posteriori decision.
+
+    Green is interpolated along rows or columns, whichever has the smoother colour differences
+    nearby, and the other bands by their difference from it. The border is "in_phase"; differences
+    beyond it do not count. The decision has no gradient.
+
+    Args:
+        raw: (..., h, w) DN or relative.
+        pattern: a Bayer pattern.
+        refine: whether to repeat the interpolation once with the bands estimated so far.
+
+    Returns:
+        (..., h, w, 3) in the mosaic's unit.
+
+    Raises:
+        ValueError: for another pattern.
 
     Source: Menon, Andriani, Calvagno, "Demosaicing with directional filtering and a posteriori
-    decision", IEEE Transactions on Image Processing 16 (2007), equations 1 to 12. The decision has
-    no gradient.
+    decision", IEEE Transactions on Image Processing 16 (2007), equations 1 to 12.
     """
     layout = _layout(pattern)
 
@@ -154,11 +204,22 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
 
 @partial(jax.jit, static_argnames="pattern")
 def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
-    """Means of the pixels near by that saw the band, weighted by tents as wide as the tile: any
-    pattern. In the mosaic's unit. Pixels outside the picture take no part.
+    """Means of the nearby pixels that measured the band, weighted by tents as wide as the tile.
 
-    Source: Knutsson and Westin, "Normalized and differential convolution", CVPR 1993. Of a Bayer
-    pattern it makes what `demosaic_bilinear` does, but for the outermost green.
+    For any pattern. Pixels outside the picture take no part. For a Bayer pattern it equals
+    `demosaic_bilinear`, except for the outermost green.
+
+    Args:
+        raw: (..., h, w) DN or relative.
+        pattern: rows of band numbers.
+
+    Returns:
+        (..., h, w, bands) in the mosaic's unit.
+
+    Raises:
+        ValueError: for a malformed pattern, or a mosaic smaller than one tile.
+
+    Source: Knutsson and Westin, "Normalized and differential convolution", CVPR 1993.
     """
     rows, columns = len(pattern), len(pattern[0])
     tents = (_tent(rows), _tent(columns))

@@ -1,11 +1,11 @@
-"""The loss of a JPEG file without the file: ITU-T T.81 (baseline) as libjpeg does it.
+"""The loss of a JPEG file without the file: ITU-T T.81 (baseline) as libjpeg implements it.
 
 Colour to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division by a table and
 rounding, and all the way back. Pictures are (..., h, w, bands) with one band or R'G'B', encoded and
-relative: 1 is code 255, what lies outside [0, 1] is cut, as bytes are, and NaN is black.
+relative: 1 is code 255, values outside [0, 1] are cut, as bytes are, and NaN is black.
 
-`rounding` says how what a file cannot hold is dropped:
-"straight_through": every code and coefficient is a whole number, the same as libjpeg's own (its
+`rounding` chooses how the digits that a file cannot hold are dropped:
+"straight_through": every code and coefficient is a whole number, equal to libjpeg's own (its
 accurate integer transform, its chroma filters); gradients pass as if nothing had been rounded;
 "cubic": only the coefficients are rounded, softly, by round(x) + (x - round(x))^3, which has a
 slope (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
@@ -67,10 +67,22 @@ _COSINES = np.array(
 def quantisation_tables(
     quality: Scalar | float, *, rounding: str = "straight_through"
 ) -> tuple[Table, Table]:
-    """(luma, chroma): what the coefficients (8, 8) are divided by, from 1 to 255, no unit.
+    """The divisors of the coefficients, for luma and chroma.
 
-    `quality`: () from 1 to 100, beyond which it is cut. Whole numbers, except with the `rounding`
-    "cubic", which leaves them where the scale puts them.
+    Args:
+        quality: () no unit, cut to [1, 100].
+        rounding: "straight_through" gives whole numbers, "cubic" the scaled tables themselves.
+
+    Returns:
+        Two tables (8, 8) from 1 to 255, no unit.
+
+    Raises:
+        ValueError: for another rounding.
+
+    Example:
+        >>> luma, chroma = jv.development.quantisation_tables(90)
+        >>> print(luma[0].astype(int))
+        [ 3  2  2  3  5  8 10 12]
     """
     whole = _is_whole(rounding)
     quality = jnp.clip(as_float(quality), 1, 100)
@@ -94,11 +106,20 @@ def jpeg(
     subsampling: str = "4:2:0",
     rounding: str = "straight_through",
 ) -> Image:
-    """The picture as it comes back from a JPEG file: relative, of the same shape.
+    """The picture as it comes back from a JPEG file.
 
-    `quality`: () 1 to 100. `subsampling`: "4:4:4" keeps the chroma, "4:2:0" halves it both ways
-    (and is upsampled by libjpeg's triangle filter). `rounding`: as in the module. `ValueError` for
-    another choice or for other than one or three bands.
+    Args:
+        picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative.
+        quality: () no unit, cut to [1, 100].
+        subsampling: "4:4:4" keeps the chroma; "4:2:0" halves it both ways (it is upsampled by
+            libjpeg's triangle filter).
+        rounding: "straight_through" or "cubic".
+
+    Returns:
+        The picture's shape, relative.
+
+    Raises:
+        ValueError: for another choice, or other than one or three bands.
     """
     picture = as_relative(picture)
     if picture.ndim < 3 or picture.shape[-1] not in (1, 3):

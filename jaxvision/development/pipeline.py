@@ -23,13 +23,22 @@ from .white_balancing import Gains, grey_world_gains, neutral_gains, white_balan
 
 
 def develop(raw: Scalars, development: Development) -> Scalars:
-    """(raw - black) / (white - black), then one stage after the other, as they stand below.
+    """(raw - black) / (white - black), then the stages of a development in their order below.
 
-    `raw`: DN, a mosaic (..., h, w) or (..., h, w, 1) if it is to be demosaiced, else (..., h, w,
-    bands), or of any shape where only levels and curves are asked for. Returns relative values, 1
-    being the white level (DN where there is none). Nothing is clipped, unless a stage says so:
-    noise below black stays negative, except that a gamma curve makes it 0. `ValueError` from the
-    stages.
+    Nothing is clipped unless a stage says so: noise below black stays negative, except that a gamma
+    curve makes it 0.
+
+    Args:
+        raw: DN. A mosaic (..., h, w) or (..., h, w, 1) if it is to be demosaiced, else (..., h, w,
+            bands), or any shape if only levels and curves are asked for.
+        development: the stages; a stage that is None is left out.
+
+    Returns:
+        (..., h, w, bands), or the shape of `raw`: relative values, where 1 is the white level; DN
+        without a white level.
+
+    Raises:
+        ValueError: from the stages.
     """
     picture = _scaled(raw, development)
     if development.demosaicing is not None:
@@ -57,9 +66,21 @@ def develop(raw: Scalars, development: Development) -> Scalars:
 
 
 def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
-    """The codes of an integer file: round((2^bits - 1) x) of relative x, clipped to [0, 1].
+    """The codes of an integer file: round((2^bits - 1) x), with x clipped to [0, 1].
 
-    8 bits give uint8, 16 uint16, anything else `ValueError`. NaN becomes 0.
+    Args:
+        picture: (...) relative; NaN becomes 0.
+        bits: 8 or 16.
+
+    Returns:
+        (...) codes, uint8 or uint16.
+
+    Raises:
+        ValueError: for other bits.
+
+    Example:
+        >>> print(jv.to_integers(jnp.array([-0.1, 0.5, 2.0])))
+        [  0 128 255]
     """
     dtypes = {8: jnp.uint8, 16: jnp.uint16}
     if bits not in dtypes:

@@ -15,12 +15,22 @@ print_by_name(globals(), "Points")
 
 
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
-    """The smooth curve through (inputs, outputs), monotone wherever the points are; constant beyond
-    the outermost. Relative values.
+    """The smooth curve through given points, monotone wherever the points are; constant outside.
 
-    `inputs`: (points,) strictly ascending, at least two, else `ValueError`. `outputs`: (points,).
-    The cubic Hermite spline with the slopes of Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5
-    (1984), which scipy calls PCHIP. NaN stays NaN.
+    It is the cubic Hermite spline that scipy calls PCHIP. NaN stays NaN.
+
+    Args:
+        x: (...) relative.
+        inputs: (points,) relative, strictly ascending, at least two.
+        outputs: (points,) relative.
+
+    Returns:
+        (...) relative.
+
+    Raises:
+        ValueError: for fewer than two points or unequal shapes.
+
+    Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
     """
     x = as_relative(x)
     if inputs.shape != outputs.shape or inputs.shape[0] < 2:
@@ -42,7 +52,15 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
 
 
 def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
-    """Linear light to what a display can show, relative: each band by the curve of the record."""
+    """Linear light to the range of a display: each band by the curve of the record.
+
+    Args:
+        picture: (...) linear, relative.
+        tone_map: the curve.
+
+    Returns:
+        (...) relative.
+    """
     match tone_map:
         case Reinhard(white=white):
             return reinhard(picture, white=white)
@@ -53,7 +71,15 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
 
 
 def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
-    """Linear relative values to encoded ones, by the curve of the record."""
+    """Linear values to encoded ones, by the curve of the record.
+
+    Args:
+        picture: (...) linear, relative.
+        tone: the curve.
+
+    Returns:
+        (...) encoded, relative.
+    """
     match tone:
         case Gamma(gamma=gamma):
             return gamma_encode(picture, gamma)

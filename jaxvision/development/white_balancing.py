@@ -1,8 +1,8 @@
-"""White balance: one gain a band, so that what is neutral looks it.
+"""White balance: one gain a band, so that neutral objects look neutral.
 
-Images are (..., h, w, bands), linear, in DN or relative; gains have no unit, the least of them 1:
-no band is made darker than the sensor saw it. They are von Kries' law in the camera's own primaries
-(Szeliski, Computer Vision, section 2.3.2).
+Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit, and the smallest is 1:
+no band becomes darker than the sensor recorded it. They are von Kries' law in the camera's own
+primaries (Szeliski, Computer Vision, section 2.3.2).
 """
 
 import jax
@@ -19,13 +19,22 @@ print_by_name(globals(), "Gains")
 def white_balance(
     image: Image, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
 ) -> Image:
-    """Each band times its gain, in the image's unit. `gains`: (bands,), or (..., bands) with one
-    set for each image of a batch.
+    """Each band times its gain.
 
-    `saturation`: () where every band of the sensor ends, in the unit of the image. A pixel that is
-    burnt out in all bands would take the colour of the gains, magenta as a rule: with `saturation`
-    nothing exceeds it times the least gain, the brightest value that all bands can have, and it
-    comes out neutral. None cuts nothing.
+    A pixel that is burnt out in all bands would take the colour of the gains, magenta as a rule.
+    With `saturation` nothing exceeds it times the smallest gain, the brightest value that all bands
+    can reach, and such a pixel comes out neutral.
+
+    Args:
+        image: (..., h, w, bands) linear, DN or relative.
+        gains: (bands,), or (..., bands) with one set for each image of a batch; no unit.
+        saturation: () in the image's unit, the largest value of the sensor; None cuts nothing.
+
+    Returns:
+        (..., h, w, bands) in the image's unit.
+
+    Raises:
+        ValueError: for gains of another shape.
     """
     if gains.shape[-1:] != image.shape[-1:] or gains.ndim not in (1, image.ndim - 2):
         raise ValueError(
@@ -41,9 +50,19 @@ def white_balance(
 
 
 def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
-    """The gains (bands,), no unit, that make the mean of a patch (..., bands) neutral: of a grey
-    card, a cloud, or `image[..., 10:20, 30:40, :]`. A band without light keeps the gain 1; NaN is
-    left out, and a band of nothing else makes all gains NaN. `ValueError` for an empty patch."""
+    """The gains that make the mean of a patch neutral, such as a grey card or a cloud.
+
+    Args:
+        patch: (..., bands) DN or relative, for instance `image[..., 10:20, 30:40, :]`. NaN is left
+            out.
+
+    Returns:
+        (bands,) no unit. A band without light keeps the gain 1; a band of nothing but NaN makes all
+        gains NaN.
+
+    Raises:
+        ValueError: for an empty patch.
+    """
     if patch.size == 0:
         raise ValueError(f"patch must hold a pixel, got shape {patch.shape}.")
     return _balancing(jnp.nanmean(as_relative(patch), axis=tuple(range(patch.ndim - 1))))
@@ -52,12 +71,19 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
 def grey_world_gains(
     image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
 ) -> Gains:
-    """The gains (..., bands), no unit, that make each image grey on average.
+    """The gains that make each image grey on average.
 
-    `norm`: () >= 1, the p of the mean (mean x^p)^(1/p): 1 is the grey world (Buchsbaum, J. Franklin
-    Institute 310, 1980), 6 shades of grey, and towards infinity the brightest value is white
-    (Finlayson and Trezzi, "Shades of gray and colour constancy", CIC 2004). `saturation`: () in the
-    image's unit; pixels that reach it in any band are left out. Values below 0 count as 0.
+    Args:
+        image: (..., h, w, bands) linear, DN or relative. Values below 0 count as 0.
+        norm: () no unit, at least 1: the p of the mean (mean x^p)^(1/p). 1 is the grey world, 6
+            shades of grey; towards infinity the brightest value becomes white.
+        saturation: () in the image's unit; pixels that reach it in any band are left out.
+
+    Returns:
+        (..., bands) no unit.
+
+    Source: Buchsbaum, J. Franklin Institute 310, 1980 (the grey world); Finlayson and Trezzi,
+    "Shades of gray and colour constancy", CIC 2004.
     """
     image = as_relative(image)
     used = jnp.ones_like(image)

@@ -1,7 +1,7 @@
 """Planes, their bins, and counting in them.
 
-Everything is counted by ONE scatter into a flat table: bin b of group g is entry g bins + b, where
-a group is a plane, or a tile of a plane. So bands need no transposition and a batch no loop.
+ONE scatter into a flat table counts everything: bin b of group g is entry g bins + b, where a group
+is a plane, or a tile of a plane. So bands need no transposition and a batch no loop.
 """
 
 from collections.abc import Sequence

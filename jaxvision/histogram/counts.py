@@ -1,9 +1,9 @@
-"""Histograms per plane, exact or differentiable, and what is read off them: the cumulative
-distribution, quantiles, Otsu's threshold.
+"""Histograms per plane, exact or differentiable, and the statistics that follow from them: the
+cumulative distribution, quantiles, Otsu's threshold.
 
 Edges and values are in the unit of the image: codes (integer images) or relative values. Bins are
-numpy's: equal, half-open [edge, next edge), only the last one closed. Values outside the range and
-NaN are not counted.
+numpy's: equal, half-open [edge, next edge), only the last one closed. NaN and values outside the
+range are not counted.
 """
 
 from functools import partial
@@ -36,10 +36,12 @@ PARTIAL_SUMS = 2**20
 class Histogram(eqx.Module):
     """Counts of the planes of an image.
 
-    `counts`: (bins,) for a grey image, (..., bands, bins) else; integers if exact. `edges`:
-    (bins + 1,) in the unit of the image. `departure`: () or (..., bands) for a soft histogram, the
-    fraction of its weight that lies in another bin than the exact histogram's (half the sum of
-    absolute differences over the number of values counted); None for an exact one.
+    Attributes:
+        counts: (bins,) for a grey image, else (..., bands, bins), no unit; integers if exact.
+        edges: (bins + 1,) in the unit of the image.
+        departure: () or (..., bands) for a soft histogram, no unit: the fraction of its weight that
+            lies in another bin than in the exact histogram (half the sum of absolute differences
+            over the number of values counted). None for an exact one.
     """
 
     counts: Shaped[Array, "*planes bins"]
@@ -50,11 +52,26 @@ class Histogram(eqx.Module):
 def exact_histogram(
     image: Pixels, *, bins: int | np.integer | None = None, value_range: Range | None = None
 ) -> Histogram:
-    """How many pixels of each plane fall in each of `bins` equal bins of `value_range`.
+    """The number of pixels of each plane in each of `bins` equal bins of a range.
 
-    `image`: (h, w) or (..., h, w, bands), uint8, uint16 or floating. By default a bin a code,
-    edges 0, 1 ... 256 (65536), or 256 bins of [0, 1]. The result is numpy's to the last count;
-    it has no gradient but 0. `ValueError` for bins < 1, an empty range or another rank or dtype.
+    The result is numpy's to the last count; its gradient is 0.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
+        bins: number of bins, at least 1. None takes one bin a code (edges 0, 1 ... 256 or 65536),
+            or 256 bins for floating images.
+        value_range: (low, high) in the image's unit. None takes all codes, or [0, 1].
+
+    Returns:
+        Counts (bins,) or (..., bands, bins), no unit, and edges (bins + 1,) in the image's unit.
+
+    Raises:
+        ValueError: for bins < 1, an empty range, or another rank or dtype.
+
+    Example:
+        >>> codes = np.array([[0, 1, 1], [3, 3, 3]], np.uint8)
+        >>> print(jv.histogram.exact_histogram(codes, bins=4, value_range=(0, 4)).counts)
+        [1 2 0 3]
     """
     stack, chosen = as_stack(image), binning(image, bins, value_range)
     return Histogram(per_plane(_exact(stack, chosen), image), _edges(stack, chosen))
@@ -69,13 +86,26 @@ def soft_histogram(
 ) -> Histogram:
     """The differentiable histogram: each value shares its weight of 1 among the nearest bins.
 
-    `kernel`: the B-spline, one bin wide a piece, that says how the weight falls off with the
-    distance to a bin's centre: "linear" (2 bins; the gradient jumps at the centres) or "cubic"
-    (4 bins; twice continuously differentiable). Weight that would fall outside the range goes to
-    the end bin, so the counts sum to the number of values in the range. An integer code stands at
-    the centre of its own unit interval. The result's `departure` tells how far it is from the
-    exact histogram; with more bins (fewer values near a centre) it grows, for data smooth on the
-    scale of a bin it vanishes as the bin's width squared.
+    Weight that would fall outside the range goes to the end bin, so the counts sum to the number of
+    values in the range. An integer code stands at the centre of its own unit interval. `departure`
+    tells how far the result is from the exact histogram: it grows with the number of bins (fewer
+    values near a centre), and for data smooth on the scale of a bin it vanishes as the bin's width
+    squared.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
+        bins: number of bins, as for `exact_histogram`.
+        value_range: (low, high) in the image's unit, as for `exact_histogram`.
+        kernel: the B-spline by which weight falls off with the distance to a bin's centre: "linear"
+            (2 bins wide; the gradient jumps at the centres) or "cubic" (4 bins wide; twice
+            continuously differentiable).
+
+    Returns:
+        Counts (bins,) or (..., bands, bins), edges (bins + 1,) in the image's unit, and the
+        departure.
+
+    Raises:
+        ValueError: for another kernel and as for `exact_histogram`.
     """
     if kernel not in ("linear", "cubic"):
         raise ValueError(f'kernel must be "linear" or "cubic", got {kernel!r}.')
@@ -85,17 +115,30 @@ def soft_histogram(
 
 
 def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges"]:
-    """(..., bins + 1): the fraction of counted values below each edge (the last: up to and with
-    it), from 0 to 1; 0 throughout where nothing was counted."""
+    """The fraction of counted values below each edge (at the last edge: up to and including it).
+
+    Args:
+        histogram: exact or soft.
+
+    Returns:
+        (..., bins + 1) from 0 to 1, no unit; 0 throughout where nothing was counted.
+    """
     return cumulative_fractions(histogram.counts, histogram.edges.dtype)
 
 
 def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
-    """The smallest value that a fraction q of all values does not exceed, taken as spread evenly
-    within its bin: within a bin's width of the exact quantile.
+    """The smallest value that a fraction q of all values does not exceed.
 
-    `q`: () in [0, 1]; values outside count as 0 or 1. q = 0 gives the lower edge of the first
-    occupied bin, q = 1 the upper edge of the last; nothing counted gives the last edge but one.
+    Values count as spread evenly within their bin, so the result is within a bin's width of the
+    exact quantile.
+
+    Args:
+        histogram: exact or soft.
+        q: () no unit, in [0, 1]; values outside count as 0 or 1.
+
+    Returns:
+        () or (..., bands) in the image's unit. q = 0 gives the lower edge of the first occupied
+        bin, q = 1 the upper edge of the last; without counts it is the last edge but one.
     """
     cdf, edges = cumulative_distribution(histogram), histogram.edges
     bins = edges.shape[0] - 1
@@ -110,13 +153,23 @@ def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
 
 
 def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
-    """The inner edge t that splits the values into `< t` and `>= t` with the largest variance
-    between the two classes (Otsu 1979); the first such edge, and the first of all where the values
-    lie in one bin.
+    """The inner edge t with the largest variance between the values < t and those >= t.
 
-    For integer images OpenCV and scikit-image return the last code of the lower class: t - 1. Near
-    its largest the variance is flat to the rounding of float32: without x64 the threshold of 65536
-    bins may be a few of them off (30002 for 30000).
+    The first such edge is taken, and the first of all where the values lie in one bin. For integer
+    images OpenCV and scikit-image return the last code of the lower class: t - 1. Near its maximum
+    the variance is flat to the rounding of float32: without x64 the threshold of 65536 bins may be
+    a few of them off (30002 for 30000).
+
+    Args:
+        histogram: exact or soft, of at least 2 bins.
+
+    Returns:
+        () or (..., bands) in the image's unit.
+
+    Raises:
+        ValueError: for fewer than 2 bins.
+
+    Source: Otsu 1979.
     """
     counts, edges = histogram.counts.astype(histogram.edges.dtype), histogram.edges
     bins = edges.shape[0] - 1

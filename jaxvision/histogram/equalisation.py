@@ -1,9 +1,9 @@
 """Equalisation: the tone curve of an image is its own cumulative distribution (Szeliski, Computer
 Vision, 3.1.4). Values are codes (integer images) or relative.
 
-Gradients hold the curve fixed: a pixel's derivative is the slope of the curve at its value. Of an
-exact histogram that is the true derivative almost everywhere, for counts are constant where no
-value crosses an edge.
+Gradients hold the curve fixed: a pixel's derivative is the slope of the curve at its value. For an
+exact histogram that is the true derivative almost everywhere, since counts are constant as long as
+no value crosses an edge.
 """
 
 from functools import partial
@@ -37,18 +37,30 @@ def equalise(
     bins: int | np.integer | None = None,
     value_range: Range | None = None,
 ) -> Shaped[Array, "..."]:
-    """Each plane through its equalising curve, in its own dtype.
+    """Each plane through its equalising curve.
 
-    `image`: (h, w) or (..., h, w, bands). `amount`: () blends the curve with the identity: 0
-    leaves the values, 1 equalises fully.
+    uint8 and uint16 are OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
+    and every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)).
 
-    uint8 and uint16: OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
-    every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)); an image of one code stays.
-    Floating images: `bins` of `value_range`, by default 256 of [0, 1], whatever the picture holds.
-    Values outside are clamped to the range [low, high] and counted there, NaN stays NaN and is not
-    counted. Value x goes to low + (high - low) CDF(x), with values spread evenly within their bin:
-    so the darkest bin starts at low, as the first code goes to 0, and the brightest ends at high. A
-    plane whose values share one bin, or that has none, keeps them, as an image of one code does.
+    For floating images, value x goes to low + (high - low) CDF(x), with values spread evenly within
+    their bin: so the darkest bin starts at low, as the first code goes to 0, and the brightest ends
+    at high. Values outside are clamped to [low, high] and counted there; NaN stays NaN and is not
+    counted.
+
+    A plane with a single code, with all values in one bin, or without values stays as it is.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
+        amount: () no unit, blends the curve with the identity: 0 leaves the values, 1 equalises
+            fully.
+        bins: number of bins of a floating image; None takes 256.
+        value_range: (low, high) of a floating image, relative; None takes [0, 1].
+
+    Returns:
+        The image's shape, unit and dtype.
+
+    Raises:
+        ValueError: for bins or a range with an integer image, and as for `exact_histogram`.
     """
     stack = as_stack(image)
     levels = levels_of(stack)

@@ -1,6 +1,6 @@
-"""Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994): a curve a
-tile, its histogram clipped, and every pixel a bilinear blend of the curves of the four tiles about
-it. Values are codes (integer images) or relative. Gradients hold the curves fixed.
+"""Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994): each tile has
+its own curve, from its clipped histogram, and each pixel is a bilinear blend of the curves of the
+four tiles about it. Values are codes (integer images) or relative. Gradients hold the curves fixed.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,18 +41,31 @@ def equalise_locally(
     bins: int | np.integer | None = None,
     value_range: Range | None = None,
 ) -> Shaped[Array, "..."]:
-    """Each plane equalised tile by tile, in its own dtype.
+    """Each plane equalised tile by tile.
 
-    `image`: (h, w) or (..., h, w, bands). `tiles`: rows and columns of tiles. `clip_limit`: () most
-    counts in a bin, as a multiple of the mean count of a tile's bins; what is cut off is handed out
-    evenly, so 1 leaves contrast as it is and None (no limit) equalises each tile fully.
+    For uint8 and uint16 it is OpenCV's `CLAHE`, including whole counts and its order of
+    redistributing the remainder. As there, a size that the tiles do not divide is first extended by
+    `tiles - size % tiles` rows and columns, mirrored about the last pixel.
 
-    uint8 and uint16: OpenCV's `CLAHE`, whole counts and its order of handing out the remainder
-    included; like it, a size that the tiles do not divide is first extended by `tiles - size %
-    tiles` rows and columns, mirrored about the last pixel. Floating images use equal `bins` of
-    `value_range` (default: 256 of [0, 1]) and fractional counts; values outside are clamped to the
-    range and counted there, NaN stays NaN. A tile whose values share one bin, after handing out,
-    or that has none, keeps them.
+    Floating images use equal bins and fractional counts. Values outside the range are clamped to it
+    and counted there; NaN stays NaN. A tile keeps its values if they share one bin after
+    redistribution, or if it has none.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
+        tiles: rows and columns of tiles, each at least 1.
+        clip_limit: () no unit, largest count in a bin as a multiple of the mean count of a tile's
+            bins. The excess is redistributed evenly, so 1 leaves the contrast as it is. None is no
+            limit: each tile is fully equalised.
+        bins: number of bins of a floating image; None takes 256.
+        value_range: (low, high) of a floating image, relative; None takes [0, 1].
+
+    Returns:
+        The image's shape, unit and dtype.
+
+    Raises:
+        ValueError: for tiles of another form, for bins or a range with an integer image, and as for
+            `exact_histogram`.
     """
     stack = as_stack(image)
     if np.shape(tiles) != (2,) or not all(isinstance(n, Integral) and n >= 1 for n in tiles):

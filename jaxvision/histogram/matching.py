@@ -11,14 +11,23 @@ from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, pl
 
 @jax.jit
 def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
-    """Each plane of `image`, each value moved to the one of equal cumulative frequency in the same
-    plane of `reference`: F_reference^-1(F_image(x)), linear between the values that occur.
+    """Each value moved to the one of equal cumulative frequency in the same plane of a reference.
 
-    `image`, `reference`: (h, w) or (..., h, w, bands) of one dtype, equal but for h and w. As
-    scikit-image's `match_histograms`, but rounded to the nearest code where that truncates.
-    Floating images are matched by rank, without bins; NaN stays NaN and is not counted, and a
-    plane of `reference` that is NaN throughout gives NaN. The gradient goes to the values of
-    `reference`; that in `image` is 0, since a small change leaves every rank.
+    That is F_reference^-1(F_image(x)), linear between the values that occur. Integer images are
+    matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
+    truncated. Floating images are matched by rank, without bins; NaN stays NaN and is not counted,
+    and a plane of the reference that is all NaN gives NaN. The gradient goes to the values of
+    `reference`; that with respect to `image` is 0, since a small change leaves every rank.
+
+    Args:
+        image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
+        reference: of the same dtype and unit, with the same bands and batch.
+
+    Returns:
+        The image's shape, unit and dtype.
+
+    Raises:
+        ValueError: for two dtypes, or for shapes that differ in more than h and w.
     """
     source, target = as_stack(image), as_stack(reference)
     if source.dtype != target.dtype:

@@ -1,10 +1,10 @@
-"""Matting: coverage alpha, and the light of what is covered, from pictures in linear light.
+"""Matting: coverage alpha and foreground light, from pictures in linear light.
 
     picture = alpha foreground + (1 - alpha) background
 
-`keying` needs to know what lies behind, `closed_form` a trimap, `foreground` the coverage. Light is
-relative; an alpha is (..., 1) in [0, 1], and what belongs in front comes as a layer of
-`compositing`: premultiplied light, then alpha.
+`keying` needs a known background, `closed_form` a trimap, `foreground` the coverage. Light is
+relative. An alpha is (..., 1) in [0, 1]; a foreground comes as a layer of `compositing`:
+premultiplied light, then alpha.
 """
 
 from .closed_form import Matte, closed_form_matte

@@ -1,9 +1,9 @@
 """One V-cycle of geometric multigrid for a symmetric positive definite stencil: the preconditioner
-that makes conjugate gradients take tens of steps where a diagonal takes hundreds.
+with which conjugate gradients take tens of steps, where a diagonal one takes hundreds.
 
-Every second pixel is kept, interpolation P is bilinear, restriction its transpose, and the coarse
-stencil Galerkin's P^T A P, which has 5 x 5 coefficients again. Source: Briggs, Henson, McCormick,
-"A Multigrid Tutorial" (2000), chapter 10; no unit anywhere.
+Every second pixel is kept, interpolation P is bilinear, restriction is its transpose, and the
+coarse stencil is Galerkin's P^T A P, which again has 5 x 5 coefficients. Source: Briggs, Henson,
+McCormick, "A Multigrid Tutorial" (2000), chapter 10; nothing here has a unit.
 """
 
 from itertools import product

@@ -1,12 +1,12 @@
-"""Closed-form matting: the smoothest alpha, in the sense of the matting Laplacian L, that keeps to
-a trimap.
+"""Closed-form matting: the smoothest alpha, in the sense of the matting Laplacian L, that agrees
+with a trimap.
 
     L_UU alpha_U = -L_UK s_K        or, with a confidence c,        (L + c D) alpha = c D s
 
-with K the pixels that the trimap knows, s their alpha, U the others and D the diagonal that marks K
-(Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full confidence). Solved by
-conjugate gradients under multigrid; the derivative is that of the solution, by one more solve, not
-of the steps.
+Here K are the pixels that the trimap knows, s is their alpha, U are the others, and D is the
+diagonal that marks K (Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full
+confidence). It is solved by conjugate gradients with a multigrid preconditioner. The derivative is
+that of the solution, by one more solve, not of the steps.
 """
 
 import equinox as eqx
@@ -24,8 +24,13 @@ BACKGROUND, FOREGROUND = 0.1, 0.9
 
 
 class Matte(eqx.Module):
-    """`alpha`: (h, w, 1) in [0, 1]. `converged`: () whether the solver met its tolerance; if not,
-    more `max_steps`, or in float32 a larger `epsilon`, are called for."""
+    """A coverage and whether its solver converged.
+
+    Attributes:
+        alpha: (h, w, 1) in [0, 1], no unit.
+        converged: () whether the solver met its tolerance; if not, take more `max_steps`, or in
+            float32 a larger `epsilon`.
+    """
 
     alpha: Float[Array, "h w 1"]
     converged: Bool[Array, ""]
@@ -40,18 +45,28 @@ def closed_form_matte(
     tolerance: float | None = None,
     max_steps: int = 500,
 ) -> Matte:
-    """The matte of a picture (h, w, bands), relative light, by a trimap (h, w).
+    """The matte of a picture by a trimap.
 
-    `trimap`: up to 0.1 is background, from 0.9 on foreground, between lies the unknown. `epsilon`,
-    in light squared, keeps windows of one colour solvable. `confidence` is c, 100 in the paper;
-    None takes the trimap as exact. `tolerance`: of the residual relative to the right-hand side;
-    None takes 1e-7 in float64 and 1e-6 in float32. Compile it once, by `jax.jit`: that takes
-    seconds, a call a fraction of one.
+    Compile it once, by `jax.jit`: that takes seconds, a call a fraction of one.
 
-    `ValueError` for shapes that do not fit, for integer codes and, where it is known, for an
-    `epsilon` or `confidence` that is not above 0. Where the numbers are known, an `InputError` says
-    that the picture or the trimap holds NaN or that the trimap lacks a foreground or a background;
-    under a trace, NaN gives a NaN matte and a trimap of one kind alone a constant one.
+    Args:
+        image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
+        trimap: (h, w) no unit: up to 0.1 is background, from 0.9 on foreground, between is unknown.
+        epsilon: in light squared, relative, above 0: keeps windows of one colour solvable.
+        confidence: c, no unit, above 0; 100 in the paper. None takes the trimap as exact.
+        tolerance: of the residual relative to the right-hand side, no unit. None takes 1e-7 in
+            float64 and 1e-6 in float32.
+        max_steps: largest number of steps of the solver.
+
+    Returns:
+        The alpha (h, w, 1), and whether the solver converged.
+
+    Raises:
+        ValueError: for shapes that do not fit, for integer codes, and for a known `epsilon` or
+            `confidence` that is not above 0.
+        InputError: for known numbers that hold NaN, and for a known trimap without foreground or
+            without background. Under a trace NaN gives a NaN matte, and a trimap of one kind alone
+            a constant one.
     """
     image, trimap = as_relative(image), as_relative(trimap)
     if image.ndim != 3 or min(image.shape[:2]) < 3:

@@ -1,12 +1,12 @@
-"""The colours of foreground and background in a picture whose coverage is known.
+"""The colours of foreground and background in a picture of known coverage.
 
 They minimise, band by band,
 
     sum_i (alpha F + (1 - alpha) B - I)^2
         + sum_ij (regularisation + |alpha_i - alpha_j|) ((F_i - F_j)^2 + (B_i - B_j)^2)
 
-over pixels i and their neighbours j on four sides: smooth, above all where alpha changes. Source:
-Germer, Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
+over pixels i and their four neighbours j: smooth, above all where alpha changes. Source: Germer,
+Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
 """
 
 import math
@@ -32,18 +32,30 @@ def estimate_foreground(
     coarse_steps: int = 10,
     fine_steps: int = 4,
 ) -> tuple[Picture, Picture]:
-    """(foreground, background), both straight colours (h, w, bands) of relative light, never
-    below 0; defined in every pixel, also where it is not to be seen.
+    """The straight colours of foreground and background, defined in every pixel, also where hidden.
 
-    `alpha`: (h, w, 1) in [0, 1]. From one pixel to the whole picture each level doubles the last;
-    a step solves every pixel exactly with its neighbours as they are. `coarse_steps` are taken up
-    to 32 pixels a side, `fine_steps` beyond. Premultiplied by alpha, the foreground is a layer.
+    From one pixel to the whole picture each level has twice the size of the last. A step solves
+    every pixel exactly with its neighbours fixed. Premultiplied by alpha, the foreground is a
+    layer.
 
-    Four `fine_steps` are fast, not exact: in the soft edge of a disc on 256 x 256 pixels that layer
-    errs by 0.0142 rms, with 40 steps by 0.0102 and at the minimum itself by 0.0094, relative light.
-    `ValueError` for shapes that do not fit, and, where the numbers are known, for an alpha out of
-    [0, 1] or not finite and a `regularisation` that is not above 0; under a trace, one NaN makes
-    all of both pictures NaN.
+    Four `fine_steps` are fast, not exact: in the soft edge of a disc on 256 x 256 pixels the layer
+    errs by 0.0142 rms in relative light, with 40 steps by 0.0102, and at the minimum itself by
+    0.0094.
+
+    Args:
+        image: (h, w, bands) linear relative light.
+        alpha: (h, w, 1) coverage in [0, 1], no unit.
+        regularisation: no unit, above 0.
+        coarse_steps: steps a level, up to 32 pixels a side.
+        fine_steps: steps a level, beyond.
+
+    Returns:
+        The foreground and the background, each (h, w, bands) relative light, at least 0.
+
+    Raises:
+        ValueError: for shapes that do not fit and, where the numbers are known, for an alpha
+            outside [0, 1] or not finite and a `regularisation` that is not above 0. Under a trace a
+            single NaN makes both pictures NaN throughout.
     """
     image, alpha = as_relative(image), checked_alpha(alpha)
     if image.ndim != 3 or 0 in image.shape:

@@ -1,9 +1,9 @@
-"""Mattes from a background that is known: its picture, its colour, or several of them.
+"""Mattes from a known background: its picture, its colour, or several of them.
 
-For pictures (..., bands) of linear relative light; alpha is (..., 1), clipped to [0, 1]. Where a
-background tells nothing (the same behind every picture, or equal to the foreground) the matte is
-opaque: the picture itself. NaN stays NaN and spreads no further than its own pixel. Integer codes
-are a `ValueError`.
+Pictures are (..., bands) in linear relative light; alpha is (..., 1), clipped to [0, 1]. Where a
+background carries no information (the same behind every picture, or equal to the foreground) the
+matte is opaque: the picture itself. NaN stays NaN, in its own pixel only. Integer codes are a
+`ValueError`.
 """
 
 import jax.numpy as jnp
@@ -24,10 +24,20 @@ print_by_name(globals(), "Picture", "Alpha", "Layer")
 def difference_matte(
     image: Picture, background: Picture, low: Scalar | float, high: Scalar | float
 ) -> Alpha:
-    """How far each pixel is from the clean background: 0 up to a distance `low`, 1 from `high` on,
-    linear between; a Euclidean distance of colours, relative like the light.
+    """The distance of each pixel from the clean background, mapped linearly to [0, 1].
 
-    `ValueError` unless `low` < `high`, where they are known; under a trace, a step at `low`.
+    Args:
+        image: (..., bands) linear relative light.
+        background: (..., bands) or (bands,), relative.
+        low: () relative, the Euclidean distance of colours up to which alpha is 0.
+        high: () relative, the distance from which alpha is 1.
+
+    Returns:
+        (..., 1) alpha, no unit.
+
+    Raises:
+        ValueError: unless `low` < `high`, where they are known. Under a trace the matte is then a
+            step at `low`.
     """
     if not isinstance(low, Tracer) and not isinstance(high, Tracer) and not low < high:
         raise ValueError(f"low must lie below high, got {low} and {high}.")
@@ -42,14 +52,27 @@ def difference_matte(
 def blue_screen_matte(
     image: Picture, backing: Picture, *, channel: int = 2, foreground: str = "grey"
 ) -> Alpha:
-    """The matte of an object before a screen of one colour, if the object keeps a promise.
+    """The matte of an object before a screen of one colour, under an assumption about the object.
 
-    `backing`: (..., bands) or (bands,) the screen's light. `channel`: the band it shines in (2,
-    blue; 1 for a green one). `foreground`: "none" promises that the object sends nothing in that
-    band, "grey" that it sends the mean of the other bands. (Flesh keeps this promise in its green
-    and blue: pass these two alone.) Some n of each pixel's bands then belongs to the screen only,
-    so that alpha = 1 - n . image / n . backing. Source: Smith and Blinn, "Blue Screen Matting",
-    SIGGRAPH 1996, solutions 1 and 2, here for any backing. `ValueError` for another promise.
+    A combination n of each pixel's bands then belongs to the screen alone, so that
+    alpha = 1 - n . image / n . backing.
+
+    Args:
+        image: (..., bands) linear relative light.
+        backing: (..., bands) or (bands,) light of the screen, relative.
+        channel: the band of the screen (2 is blue; 1 for a green screen).
+        foreground: "none" assumes that the object sends no light in that band, "grey" that it sends
+            the mean of the other bands. (Flesh fulfils "grey" in green and blue: pass these two
+            alone.)
+
+    Returns:
+        (..., 1) alpha, no unit.
+
+    Raises:
+        ValueError: for another assumption, and for a channel that the image does not have.
+
+    Source: Smith and Blinn, "Blue Screen Matting", SIGGRAPH 1996, solutions 1 and 2, here for any
+    backing.
     """
     image, backing = as_relative(image), as_relative(backing)
     bands = image.shape[-1]
@@ -71,10 +94,17 @@ def blue_screen_matte(
 
 
 def projected_matte(image: Picture, foreground: Picture, background: Picture) -> Alpha:
-    """The least-squares alpha when both colours are known: (C - B) . (F - B) / |F - B|^2.
+    """The least-squares alpha for two known colours: (C - B) . (F - B) / |F - B|^2.
 
-    `foreground`, `background`: (..., bands) or (bands,) of relative light, a picture or a colour
-    each. Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
+    Args:
+        image: (..., bands) linear relative light.
+        foreground: (..., bands) or (bands,), a picture or a colour, relative.
+        background: (..., bands) or (bands,), relative.
+
+    Returns:
+        (..., 1) alpha, no unit.
+
+    Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
     """
     image = as_relative(image)
     foreground, background = (
@@ -90,17 +120,28 @@ def least_squares_matte(
     images: Float[Array, "pictures *picture bands"],
     backgrounds: Float[Array, "pictures *picture bands"],
 ) -> Layer:
-    """The layer (..., bands + 1) that, over each known background, comes nearest to its picture.
+    """The layer that, over each known background, comes nearest to its picture.
 
-    `images`, `backgrounds`: (pictures, ..., bands) relative light of the same object before two or
-    more backgrounds. The residual C_i - C_o - (1 - alpha) K_i is linear in both unknowns; C_o is
-    eliminated by the means, and of what is left the clipped optimum is the optimum in [0, 1]:
+    The residual C_i - C_o - (1 - alpha) K_i is linear in both unknowns. The means eliminate C_o,
+    and the clipped optimum of the rest is the optimum in [0, 1]:
 
         alpha = 1 - sum (C_i - mean C) . (K_i - mean K) / sum |K_i - mean K|^2
 
-    Exact for two backgrounds without noise, whatever the object's colours. Source: Smith and Blinn,
-    "Blue Screen Matting", SIGGRAPH 1996, theorem 4 and its extension to more backings. `ValueError`
-    for unequal shapes or fewer than two pictures.
+    Exact for two backgrounds without noise, whatever the object's colours.
+
+    Args:
+        images: (pictures, ..., bands) linear relative light of one object before at least two
+            backgrounds.
+        backgrounds: the same shape, relative.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for unequal shapes or fewer than two pictures.
+
+    Source: Smith and Blinn, "Blue Screen Matting", SIGGRAPH 1996, theorem 4 and its extension to
+    more backings.
     """
     images, backgrounds = as_relative(images), as_relative(backgrounds)
     if images.shape != backgrounds.shape or images.shape[0] < 2:
@@ -118,15 +159,38 @@ def least_squares_matte(
 def triangulation_matte(
     image: Picture, background: Picture, image_2: Picture, background_2: Picture
 ) -> Layer:
-    """`least_squares_matte` of two pictures: the exact layer (..., bands + 1) of an object before
-    two backgrounds that differ in every pixel; relative light."""
+    """The exact layer of an object before two backgrounds that differ in every pixel.
+
+    It is `least_squares_matte` of two pictures.
+
+    Args:
+        image: (..., bands) linear relative light before the first background.
+        background: (..., bands) the first background, relative.
+        image_2: (..., bands) before the second.
+        background_2: (..., bands) the second.
+
+    Returns:
+        (..., bands + 1), a layer.
+    """
     return least_squares_matte(jnp.stack([image, image_2]), jnp.stack([background, background_2]))
 
 
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
-    """What the object itself sends, image - (1 - alpha) background, as a layer (..., bands + 1) of
-    relative light: over the same background it gives the picture back. An alpha out of [0, 1] is a
-    `ValueError`, as in `compositing`."""
+    """The light of the object itself, image - (1 - alpha) background, as a layer.
+
+    Over the same background it gives the picture again.
+
+    Args:
+        image: (..., bands) linear relative light.
+        alpha: (..., 1) coverage in [0, 1], no unit.
+        background: (..., bands) or (bands,), relative.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1], as in `compositing`.
+    """
     return _lifted(as_relative(image), checked_alpha(alpha), as_relative(background))
 
 
