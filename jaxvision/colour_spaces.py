@@ -88,7 +88,7 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
     Example:
         >>> white = jv.colour_spaces.rgb_to_xyz(jnp.ones(3))
         >>> print(white.round(2))
-        [0.95 1.   1.09]
+        [ 0.95  1.    1.09]
     """
     return _by_constant(rgb, rgb_to_xyz_matrix(space))
 
