@@ -114,7 +114,7 @@ def test_wrong_merl_files_are_named(tmp_path):
     refused(files.read_merl, write(tmp_path, "3", data[:-8]), "cut short", str(len(data)))
     refused(files.read_merl, write(tmp_path, "4", data + b"12345678"), "damaged")
     refused(files.read_merl, write(tmp_path, "5", data[:12] + values.tobytes()), "1 values are not")
-    refused(files.read_merl, write(tmp_path, "6", b"P6 640 480 255 " * 9), "no MERL file")
+    refused(files.read_merl, write(tmp_path, "6", b"P6 640 480 255 " * 9), "is not a MERL file")
     empty = data[:12] + np.full(3 * np.prod(SHAPE), -1.0).tobytes()
     refused(files.read_merl, write(tmp_path, "7", empty), "not measured")
     refused(files.read_measured, write(tmp_path, "a.txt", data), "'.txt'", ".bsdf")
