@@ -22,6 +22,9 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
         command: name of the command, the beginning of each line.
         interrupted: sentence for an interrupt that has none of its own.
 
+    Returns:
+        A context manager.
+
     Raises:
         typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
     """
