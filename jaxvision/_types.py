@@ -27,7 +27,7 @@ class _OneOf(type):
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
     """Makes each alias of array types a class of that name, so that signatures, `help` and type
-    errors say `Scalar` instead of what it stands for. `aliases`: the `globals()` of its module."""
+    errors say `Scalar` instead of its definition. `aliases`: the `globals()` of its module."""
     module = aliases["__name__"].partition("._")[0]
     for name in names:
         alias, kinds = aliases[name], get_args(aliases[name])
@@ -183,7 +183,7 @@ def check_tile(
 
 
 def is_known(x: Any) -> bool:
-    """Whether the numbers of `x` are there to be looked at: they are not while it is traced."""
+    """Whether the numbers of `x` are known: while it is traced they are not."""
     return not isinstance(x, Tracer)
 
 
@@ -197,7 +197,7 @@ def check_range(
     finite: bool = True,
 ) -> None:
     """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
-    where `above`. None is absent, and what is traced is not known yet: both pass."""
+    where `above`. None (absent) passes, and so do tracers, whose numbers are not known yet."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)

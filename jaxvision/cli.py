@@ -66,8 +66,8 @@ def inspect(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """Range, moments and saturation of each channel; with --out the picture, histograms, a scan
-    line, a grid of values and the surface as one figure."""
+    """Print range, moments and saturation of each channel. With --out, draw the picture,
+    histograms, a scan line, a grid of values and the surface in one figure."""
     with failures_as_sentences("jaxvision"):
         _inspect(file, out, row, at, white, as_json)
 
@@ -87,35 +87,38 @@ def render(
     integrator: Annotated[
         str | None,
         typer.Option(
-            help="direct, path, rays, light or radiosity (default: the scene's); another than the "
-            "scene's begins with its own usual samples and depth.",
+            help="direct, path, rays, light or radiosity (default: the scene's). One that differs "
+            "from the scene's starts with its own default samples and depth.",
             metavar="WORD",
         ),
     ] = None,
     samples: Annotated[int | None, typer.Option(help="Samples a pixel.")] = None,
     depth: Annotated[int | None, typer.Option(help="Longest path, in pieces.")] = None,
     gather: Annotated[
-        int | None, typer.Option(help="Of radiosity: rays of the final gather, 0 for none.")
+        int | None, typer.Option(help="Rays of the final gather of radiosity, 0 for none.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of what is random.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers.")] = None,
     tile: Annotated[int | None, typer.Option(help="Pixels computed at once.")] = None,
     resolution: Annotated[
-        str, typer.Option(help="Of the same view, instead of the scene's.", metavar="ROWS,COLUMNS")
+        str,
+        typer.Option(
+            help="Resolution of the same view, instead of the scene's.", metavar="ROWS,COLUMNS"
+        ),
     ] = "",
     preview: Annotated[
         Path | None,
         typer.Option(
-            help="PNG, TIFF or JPEG of it, in 8 bits (default: a PNG beside the EXR).",
+            help="8-bit PNG, TIFF or JPEG of the picture (default: a PNG beside the EXR).",
             metavar="FILE",
         ),
     ] = None,
     no_preview: Annotated[bool, typer.Option("--no-preview", help="Write the EXR only.")] = False,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Begin again, whatever an earlier render left.")
+        bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
 ) -> None:
-    """A scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile; the same command
-    goes on where a render was interrupted or killed."""
+    """Render a scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile. The same
+    command resumes a render that was interrupted or killed."""
     with failures_as_sentences("jaxvision"):
         given = {
             "integrator": integrator,

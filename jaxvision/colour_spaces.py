@@ -453,7 +453,7 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     r_t = -2 * _chroma_weight(mean_c) * jnp.sin(2 * d_theta)
     lightness, chroma, hue = d_l / s_l, d_c / s_c, d_h / s_h
     # sqrt(lightness^2 + chroma^2 + hue^2 + r_t chroma hue), r_t^2 < 4, as a sum of three squares,
-    # whose length neither underflows nor loses its gradient
+    # so that the root neither underflows nor loses its gradient
     return norm(Vec(lightness, chroma + r_t / 2 * hue, safe_sqrt(1 - r_t * r_t / 4) * hue))
 
 
@@ -615,7 +615,7 @@ def ycbcr_to_rgb(
 
 
 def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix from R'G'B' and what is added to its result."""
+    """The matrix from R'G'B' and the offset added to its result."""
     if levels not in ("full", "legal") or bits < 8:
         raise ValueError(
             f'levels must be "full" or "legal" and bits at least 8, got {levels!r} and {bits}.'

@@ -1,4 +1,4 @@
-"""What lies beyond the border of a picture.
+"""Pictures continued beyond their border.
 
 A picture is (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
 of its own. Values are relative or in any unit, which they keep. Integers become floating numbers of
@@ -43,13 +43,13 @@ BORDERS = {
 }
 
 
-# What users of the other libraries take for ours.
+# A border that users of other libraries look for here.
 _NOT_AMONG_THEM = (
     'c b | a b c d | c b (OpenCV\'s default, numpy "reflect", scipy "mirror") is none of them: '
     "numpy.pad the picture first"
 )
 _REFUSALS = {
-    "constant": 'takes a fill, which this filter has not: pad the picture first, or take "zero"',
+    "constant": 'needs a fill, which this filter lacks: pad the picture first, or use "zero"',
     "normalised_zero": "divides by the sum of the weights, and these have no sum to divide by",
 }
 

@@ -275,7 +275,9 @@ def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
     elif low == high:
         low, high = low - 0.5, high + 0.5
     counts, edges = _counts(values, (float(low), float(high)))
-    light = counts[: _colours(pixels).shape[-1]]  # alpha, whose bins are full, would squeeze it
+    light = counts[
+        : _colours(pixels).shape[-1]
+    ]  # without alpha: its full bins would squeeze the others
     ceiling = BEFORE_NOTE * max(float(np.quantile(light, 0.995)), 1.0)
     for i, name in enumerate(names):
         axis.stairs(

@@ -167,7 +167,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
             return jnp.where(by_rows, near(difference, 1), near(difference, 0))
 
         def at_green(from_green: Plane) -> tuple[Plane, Plane]:
-            """What either band exceeds green by, at the green pixels, from their neighbours."""
+            """Either band minus green, at the green pixels, from their neighbours."""
             rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 

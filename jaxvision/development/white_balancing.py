@@ -91,7 +91,7 @@ def grey_world_gains(
         used = jnp.broadcast_to((image < saturation).all(-1, keepdims=True), image.shape)
         used = used.astype(image.dtype)
     norm = jnp.asarray(norm, image.dtype)
-    # a power of what is at most 1 does not overflow, nor do all of a band vanish
+    # powers of numbers up to 1 do not overflow, and the largest of a band does not vanish
     largest = jax.lax.stop_gradient(jnp.max(image * used, axis=(-3, -2)))
     scale = jnp.where(largest > 0, largest, 1)
     raised = used * power(image / jnp.broadcast_to(scale[..., None, None, :], image.shape), norm)

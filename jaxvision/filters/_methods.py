@@ -20,7 +20,7 @@ Result = Float[Array, "n _ _ c"]
 Kernel = Float[Array, "_ _ _"]
 Anchor = tuple[int, int]
 
-# Taps in one loop: beyond some 225 XLA's code for it is 20 times slower.
+# Taps in one loop: beyond some 225 XLA's code for the loop is 20 times slower.
 _MOST_TAPS = 128
 
 

@@ -28,8 +28,8 @@ Terms = tuple[tuple[Shaped[Array | np.ndarray, "_ _ _"], ...], ...]
 
 
 class Settings(NamedTuple):
-    """What the program is compiled for. `method`: one of `_methods.METHODS` for the product of a
-    term's passes, or "separable" for one pass after the other."""
+    """The static choices, one program for each. `method`: a key of `_methods.METHODS` for the
+    product of a term's passes, or "separable" for one pass after the other."""
 
     anchor: Anchor
     border: str
@@ -38,7 +38,7 @@ class Settings(NamedTuple):
 
 @partial(jax.jit, static_argnames="settings")
 def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
-    """The picture correlated with the sum of the terms, and what the border adds."""
+    """The picture correlated with the sum of the terms, with the contribution of the border."""
     anchor, border, method = settings
     image, restore = as_planes(picture)
     terms = tuple(tuple(jnp.asarray(k, image.dtype) for k in term) for term in terms)

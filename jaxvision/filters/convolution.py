@@ -51,9 +51,9 @@ Numbers = Sequence[Any]
 
 CHOICES = ("auto", "separable", *METHODS)
 
-# What a transform and what a pair of passes cost on a CPU, in taps of a direct sum.
+# The cost of a transform and of a pair of passes on a CPU, in taps of a direct sum.
 _TRANSFORM, _PAIR = 240, 8
-# Below, a kernel is not worth its singular values.
+# A smaller kernel is not worth a singular value decomposition.
 _FEWEST_TAPS = 25
 
 
@@ -190,7 +190,7 @@ def correlate_separable(
 
 
 def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
-    """The method that "auto" stands for, and the refusals of "separable"."""
+    """The method that "auto" chooses; `ValueError` where "separable" is impossible."""
     check_choice("method", method, CHOICES)
     traced = isinstance(kernel, Tracer)
     if method == "separable" and traced:
@@ -266,5 +266,5 @@ def _check_weighs(border: str, *, of: str) -> None:
 
 
 def _as_array(x: Any) -> Any:
-    """Lists become arrays; an array, traced or not, stays what it is."""
+    """Lists become arrays; an array, traced or not, stays as it is."""
     return x if hasattr(x, "dtype") else np.asarray(x)

@@ -265,9 +265,9 @@ def _radial(
 
 
 def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (a, b) with 0 <= b <= a that stand for their eight images under the symmetries of the
-    square, their distances, and the share of each image: 1/2 where two fall together, 1/8 where
-    all do."""
+    """Offsets (a, b) with 0 <= b <= a, one for each set of eight images under the symmetries of the
+    square, their distances, and the share of each image: 1/2 where two coincide, 1/8 where all
+    do."""
     a, b = np.tril_indices(radius + 1)
     a, b = (v[a * a + b * b <= radius * radius] for v in (a, b))
     share = np.where(a == 0, 1 / 8, np.where((b == 0) | (a == b), 1 / 2, 1.0))
@@ -321,7 +321,7 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
 
 
 def _plane(picture: Picture) -> tuple[int, ...]:
-    """(h, w) of a picture; `ValueError` for what is none."""
+    """(h, w) of a picture; `ValueError` for any other array."""
     check_picture(picture)
     return picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
 

@@ -24,7 +24,7 @@ print_by_name(globals(), "Angle")
 Basis = tuple[Filtered, ...]
 
 # The paper's tables III and V: each basis filter is exp(-x^2 - y^2) times one polynomial in x and
-# one in y. A response is correlation, whose kernel is the filter as it is.
+# one in y. A response is a correlation with the filter as it is.
 _Factor = Callable[[Float[Array, " taps"]], Float[Array, " taps"]]
 _G2: tuple[tuple[_Factor, _Factor], ...] = (
     (lambda x: 0.9213 * (2 * x * x - 1), jnp.ones_like),

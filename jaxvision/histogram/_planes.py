@@ -157,8 +157,8 @@ def cumulative_fractions(
 def equalising_curves(
     counts: Shaped[Array, "groups bins"], chosen: Binning, dtype: DTypeLike
 ) -> Float[Array, "groups edges"]:
-    """What each edge goes to: low + (high - low) CDF; the identity where fewer than two bins are
-    occupied, and there is no contrast to spread."""
+    """The new value of each edge: low + (high - low) CDF; the identity where fewer than two bins
+    are occupied, so that there is no contrast to spread."""
     curves = chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
     several = (counts > 0).sum(-1, keepdims=True) > 1
     return jnp.where(several, curves, jnp.asarray(chosen.edges, dtype)[None])

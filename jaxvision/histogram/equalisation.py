@@ -83,7 +83,7 @@ def _equalised(stack: Stack, amount: float | Scalars, chosen: Binning) -> Stack:
 
 
 def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
-    """What each code goes to, in codes, not yet rounded: 0 for the first occupied code and those
+    """The new value of each code, not yet rounded: 0 for the first occupied code and those
     below, levels - 1 for the last occupied one; the identity where only one code is occupied."""
     levels = counts.shape[-1]
     dtype = jnp.result_type(float)

@@ -30,7 +30,7 @@ from ._planes import (
 )
 
 Tiles = tuple[int, int]
-MOST_PIXELS = 2**30  # of a tile: stands for no limit, and every float holds it
+MOST_PIXELS = 2**30  # of a tile: the value for "no limit", exact in every floating dtype
 
 
 def equalise_locally(
@@ -179,8 +179,8 @@ def _blended(
     tiles: Tiles,
     tile: Tiles,
 ) -> Float[Array, "..."]:
-    """The bilinear blend of what the curves of the four tiles about each pixel make of it, with
-    each curve standing at the centre of its tile."""
+    """Each pixel through the curves of the four tiles about it, blended bilinearly, with each
+    curve at the centre of its tile."""
     plane = plane_numbers(stack)
     (top, bottom, down), (left, right, along) = (
         _neighbours(size, parts, length)

@@ -57,7 +57,7 @@ def _by_code(source: Stack, target: Stack, levels: int) -> Stack:
 def _matching_codes(
     counts: Int[Array, "planes levels"], offered: Int[Array, "planes levels"]
 ) -> Float[Array, "planes levels"]:
-    """What each code goes to, rounded."""
+    """The new value of each code, rounded."""
     codes = jnp.arange(counts.shape[-1], dtype=jnp.int32)[None]
     occupied = offered > 0
     # an empty code repeats the last occupied one, so that interpolation skips it

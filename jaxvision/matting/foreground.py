@@ -115,8 +115,8 @@ def _relaxed(
 
 
 def _neighbours(x: Picture) -> tuple[Picture, Picture, Picture, Picture]:
-    """What lies above, below, left and right of each pixel: at the edge the pixel itself, which
-    slows the iteration there but leaves its limit."""
+    """The pixels above, below, left and right of each: at the edge the pixel itself, which slows
+    the iteration there but does not change its limit."""
     return (
         jnp.concatenate([x[:1], x[:-1]]),
         jnp.concatenate([x[1:], x[-1:]]),
