@@ -56,6 +56,7 @@ from ._types import (
 )
 from ._vector import (
     Vec as Vec,
+    Vec3 as Vec3,
     Vector as Vector,
     as_array as as_array,
     as_vec as as_vec,

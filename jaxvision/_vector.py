@@ -53,7 +53,7 @@ class Vec(eqx.Module):
 
 Vec3 = Float[Array, "... 3"] | Vec
 Vector = Float[Array, "3"] | Vec
-print_by_name(globals(), "Vector")
+print_by_name(globals(), "Vec3", "Vector")
 
 
 def as_vec(v: Vec3) -> Vec:

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
-from ._types import check_tile
+from ._types import check_tile, print_by_name
 
 Pattern = tuple[tuple[int, ...], ...]
 Picture = Shaped[Array | np.ndarray, "*picture"]
 Mosaic = Shaped[Array, "*batch h w"]
+print_by_name(globals(), "Picture", "Mosaic")
 
 BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
 

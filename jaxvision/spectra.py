@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import Scalar, Spectrum
+from ._types import Scalar, Spectrum, print_by_name
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]
+print_by_name(globals(), "Wavelengths", "Responses")
 
 LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
 _TWO_H_C_SQUARED = 1.1910429723971884e-16  # W m^2, the SI of 2019

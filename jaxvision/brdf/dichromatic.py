@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Colour, Scalar, as_float, check_shape
+from .._types import Colour, Scalar, as_float, check_shape, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import diffuse_share
@@ -24,6 +24,7 @@ from .mirror import Mirror
 
 Body = Float[Array, " body"]
 Interface = Float[Array, " interface"]
+print_by_name(globals(), "Body", "Interface")
 
 
 class Dichromatic(Material):

@@ -26,11 +26,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._numerics import safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, check_shape
+from .._types import Colour, Scalar, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
 Mask = Bool[Array, "..."]
 Factors = Float[Array, "..."]
+print_by_name(globals(), "Pixels", "Mask", "Factors")
 
 
 class Separation(eqx.Module):

@@ -15,13 +15,14 @@ from jax.lax import erfc
 from jaxtyping import Array, Float
 
 from .._numerics import dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
-from .._types import Scalar
+from .._types import Scalar, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cross
 
 Distribution = Literal["beckmann", "ggx"]
 Shadowing = Literal["smith", "v-cavity"]
 Alpha = Float[Array, "2"]
+print_by_name(globals(), "Alpha")
 
 
 def half_vector(wi: Vector, wo: Vector) -> Vec:

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import smallest_divisor
-from .._types import Scalar, Scalars
+from .._types import Scalar, Scalars, print_by_name
 from ..filters import adjoint, correlate, correlate_bank, disk_profile, radial_blur
 from ..scene import CircularAperture, ThinLens
 from .aperture import aperture_kernel
@@ -43,6 +43,7 @@ from .views import sensor_vergence
 Picture = Float[Array, "h w bands"]
 Depth = Float[Array, "h w"]
 Plane = Float[Array, "h w ..."]
+print_by_name(globals(), "Picture", "Depth", "Plane")
 
 # Below this share of a layer in a pixel, its colour there is uncertain.
 _FEW = 1e-3

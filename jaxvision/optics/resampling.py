@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Image, Scalars
+from .._types import Image, Scalars, print_by_name
 from ..scene import Pinhole, ThinLens
 from .distortion import distort, undistort
 from .views import pixel_grid, pixel_offset, sensor_vergence
@@ -18,6 +18,7 @@ from .views import pixel_grid, pixel_offset, sensor_vergence
 INTERPOLATIONS = ("linear", "cubic")
 
 Coordinates = Float[Array, "rows columns"]
+print_by_name(globals(), "Coordinates")
 
 
 def sample_image(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from .._types import Image, Scalars, Spectrum, as_float, is_known
+from .._types import Image, Scalars, Spectrum, as_float, is_known, print_by_name
 from ..colour_filters import check_pattern, mosaic
 from ..scene import ColourFilter, Sensor
 from ._draws import check_image
@@ -23,6 +23,7 @@ SPEED_OF_LIGHT = 299792458.0  # m s^-1, exact in the SI
 
 Light = Shaped[Array | np.ndarray, "... bands"]  # integer counts of photons are allowed
 Counts = Float[Array, "... channels"]  # one channel under a colour filter, else one per band
+print_by_name(globals(), "Light", "Counts")
 
 
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:

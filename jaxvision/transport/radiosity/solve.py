@@ -11,10 +11,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._types import Scalar
+from ..._types import Scalar, print_by_name
 
 PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
+print_by_name(globals(), "PatchSpectra", "Table")
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
