@@ -51,7 +51,7 @@ def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
 
 
 def _by_constant(colours: Colours, matrix: np.ndarray) -> Colours:
-    """`apply_matrix` of a matrix known while tracing, in the dtype of the colours."""
+    """`apply_matrix` with a matrix known while tracing, in the dtype of the colours."""
     colours = _checked(colours)
     return apply_matrix(colours, jnp.asarray(matrix, colours.dtype))
 
@@ -375,7 +375,7 @@ def _hue_angle(a: Scalars, b: Scalars) -> Scalars:
 
 
 def _within(hue: Scalars, turn: float) -> Scalars:
-    """`hue`, with the full turn that rounding made of one just below it back at 0."""
+    """`hue`, with a full turn, which rounding makes of values just below it, back at 0."""
     return hue - jnp.where(hue >= turn, turn, 0)
 
 

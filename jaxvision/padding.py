@@ -28,7 +28,7 @@ Filtered = Float[Array, "*filtered"]
 Widths = Sequence[Sequence[int]]
 print_by_name(globals(), "Picture", "Filtered")
 
-# name: what stands beyond (a b c d), then the names of others
+# name: the values beyond (a b c d), then the names in other libraries
 BORDERS = {
     "zero": '0 0 | a b c d | 0 0; numpy and scipy "constant" with 0',
     "constant": 'x x | a b c d | x x, x = fill; numpy and scipy "constant"',
@@ -135,7 +135,7 @@ def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
         source = i % (2 * n)
         source = np.minimum(source, 2 * n - 1 - source)
     elif border == "extend" and n > 1:
-        # f climbs by f[n-1] - f[0] each n - 1 samples; every second stretch is turned about
+        # f rises by f[n-1] - f[0] every n - 1 samples; every second stretch is reversed
         stretch, offset = np.divmod(i, n - 1)
         turned = stretch % 2 == 1
         source = np.where(inside, i, np.where(turned, n - 1 - offset, offset))

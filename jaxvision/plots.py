@@ -33,7 +33,7 @@ OTHER_INKS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "t
 NOT_A_NUMBER = (1.0, 0.0, 1.0)  # the colour of NaN pixels: no natural image is full of magenta
 BINS = 256
 HIGH_DYNAMIC_RANGE = 1000.0  # above this ratio of values the histogram's axis is logarithmic
-MOST_NOTES = 6  # of cut bins, one a band
+MOST_NOTES = 6  # largest number of notes on cut bins, one a band
 SURFACE_SIDE = 72  # most facets along a side of the surface
 BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of squeezing the rest
 
@@ -205,7 +205,7 @@ def _colours(pixels: np.ndarray) -> np.ndarray:
 
 
 def _as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
-    """(h, w, 3) in [0, 1], NaN marked, and in words how it came about."""
+    """(h, w, 3) in [0, 1] with NaN marked, and a description of the mapping."""
     colours = _colours(pixels).astype(float)
     how = ""
     if colours.shape[-1] not in (1, 3):
@@ -275,9 +275,8 @@ def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
     elif low == high:
         low, high = low - 0.5, high + 0.5
     counts, edges = _counts(values, (float(low), float(high)))
-    light = counts[
-        : _colours(pixels).shape[-1]
-    ]  # without alpha: its full bins would squeeze the others
+    # without alpha: its full bins would squeeze the others
+    light = counts[: _colours(pixels).shape[-1]]
     ceiling = BEFORE_NOTE * max(float(np.quantile(light, 0.995)), 1.0)
     for i, name in enumerate(names):
         axis.stairs(

@@ -284,8 +284,9 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
 
 
 def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
-    """The inverse sRGB curve: x / 12.92 up to 0.04045 (also below 0), then ((x + 0.055) /
-    1.055)^2.4
+    """The inverse of `srgb_encode`.
+
+    It is x / 12.92 up to 0.04045 (also below 0), else ((x + 0.055) / 1.055)^2.4.
 
     Args:
         encoded: (...) relative.
@@ -398,9 +399,9 @@ def lookup_3d(
 
 
 def _cell(x: Scalars, entries: int) -> tuple[Int[Array, "..."], Scalars]:
-    """The entry at or below x in a table over [0, 1], and how far on to the next: in [0, 1]."""
+    """The entry at or below x in a table over [0, 1], and the fraction of the way to the next."""
     at = jnp.where(x <= 0, 0, jnp.minimum(x, 1)) * (entries - 1)
-    # NaN has no integer: whichever entry it takes, the fraction says NaN
+    # NaN has no integer: it may take any entry, since the fraction is NaN
     lower = jnp.clip(jax.lax.stop_gradient(at).astype(jnp.int32), 0, entries - 2)
     return lower, at - lower.astype(at.dtype)
 

@@ -331,7 +331,7 @@ def _continued(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
 
 
 class _Shifted(NamedTuple):
-    """A plane that was continued by `reach` on all sides, seen from pixels next to each."""
+    """A plane continued by `reach` on all sides, to be read at an offset from each pixel."""
 
     wide: Float[Array, "_ _"]
     reach: int
@@ -343,7 +343,7 @@ class _Shifted(NamedTuple):
 
 
 def _neighbours(plane: Plane, axis: int, distance: int) -> tuple[Plane, Plane]:
-    """The pixels so far before and behind each, along an axis, turned about at the ends."""
+    """The pixels at a distance before and behind each, along an axis, reflected at the ends."""
     n = plane.shape[axis]
     reach = [(0, 0), (0, 0)]
     reach[axis] = (distance, distance)
@@ -363,7 +363,7 @@ def _mean_of_three(plane: Plane, axis: int) -> Plane:
 
 
 def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Mask]:
-    """Menon's green, and where it goes along the rows: equations 1 to 6."""
+    """Menon's green, and where it was interpolated along the rows: equations 1 to 6."""
     greens, roughness = [], []
     for axis in (1, 0):
         far_before, far_behind = _neighbours(raw, axis, 2)
@@ -378,7 +378,7 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Mask]:
 
 
 def _near(change: Plane, axis: int) -> Plane:
-    """Changes from one pixel to the next but one, summed about each pixel: its own three times."""
+    """Changes between pixels two apart, summed about each pixel, its own with weight 3."""
     at = _Shifted(jnp.pad(change if axis == 1 else change.T, 2), 2)
     own = at(0, -2) + at(0, 0)
     beside = at(-2, -2) + at(-2, 0) + at(2, -2) + at(2, 0) + at(-1, -1) + at(1, -1)
@@ -387,5 +387,5 @@ def _near(change: Plane, axis: int) -> Plane:
 
 
 def _tent(tile: int) -> np.ndarray:
-    """Weights that fall to 0 a tile away, so that the nearest of a band is always within."""
+    """Weights that fall to 0 a tile away, so that some pixel of each band is always within."""
     return tile - np.abs(np.arange(1 - tile, tile), dtype=float)

@@ -150,8 +150,9 @@ def jpeg(
 
 # ---------------------------------------------------------------- whole numbers
 
-# Added to a whole number before it is divided by another and rounded down: it changes no result,
-# and a product with the reciprocal, which compilers make of a quotient, does not fall short of one.
+# Added to a whole number before it is divided by another and rounded down. It changes no result. It
+# guards against compilers that replace the quotient by a product with the reciprocal, which may
+# fall short of a whole number.
 _NO_TIE = 0.5
 
 
@@ -161,7 +162,7 @@ def _is_whole(rounding: str) -> bool:
 
 
 def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool) -> Array:
-    """floor((total + bias) / of), as integers are divided with a bias that makes it a rounding; or
+    """floor((total + bias) / of), an integer division that the bias turns into a rounding; or
     total / of."""
     exact = total / of
     return with_gradient_of(jnp.floor((total + bias) / of), exact) if whole else exact
@@ -256,7 +257,7 @@ def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
 def _pass(
     plane: Plane, matrix: Int[np.ndarray, "8 8"], bits: int, whole: bool
 ) -> Float[Array, "h w"]:
-    """Every eight rows through the matrix, and over 2^bits."""
+    """Every eight rows times the matrix, divided by 2^bits."""
 
     def product(rows: Shaped[Array, "blocks 8 w"]) -> Shaped[Array, "blocks 8 w"]:
         columns = jnp.asarray(matrix, rows.dtype)[None]

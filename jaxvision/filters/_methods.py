@@ -25,7 +25,7 @@ _MOST_TAPS = 128
 
 
 def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> Result:
-    """The image with all that the windows of a kernel of that size (kh, kw) reach."""
+    """The image, padded by the reach of a kernel of that size (kh, kw)."""
     if border == "none":
         return image
     zero = jnp.zeros((), image.dtype)
@@ -101,7 +101,7 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
         index, inside = np.arange(h + kh - 1), np.ones(h + kh - 1)
     else:
         index, inside, *_ = ghosts(border, h, anchor[0], kh - 1 - anchor[0])
-    # one weight for all bands is a number in the loop, else a row of numbers
+    # a weight for all bands is one number in the loop, otherwise a row of numbers
     weights = kernel if kernel.shape[-1] == 1 else stored(lambda k: jnp.tile(k, w), kernel)
 
     def taps(rows: Array, weights: Array, chosen: list[tuple[int, int]]) -> Array:

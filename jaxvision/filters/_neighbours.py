@@ -97,5 +97,5 @@ def weighted_mean(
 
 
 def _padded(plane: Plane, by: int, border: str) -> Plane:
-    """`by` pixels more on every side."""
+    """The plane with `by` more pixels on every side."""
     return pad(plane[..., None], ((by, by), (by, by)), border=border)[..., 0]

@@ -55,7 +55,7 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     inside, outside = _shares(kernel, image.shape[1:3], anchor)
     if border == "constant":
         return restore(total + jnp.asarray(fill, image.dtype).reshape(1, 1, 1, -1) * outside)
-    # a sum that is 0 by its weights is the rounding of as many additions
+    # where the weights cancel, the sum is the rounding error of so many additions
     rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
     least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
     held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))

@@ -248,7 +248,7 @@ def _check_bands(given: int, picture: Picture) -> None:
 
 
 def _anchor(anchor: Sequence[int] | None, size: tuple[int, int]) -> Anchor:
-    """The anchor of a kernel of that size. `ValueError` for one outside of it."""
+    """The anchor in a kernel of that size, by default its middle. `ValueError` outside it."""
     if anchor is None:
         return size[0] // 2, size[1] // 2
     if len(anchor) != 2 or not all(0 <= a < n for a, n in zip(anchor, size, strict=True)):

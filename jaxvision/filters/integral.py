@@ -173,6 +173,6 @@ def _summed(pixels: Array, rows: int) -> Pair:
 
 @_summed.defjvp
 def _(rows: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Pair, Pair]:
-    """Linear: the change of a sum is the sum of the changes, which need no second part."""
+    """The sum is linear: its derivative is the sum of the changes, which need no second part."""
     change = jnp.cumsum(jnp.cumsum(tangents[0], axis=rows), axis=rows + 1)
     return _summed(primals[0], rows), (change, jnp.zeros_like(change))

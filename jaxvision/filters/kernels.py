@@ -52,7 +52,7 @@ def binomial_kernel(size: int) -> np.ndarray:
         [1. 4. 6. 4. 1.]
     """
     n = _checked(size) - 1
-    # whole numbers divided: of the largest there is no float, of every quotient there is
+    # divided as whole numbers: the largest exceed a float, their quotients do not
     return np.array([math.comb(n, k) / 2**n for k in range(size)])
 
 
@@ -145,7 +145,7 @@ def _checked(size: int) -> int:
 
 
 def _both_ways(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
-    """(down, across) of a size that may be one number for both. `ValueError` for another form."""
+    """(down, across) from a pair or from one number for both. `ValueError` for another form."""
     pair = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(pair) != 2 or not all(isinstance(n, Integral) and n >= 1 for n in pair):
         raise ValueError(f"size must be n or (down, across), each at least 1, got {size}.")

@@ -73,7 +73,7 @@ def filter_matrix(
         ones = jnp.ones(h * w, kernel.dtype)
         magnitudes = jnp.abs(form.matrix.data), form.matrix.indices
         whole = BCOO(magnitudes, shape=form.matrix.shape) @ ones
-        # a sum that is 0 by its weights is the rounding of as many additions
+        # where the weights cancel, the sum is the rounding error of so many additions
         least = kernel.size * jnp.finfo(kernel.dtype).eps * whole
         sums = form.matrix @ ones
         held = jnp.abs(sums) > jnp.maximum(least, smallest_divisor(kernel.dtype))

@@ -213,7 +213,7 @@ def _normalised(
 
 
 def _reduced(image: Stack, axis: int, border: str) -> Stack:
-    """The binomial at the even samples of one axis, and only there."""
+    """The binomial at the even samples of one axis only."""
     last = 2 * (-(-image.shape[axis] // 2)) - 1
     around = _around(image, axis, 2, border)
     a, b, c, d, e = (lax.slice_in_dim(around, i, i + last, 2, axis) for i in range(5))
@@ -221,7 +221,7 @@ def _reduced(image: Stack, axis: int, border: str) -> Stack:
 
 
 def _expanded(image: Stack, axis: int, border: str) -> Stack:
-    """Twice the binomial of the samples set apart by zeros: its even and its odd taps."""
+    """Twice the binomial of the samples interleaved with zeros: its even and its odd taps."""
     count = image.shape[axis]
     around = _around(image, axis, 1, border)
     before, here, after = (lax.slice_in_dim(around, i, i + count, axis=axis) for i in range(3))

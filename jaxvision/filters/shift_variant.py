@@ -33,7 +33,7 @@ from .kernels import gaussian_size
 Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "..."]  # (h, w)
 print_by_name(globals(), "Kernels", "ScaleMap")
-# (radius in pixels, scale of each pixel) -> weight, before the weights are brought to sum 1
+# (radius in pixels, scale of each pixel) -> weight, before the weights are normalised to sum 1
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 
 Planes = Float[Array, "n h c w"]
@@ -207,8 +207,8 @@ def gaussian_varying(
 
 # ---------------------------------------------------------------- sums
 #
-# Here images are (n, h, c, w): along a row the weights of a pixel stand beside its neighbours', and
-# the bands of a row find them in the cache.
+# Here images are (n, h, c, w): the weights of neighbouring pixels are adjacent along a row, and
+# stay in the cache for all bands of the row.
 
 
 @partial(jax.jit, static_argnames=("anchor", "border"))

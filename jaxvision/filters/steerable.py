@@ -203,7 +203,7 @@ def _weighted(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
 
 
 def _mapped(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
-    """A number, or one a pixel, with the axes of a picture."""
+    """A number, or a map of numbers, with the axes of a picture."""
     if weight.ndim == 0 or picture.ndim == 2:
         return weight.astype(picture.dtype)
     shape = (1,) * (picture.ndim - 3) + weight.shape + (1,)

@@ -65,12 +65,12 @@ def per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array
 
 
 def levels_of(image: Pixels) -> int | None:
-    """How many codes an integer image can hold; None for a floating one."""
+    """The number of codes of an integer image's dtype; None for a floating image."""
     return LEVELS.get(np.dtype(image.dtype))
 
 
 def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | None) -> Binning:
-    """The bins asked for; by default a bin a code, or `FLOAT_BINS` of [0, 1]."""
+    """The requested bins; by default one a code, or `FLOAT_BINS` of [0, 1]."""
     levels = levels_of(image)
     bins = (levels or FLOAT_BINS) if bins is None else bins
     low, high = (0.0, float(levels or 1)) if value_range is None else value_range

@@ -175,7 +175,7 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     bins = edges.shape[0] - 1
     if bins < 2:
         raise ValueError("a threshold needs at least 2 bins, got 1.")
-    # bin numbers about the middle for the values: a shift and a scale change no argmax
+    # bin numbers about the middle instead of values: shift and scale do not change the argmax
     centres = jnp.arange(bins, dtype=edges.dtype) - (bins - 1) / 2
     centres = centres.reshape(*(1,) * (counts.ndim - 1), bins)
     weight = cumulative_distribution(histogram)[..., 1:-1]
