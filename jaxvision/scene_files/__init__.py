@@ -111,18 +111,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     for problem in scene_problems(scene, view, names, light_names):
         raise InputError(f"{file}: {problem}")
     kept, kept_view = _in_dtype(file, (scene, view), entry.render.dtype)
-    of_file = [
-        *zip(names, scene.surfaces, kept.surfaces, strict=True),
-        *zip(light_names, scene.lights, kept.lights, strict=True),
-        ("ambient", scene.ambient, kept.ambient),
-        ("camera", view, kept_view),
-    ]
-    for name, exact, rounded in of_file:
-        lost = lost_numbers(exact, rounded)
-        if isinstance(rounded, Surface):
-            lost += problems(rounded.shape)
-        for problem in lost:
-            raise InputError(f"{file}: {name}: {problem}")
+    _check_rounded(file, names, light_names, (scene, view), (kept, kept_view))
     return SceneFile(
         file,
         kept,
@@ -184,6 +173,29 @@ def _in_dtype(file: Path, records: tuple[Scene, View], dtype: str) -> tuple[Scen
     if dtype == "float64" and not jax.config.read("jax_enable_x64"):
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
     return as_dtype(records, dtype)
+
+
+def _check_rounded(
+    file: Path,
+    surfaces: tuple[str, ...],
+    lights: tuple[str, ...],
+    exact: tuple[Scene, View],
+    rounded: tuple[Scene, View],
+) -> None:
+    """`InputError` for the first object that the dtype of the rendering cannot represent."""
+    (scene, view), (kept, kept_view) = exact, rounded
+    objects = [
+        *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),
+        *zip(lights, scene.lights, kept.lights, strict=True),
+        ("ambient", scene.ambient, kept.ambient),
+        ("camera", view, kept_view),
+    ]
+    for name, before, after in objects:
+        found = lost_numbers(before, after)
+        if isinstance(after, Surface):
+            found += problems(after.shape)
+        for problem in found:
+            raise InputError(f"{file}: {name}: {problem}")
 
 
 @contextmanager
