@@ -4,12 +4,12 @@ and quick compiles, which are most of its time."""
 import gc
 import os
 import shutil
-import tempfile
 from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 
 import jax
+import jaxlib
 import pytest
 
 gc.set_threshold(20_000, 20, 100)  # what has been traced is much, and seldom garbage
@@ -24,30 +24,40 @@ QUICK_COMPILE = (
 DATA = Path(
     os.environ.get("JAXVISION_DATA", Path(__file__).parents[1].parent / "shared" / "data")
 ).resolve()
-COMPILED = pytest.StashKey[str]()
+COMPILED_BYTES = 2**30  # what is compiled is kept between runs up to this size
+
+
+def compiled_folder(config: pytest.Config) -> Path:
+    """Where compiled programs are kept between runs: those of this version of XLA alone, and if
+    they have grown too many, the newest half of them."""
+    kept = config.rootpath / config.getini("cache_dir") / "xla"
+    folder = kept / jaxlib.__version__
+    folder.mkdir(parents=True, exist_ok=True)
+    for other in set(kept.iterdir()) - {folder}:
+        shutil.rmtree(other, ignore_errors=True)
+    entries = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+    if sum(file.stat().st_size for file in entries) > COMPILED_BYTES:
+        for file in entries[: len(entries) // 2]:
+            file.unlink(missing_ok=True)
+    return folder
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """The default run compiles quickly; long sweeps and benchmarks as users do. What one worker
-    has compiled the others read, but for benchmarks, which time it. All this before the first use
-    of XLA, which reads its flags then; workers inherit them."""
+    or an earlier run has compiled the others read, but for benchmarks, which time it. All this
+    before the first use of XLA, which reads its flags then; workers inherit them."""
     if config.option.markexpr == "benchmark":
         return
     if "not slow" in config.option.markexpr:
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILE)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        config.stash[COMPILED] = tempfile.mkdtemp(prefix="jaxvision-compiled-")
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = config.stash[COMPILED]
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(compiled_folder(config))
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    # a worker may meet an entry that another is still writing: then it compiles its own
+    # a worker may meet an entry that another is still writing, or that a killed run left half
+    # written: then it compiles its own
     config.addinivalue_line("filterwarnings", "ignore:Error (read|writ)ing persistent compilation")
-
-
-def pytest_unconfigure(config: pytest.Config) -> None:
-    if COMPILED in config.stash:
-        shutil.rmtree(config.stash[COMPILED], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

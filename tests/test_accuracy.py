@@ -1,11 +1,12 @@
-"""Error against time on a quadrature whose error is known in closed form."""
+"""Error against time on a quadrature whose error is known in closed form, by a clock of its own."""
 
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jaxvision.accuracy import cheapest, error_against_time, relative_rms
+from jaxvision import accuracy
+from jaxvision.accuracy import Trial, cheapest, error_against_time, relative_rms
 from jaxvision.errors import InputError
 
 
@@ -14,30 +15,46 @@ def midpoint(n):
     return np.mean(x**2)
 
 
-def trials():
-    calls = {n: lambda n=n: midpoint(n) for n in (1, 10, 100)}
-    return error_against_time(calls, 1 / 3, repeats=3)
+@pytest.fixture
+def clock(monkeypatch):
+    """The seconds that `accuracy` reads; calls advance them."""
+    now = SimpleNamespace(seconds=100.0)
+    monkeypatch.setattr(accuracy, "time", SimpleNamespace(perf_counter=lambda: now.seconds))
+    return now
 
 
 def test_errors_are_those_of_the_midpoint_rule():
     """The midpoint rule on x^2 over [0, 1] errs by exactly -1 / (12 n^2)."""
-    for trial in trials():
+    calls = {n: lambda n=n: midpoint(n) for n in (1, 10, 100)}
+    for trial in error_against_time(calls, 1 / 3, repeats=1):
         np.testing.assert_allclose(trial.error, 3 / (12 * trial.setting**2), rtol=1e-9)
 
 
-def test_time_is_that_of_the_call():
-    (slow,) = error_against_time({"sleep": lambda: time.sleep(0.02) or 1.0}, 1.0, repeats=3)
-    assert 0.02 <= slow.seconds < 1
-    assert slow.first_seconds >= 0.02
-    assert slow.error == 0
+def test_times_are_those_of_the_first_call_and_the_median_warm_one(clock):
+    """And the settings take turns, so that a machine that slows down favours none."""
+    turns = []
+
+    def call(setting, costs):
+        turns.append(setting)
+        clock.seconds += next(costs)
+        return 1.0
+
+    costs = {"a": iter([8.0, 3.0, 1.0, 5.0]), "b": iter([4.0, 0.5, 0.25, 64.0])}
+    calls = {setting: lambda s=setting: call(s, costs[s]) for setting in costs}
+    assert error_against_time(calls, 1.0, repeats=3) == [
+        Trial("a", error=0.0, seconds=3.0, first_seconds=8.0),
+        Trial("b", error=0.0, seconds=0.5, first_seconds=4.0),
+    ]
+    assert turns == ["a", "b"] * 4
 
 
 def test_the_cheapest_setting_that_suffices():
-    measured = trials()
-    assert cheapest(measured, tolerance=1e-4).setting == 100
-    assert cheapest(measured, tolerance=1.0).setting in (1, 10, 100)
+    trials = [Trial(1, 0.25, 1.0, 9.0), Trial(10, 2e-3, 3.0, 9.0), Trial(100, 2e-5, 2.0, 9.0)]
+    assert cheapest(trials, tolerance=1e-4).setting == 100
+    assert cheapest(trials, tolerance=2e-3).setting == 100
+    assert cheapest(trials, tolerance=0.25).setting == 1
     with pytest.raises(InputError, match=r"No setting reaches 1e-09; the most accurate, 100,"):
-        cheapest(measured, tolerance=1e-9)
+        cheapest(trials, tolerance=1e-9)
 
 
 def test_relative_rms_and_empty_sweeps():

@@ -1,175 +1,25 @@
-"""One sweep over the public API, discovered, not listed: documented, keyword-only, `key` first;
-eager == jit, vmap == loop, gradients finite and equal to the directional finite difference.
+"""One sweep over the public API, discovered, not listed: eager == jit, vmap == loop, gradients
+finite and equal to the directional finite difference.
 
 A new public function of numbers needs one line in `examples/`; without it the sweep fails.
 """
 
-import importlib
-import inspect
-import pkgutil
-import re
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from examples import every_example
-
-import fitting
-import jaxvision
-
-# The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
-EAGER = {
-    "jaxvision.io",
-    "jaxvision.errors",
-    "jaxvision.accuracy",
-    "jaxvision.effects",
-    "jaxvision.camera_files",
-    "jaxvision.mesh_files",
-    "jaxvision.render_job",
-    "jaxvision.scene_checks",
-    "jaxvision.scene_files",
-    "jaxvision.scene_files.bands",
-    "jaxvision.scene_files.materials",
-    "jaxvision.scene_files.records",
-    "jaxvision.scene_files.schema",
-    "jaxvision.scene_files.material_schema",
-    "jaxvision.scene_files.spectrum_schema",
-    "jaxvision.scene_files.folder",
-    "jaxvision.geometry.checks",
-    "jaxvision.colour_data",
-    "jaxvision.command_line",
-    "jaxvision.toml_files",
-    "jaxvision.measured_files",
-    "jaxvision.measured_files.cornell",
-    "jaxvision.measured_files.merl",
-    "jaxvision.measured_files.rgl",
-    "jaxvision.measured_files.scattered",
-    "jaxvision.filters.kernels",
-    "jaxvision.filters.matrix",
-    "jaxvision.filters.scipy_operators",
-    "jaxvision.lights.orders",
-    "jaxvision.lights.environment_tables",
-}
-# Static answers to static questions: no array goes in. And parts of the one loop of a shadow ray,
-# swept with `occluded`, `visibility` and `outgoing_radiance`.
-STATIC = {
-    "jaxvision.geometry.nearest.blocked",
-    "jaxvision.shadows.clear",
-    "jaxvision.shadows.comes_through",
-    "jaxvision.shadows.light_comes_through",
-    "jaxvision.hemisphere.product_nodes",
-    "jaxvision.rendering.bake",
-    "jaxvision.transport.radiosity.patches.plan_patches",
-    "jaxvision.transport.radiosity.solve.shoot",
-}
-STATIC |= {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
-STATIC |= {
-    f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
-}
-UNIT = (
-    r"\b(DN|W m\^-2|W sr\^-1|sr\^-1|m|m\^2|metres|photons|electrons|e-|rad|radians|rad\^-1|"
-    r"unit|pixels|relative|codes)\b"
-)
+from examples import ROOMS, examples_of
+from public_names import traced
 
 
-def modules(package):
-    """The package and its public modules, command lines apart."""
-    names = [
-        name
-        for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-        if not any(part.startswith("_") for part in name.split("."))
-        and not name.endswith((".cli", ".plots"))
-    ]
-    return [importlib.import_module(name) for name in names]
+def every_example():
+    return {name: call for room in ROOMS for name, call in examples_of(room).items()}
 
 
-def functions(package):
-    """Every public function where it is defined."""
-    found = {}
-    for module in modules(package):
-        for name, value in vars(module).items():
-            inner = inspect.unwrap(value) if callable(value) else value
-            if (
-                not name.startswith("_")
-                and inspect.isfunction(inner)
-                and inner.__module__ == module.__name__
-            ):
-                found[f"{module.__name__}.{name}"] = value
-    return found
-
-
-def records(package):
-    return {
-        f"{module.__name__}.{name}": value
-        for module in modules(package)
-        for name, value in vars(module).items()
-        if inspect.isclass(value)
-        and value.__module__ == module.__name__
-        and not name.startswith("_")
-    }
-
-
-EXAMPLES = every_example()
-ALL = functions(jaxvision)
-TRACED = {
-    name: f
-    for name, f in ALL.items()
-    if name.rpartition(".")[0] not in EAGER and name not in STATIC
-}
-BOTH = ALL | functions(fitting)
-
-# ------------------------------------------------ words
-
-
-def test_discovery_discovers():
-    assert {"jaxvision.shot.capture", "jaxvision.brdf.phong.phong_lobe"} <= ALL.keys()
-    assert "jaxvision.brdf.phong.Phong" in records(jaxvision)
-
-
-@pytest.mark.parametrize("name", sorted(BOTH))
-def test_documented_with_optional_arguments_by_keyword_and_key_first(name):
-    function = BOTH[name]
-    assert len(inspect.getdoc(function) or "") >= 10, f"{name} is not documented"
-    parameters = list(inspect.signature(function).parameters.values())
-    for i, parameter in enumerate(parameters):
-        optional = parameter.default is not inspect.Parameter.empty
-        if optional:
-            assert parameter.kind is inspect.Parameter.KEYWORD_ONLY, f"{name}({parameter})"
-        if parameter.name == "key":
-            assert i == 0, f"{name}: key comes first"
-
-
-@pytest.mark.parametrize("name", sorted(TRACED))
-def test_units_are_stated_by_the_function_or_for_its_whole_module(name):
-    module = importlib.import_module(TRACED[name].__module__)
-    words = f"{module.__doc__}\n{inspect.getdoc(TRACED[name])}"
-    assert re.search(UNIT, words), f"{name} states no unit"
-
-
-@pytest.mark.parametrize("name", sorted(records(jaxvision)))
-def test_records_are_documented(name):
-    record = records(jaxvision)[name]
-    assert record.__doc__
-    assert not record.__doc__.startswith(f"{record.__name__}(")  # what dataclasses write
-
-
-def test_everything_exported_exists_and_nothing_is_forgotten():
-    assert all(hasattr(jaxvision, name) for name in jaxvision.__all__)
-    exported = {id(getattr(jaxvision, name)) for name in jaxvision.__all__}
-    kinds = records(jaxvision)
-    of_scenes = (jaxvision.Light, jaxvision.Material)
-    missing = [
-        name
-        for name, kind in kinds.items()
-        if (name.startswith("jaxvision.scene.") or issubclass(kind, of_scenes))
-        and id(kind) not in exported
-    ]
-    assert not missing
-
-
-# ------------------------------------------------ numbers
+def test_every_public_function_has_an_example():
+    assert every_example().keys() == traced().keys()
 
 
 def is_float(leaf):
@@ -204,8 +54,88 @@ def close(a, b, rtol):
     jax.tree.map(compare, a, b)
 
 
-def test_every_public_function_has_an_example():
-    assert {f"jaxvision.{name}" for name in EXAMPLES} == TRACED.keys()
+STEP = 1e-6
+
+
+def points(arguments):
+    """A call's arguments, and the same moved aside, a step ahead and a step behind, stacked."""
+    moved = (shifted(arguments, step) for step in (0, 1e-3, STEP, -STEP))
+    return jax.tree.map(stacked, *moved)
+
+
+def measured(function, batch):
+    """What `function` gives at the four points of a batch: (value, gradient) of the first two, one
+    after the other, and the values of all of them side by side."""
+    leaves, structure = jax.tree.flatten(batch)
+    numbers = [i for i, x in enumerate(leaves) if is_float(x)]
+
+    def summed(values, whole):
+        whole = list(whole)
+        for i, value in zip(numbers, values, strict=True):
+            whole[i] = value
+        result = function(*jax.tree.unflatten(structure, whole))
+        return total(result), result
+
+    def one(whole):
+        gradient, value = jax.grad(summed, has_aux=True)([whole[i] for i in numbers], whole)
+        return value, gradient
+
+    return jax.lax.map(one, [x[:2] for x in leaves]), jax.vmap(function)(*batch)
+
+
+def lane(tree, i):
+    return jax.tree.map(lambda x: np.asarray(x[i]), tree)
+
+
+def compare(function, arguments, loop, lanes):
+    """The assertions on one function, from what its room's program gave."""
+    (value, gradient), (aside, _) = lane(loop, 0), lane(loop, 1)
+    close(value, function(*arguments), 1e-12)
+    close(lane(lanes, 0), value, 1e-12)
+    close(lane(lanes, 1), aside, 1e-12)
+    assert all(np.isfinite(g).all() for g in gradient), "a gradient is not finite"
+
+    above, below = float(total(lane(lanes, 2))), float(total(lane(lanes, 3)))
+    numbers = [x for x in jax.tree.leaves(arguments) if is_float(x)]
+    slope = sum(float(np.vdot(g, direction(x))) for g, x in zip(gradient, numbers, strict=True))
+    difference = (above - below) / (2 * STEP)
+    # central difference: truncation h^2, rounding eps / h of the value
+    tolerance = 1e-6 * abs(slope) + 1e-8 * abs(above) + 1e-12
+    assert abs(difference - slope) <= tolerance, f"finite difference {difference}, slope {slope}"
+
+
+def faults(calls):
+    """What is wrong with each function, by name. One program measures all of them; if it cannot be
+    traced, each function gets its own."""
+    known = traced()
+    bound = {name: partial(known[name], **options) for name, (_, options) in calls.items()}
+    batches = {name: points(arguments) for name, (arguments, _) in calls.items()}
+
+    def measure(names):
+        program = jax.jit(
+            lambda batch: {name: measured(bound[name], batch[name]) for name in names}
+        )
+        return program({name: batches[name] for name in names})
+
+    wrong, results = {}, {}
+    try:
+        results = measure(sorted(calls))
+    except Exception:
+        for name in calls:
+            try:
+                results |= measure([name])
+            except Exception as error:
+                wrong[name] = error
+    for name, (loop, lanes) in results.items():
+        try:
+            compare(bound[name], calls[name][0], loop, lanes)
+        except Exception as error:
+            wrong[name] = error
+    return wrong
+
+
+def report(wrong):
+    return "\n".join(f"{name}: {type(e).__name__}: {e}" for name, e in wrong.items())
 
 
 # Compositions of functions that are swept themselves, seconds to compile four times over.
@@ -253,49 +183,14 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in sorted(EXAMPLES)],
-)
-def test_eager_jit_vmap_loop_and_gradient(name):
-    """Two programs: the value with its gradient, and lanes of values, which hold the steps of the
-    finite difference too."""
-    arguments, options = EXAMPLES[name]
-    function = partial(TRACED[f"jaxvision.{name}"], **options)
-    flat, structure = jax.tree.flatten(arguments)
-    numbers = [i for i, x in enumerate(flat) if is_float(x)]
+@pytest.mark.parametrize("room", ROOMS)
+def test_eager_jit_vmap_loop_and_gradient(room):
+    wrong = faults({n: call for n, call in examples_of(room).items() if n not in LONG})
+    assert not wrong, report(wrong)
 
-    def summed(values, whole):
-        whole = list(whole)
-        for i, value in zip(numbers, values, strict=True):
-            whole[i] = value
-        result = function(*jax.tree.unflatten(structure, whole))
-        return total(result), result
 
-    one = jax.jit(jax.grad(summed, has_aux=True))
-
-    def at(point):
-        leaves = jax.tree.leaves(point)
-        return one([leaves[i] for i in numbers], leaves)
-
-    h = 1e-6
-    here, aside, ahead, behind = (shifted(arguments, step) for step in (0, 1e-3, h, -h))
-    batch = jax.tree.map(stacked, here, aside, ahead, behind)
-    lanes = jax.tree.map(np.asarray, jax.jit(jax.vmap(function))(*batch))
-
-    def lane(i):
-        return jax.tree.map(lambda x: x[i], lanes)
-
-    gradient, compiled = at(here)
-    close(compiled, function(*arguments), 1e-12)
-    close(lane(0), compiled, 1e-12)
-    close(lane(1), at(aside)[1], 1e-12)
-    assert all(jnp.isfinite(g).all() for g in gradient)
-
-    above, below = float(total(lane(2))), float(total(lane(3)))
-    slope = sum(
-        float(np.vdot(g, direction(flat[i]))) for g, i in zip(gradient, numbers, strict=True)
-    )
-    # central difference: truncation h^2, rounding eps / h of the value
-    tolerance = 1e-6 * abs(slope) + 1e-8 * abs(above) + 1e-12
-    assert abs((above - below) / (2 * h) - slope) <= tolerance
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(LONG))
+def test_eager_jit_vmap_loop_and_gradient_of_compositions(name):
+    wrong = faults({name: every_example()[name]})
+    assert not wrong, report(wrong)

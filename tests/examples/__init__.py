@@ -1,14 +1,15 @@
 """One call of every public function, for the sweep in `test_api`: {room.function: (arguments,
-options)}. One file a room; arguments are arrays or records, never Python numbers."""
+options)}. One file a room; arguments are arrays or records, never Python numbers.
+
+A file runs JAX when it is imported, so a test imports it, and collecting tests does not.
+"""
 
 import importlib
 import pkgutil
 
+ROOMS = sorted(name for _, name, _ in pkgutil.iter_modules(__path__))
 
-def every_example() -> dict[str, tuple[tuple, dict]]:
-    """The `EXAMPLES` of all files of this folder in one table."""
-    table: dict[str, tuple[tuple, dict]] = {}
-    for _, name, _ in pkgutil.iter_modules(__path__):
-        room = importlib.import_module(f"{__name__}.{name}")
-        table |= getattr(room, "EXAMPLES", {})
-    return table
+
+def examples_of(room: str) -> dict[str, tuple[tuple, dict]]:
+    """The calls of one file of this folder."""
+    return importlib.import_module(f"{__name__}.{room}").EXAMPLES

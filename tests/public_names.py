@@ -1,0 +1,102 @@
+"""The public names of both packages, discovered, not listed."""
+
+import importlib
+import inspect
+import pkgutil
+
+import jaxvision
+
+# The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
+EAGER = {
+    "jaxvision.io",
+    "jaxvision.errors",
+    "jaxvision.accuracy",
+    "jaxvision.camera_files",
+    "jaxvision.mesh_files",
+    "jaxvision.render_job",
+    "jaxvision.scene_checks",
+    "jaxvision.scene_files",
+    "jaxvision.scene_files.bands",
+    "jaxvision.scene_files.materials",
+    "jaxvision.scene_files.records",
+    "jaxvision.scene_files.schema",
+    "jaxvision.scene_files.material_schema",
+    "jaxvision.scene_files.spectrum_schema",
+    "jaxvision.scene_files.folder",
+    "jaxvision.geometry.checks",
+    "jaxvision.colour_data",
+    "jaxvision.command_line",
+    "jaxvision.toml_files",
+    "jaxvision.measured_files",
+    "jaxvision.measured_files.cornell",
+    "jaxvision.measured_files.merl",
+    "jaxvision.measured_files.rgl",
+    "jaxvision.measured_files.scattered",
+    "jaxvision.filters.kernels",
+    "jaxvision.filters.matrix",
+    "jaxvision.filters.scipy_operators",
+    "jaxvision.lights.orders",
+    "jaxvision.lights.environment_tables",
+}
+# Static answers to static questions: no array goes in. And parts of the one loop of a shadow ray,
+# swept with `occluded`, `visibility` and `outgoing_radiance`.
+STATIC = {
+    "jaxvision.geometry.nearest.blocked",
+    "jaxvision.shadows.clear",
+    "jaxvision.shadows.comes_through",
+    "jaxvision.shadows.light_comes_through",
+    "jaxvision.hemisphere.product_nodes",
+    "jaxvision.rendering.bake",
+    "jaxvision.transport.radiosity.patches.plan_patches",
+    "jaxvision.transport.radiosity.solve.shoot",
+}
+STATIC |= {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
+STATIC |= {
+    f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
+}
+
+
+def modules(package):
+    """The public modules of a package, command lines apart."""
+    names = [
+        name
+        for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if not any(part.startswith("_") for part in name.split("."))
+        and not name.endswith((".cli", ".plots"))
+    ]
+    return [importlib.import_module(name) for name in names]
+
+
+def functions(package):
+    """Every public function where it is defined."""
+    found = {}
+    for module in modules(package):
+        for name, value in vars(module).items():
+            inner = inspect.unwrap(value) if callable(value) else value
+            if (
+                not name.startswith("_")
+                and inspect.isfunction(inner)
+                and inner.__module__ == module.__name__
+            ):
+                found[f"{module.__name__}.{name}"] = value
+    return found
+
+
+def records(package):
+    return {
+        f"{module.__name__}.{name}": value
+        for module in modules(package)
+        for name, value in vars(module).items()
+        if inspect.isclass(value)
+        and value.__module__ == module.__name__
+        and not name.startswith("_")
+    }
+
+
+def traced():
+    """Every public function of numbers by its name below `jaxvision`."""
+    return {
+        name.removeprefix("jaxvision."): function
+        for name, function in functions(jaxvision).items()
+        if name.rpartition(".")[0] not in EAGER and name not in STATIC
+    }
