@@ -32,6 +32,7 @@ def largest_departure(
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
+    """What the response and its images say, one sentence a finding."""
     channels = calibration.channels
     found = [_shape_in_words(channels), *_shutter_in_words(channels)]
     found += [
