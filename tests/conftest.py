@@ -30,7 +30,7 @@ COMPILED_BYTES = 2**30  # what is compiled is kept between runs up to this size
 def compiled_folder(config: pytest.Config) -> Path:
     """Where compiled programs are kept between runs: those of this version of XLA alone, and if
     they have grown too many, the newest half of them."""
-    kept = config.rootpath / config.getini("cache_dir") / "xla"
+    kept = config.rootpath / ".pytest_cache" / "xla"
     folder = kept / jaxlib.__version__
     folder.mkdir(parents=True, exist_ok=True)
     for other in set(kept.iterdir()) - {folder}:
