@@ -60,6 +60,19 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("filterwarnings", "ignore:Error (read|writ)ing persistent compilation")
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a sweep over like cases the default run takes the first, and those whose ids hold a word
+    that the mark names; the others are slow."""
+    begun = set()
+    for item in items:
+        sweep = item.get_closest_marker("sweep")
+        if sweep is not None and isinstance(item, pytest.Function):
+            if item.function in begun and not any(word in item.name for word in sweep.args):
+                item.add_marker(pytest.mark.slow)
+            begun.add(item.function)
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The published measurements; tests that need them are skipped, saying so, when absent."""

@@ -43,6 +43,7 @@ def by_hand(plane, kernel, anchor, border, fill=0.0):
     return g / share if border == "normalised_zero" else g
 
 
+@pytest.mark.sweep("direct")
 @pytest.mark.parametrize("size", KERNELS)
 @pytest.mark.parametrize("border", BORDERS)
 def test_every_border_by_hand(border, size):

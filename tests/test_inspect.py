@@ -82,6 +82,7 @@ def test_the_five_views_show_the_image():
     np.testing.assert_array_equal(counts, np.bincount(CODES[..., 1].ravel(), minlength=256))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "image",
     [

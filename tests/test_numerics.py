@@ -6,11 +6,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import _numerics as num
 from jaxvision._vector import as_array, as_vec, masked, scaled
 
-DTYPES = [jnp.float32, jnp.float64]
 RNG = np.random.default_rng(20240501)
 
 
@@ -23,7 +23,7 @@ def unit_pairs(dtype, angle, count=8):
     return jnp.asarray(u, dtype), jnp.asarray(np.cos(angle) * u + np.sin(angle) * side, dtype)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 def test_norm_and_normalize(dtype, scale):
     v = jnp.asarray(RNG.normal(size=(8, 3)) * scale, dtype)
@@ -36,7 +36,7 @@ def test_norm_and_normalize(dtype, scale):
             assert exact.ulps(unit_component, exact.number(component) / truth) <= 6
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.5, 3.0])
 def test_angles(dtype, angle):
     u, v = unit_pairs(dtype, angle)
@@ -46,7 +46,7 @@ def test_angles(dtype, angle):
         assert exact.ulps(got, truth) <= 4
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 def test_sine_and_cosine_of_turns(dtype):
     """Many turns, next to every eighth, tiny and negative; quarters exactly; the slope in radians
     a turn."""
@@ -66,7 +66,7 @@ def test_sine_and_cosine_of_turns(dtype):
     np.testing.assert_allclose(slopes[1], -2 * np.pi * sine, rtol=1e-6)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.1, 1.5])
 def test_log_cos(dtype, angle):
     """The unit vectors themselves are off by eps / 2, which moves log cos by as much; below 60
@@ -80,7 +80,7 @@ def test_log_cos(dtype, angle):
         assert abs(exact.number(got) - truth) <= bound
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
     u = jnp.asarray([0, 0, 1], dtype)
     beyond = jnp.asarray([[1, 0, 0], [0, 0.6, -0.8], [0, 0, -1], [0, 0, 0]], dtype)
@@ -89,7 +89,7 @@ def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
     assert (jax.vmap(jax.grad(lambda v: num.log_cos_between(u, v)))(beyond) == 0).all()
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@both_precisions
 def test_gradients_are_finite_at_every_edge(dtype):
     x = jnp.asarray([0.0, -1.0, 1e-30, 1.0, 1e30], dtype)
     one = jnp.ones((), dtype)

@@ -8,6 +8,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import as_dtype, brdf
 from jaxvision.brdf import microfacet
@@ -27,7 +28,6 @@ from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong, Phong, PhongBRDF
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(23)
 
 
@@ -249,7 +249,7 @@ EDGES = {
 }
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@both_precisions
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name == "beckmann")) for name in MATERIALS],

@@ -11,6 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import (
     Camera,
@@ -45,7 +46,6 @@ from jaxvision._numerics import angle_between, log_cos_between
 from jaxvision.brdf.gaussian_lobe import gaussian_lobe
 from jaxvision.brdf.phong import phong_lobe, phong_shading
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(5)
 EYE = np.eye(3)
 

@@ -10,14 +10,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import colour_spaces as cs
 from jaxvision.compositing import over, unpremultiply
 from jaxvision.point_ops import filmic, log_curve, reinhard, srgb_decode, srgb_encode
 
-both_precisions = pytest.mark.parametrize(
-    "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
-)
 RNG = np.random.default_rng(17)
 WHITE = [0.95045, 1.0, 1.08906]
 

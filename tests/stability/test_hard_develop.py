@@ -12,6 +12,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import scene as s
 from jaxvision.colour_filters import bayer
@@ -27,9 +28,6 @@ from jaxvision.development import (
     white_balance,
 )
 
-both_precisions = pytest.mark.parametrize(
-    "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
-)
 RNG = np.random.default_rng(23)
 
 

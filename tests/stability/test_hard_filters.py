@@ -10,11 +10,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import filters
 from jaxvision.padding import BORDERS, pad
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(5)
 
 

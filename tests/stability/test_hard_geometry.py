@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles.exact import dot, length
+from precisions import both_precisions
 
 from jaxvision import Ray
 from jaxvision._numerics import normalize
@@ -18,8 +19,6 @@ from jaxvision._vector import as_array, as_vec
 from jaxvision.geometry import intersect, occluded, offset_origin
 from jaxvision.hemisphere import local_frame, to_world
 from jaxvision.scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
-
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 
 
 def eps(dtype):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from precisions import both_precisions
 
 from jaxvision.filters.bilateral import bilateral_filter
 from jaxvision.filters.integral import integral_image
@@ -24,7 +25,6 @@ from jaxvision.histogram import (
     soft_histogram,
 )
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(13)
 mp.mp.dps = 50
 

@@ -9,6 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import contour, exact
+from precisions import both_precisions
 
 from jaxvision import (
     Lambert,
@@ -28,7 +29,6 @@ from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.shading import outgoing_radiance
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 # float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.
 single_first = pytest.mark.parametrize(
     "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]

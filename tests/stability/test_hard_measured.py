@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles import measured as oracle
+from precisions import both_precisions
 
 from jaxvision import Vec, as_dtype, brdf
 from jaxvision.brdf.half_difference import (
@@ -18,7 +19,6 @@ from jaxvision.brdf.half_difference import (
 from jaxvision.brdf.measured import AnisotropicTable, IsotropicTable, tabulate_sampler
 from jaxvision.brdf.rgl import rgl_material
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 RNG = np.random.default_rng(5)
 
 

@@ -12,11 +12,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import as_dtype, optics
 from jaxvision import scene as s
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 EYE = np.eye(3)
 
 

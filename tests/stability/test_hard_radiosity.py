@@ -8,6 +8,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import exact
+from precisions import both_precisions
 
 from jaxvision import as_vec
 from jaxvision.transport.radiosity import (
@@ -18,7 +19,6 @@ from jaxvision.transport.radiosity import (
     point_to_polygon,
 )
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 SIDES = (1e-6, 1e-3, 1e-2, 0.1, 0.5, 1.0, 2.0, 10.0, 1e2, 1e4, 1e6)
 
 

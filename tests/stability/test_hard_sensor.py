@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from oracles import exact
 from oracles.sensors import OF_PHOTONS
+from precisions import both_precisions
 
 from jaxvision import as_dtype
 from jaxvision import scene as s
@@ -26,7 +27,6 @@ from jaxvision.sensor import (
 )
 from jaxvision.sensor.shot_noise import _inverse_poisson
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 KEY = jax.random.key(3)
 IDLE = replace(  # every effect, most of them of no size
     OF_PHOTONS,
@@ -62,7 +62,7 @@ def assert_finite(tree):
         assert jnp.isfinite(leaf).all(), tree
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@both_precisions
 def test_every_effect_from_no_photon_to_far_too_many(dtype):
     sensor = as_dtype(IDLE, dtype)
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from precisions import both_precisions
 
 from jaxvision import Lambert, Mirror, PointLight, as_dtype
 from jaxvision._random import Stream
@@ -13,7 +14,6 @@ from jaxvision.geometry import Ray, hit_shape, nearest_shape, occluded
 from jaxvision.scene import Box, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import Paths, path_radiance, path_sample, ray_tree_radiance
 
-both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 mp.mp.dps = 50
 CORNERS = (0, 0), (1, 0), (1, 1), (0, 1)
 
@@ -134,7 +134,7 @@ HARD = {
 }
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+@both_precisions
 @pytest.mark.parametrize("name", sorted(HARD))
 @pytest.mark.parametrize("tracer", ["paths", "tree"])
 def test_values_and_gradients_are_finite(dtype, name, tracer):
