@@ -225,7 +225,7 @@ def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
 
 
 def test_hue_stays_below_a_full_turn():
-    """Just below it, rounding would reach it."""
+    """A hue just below a full turn, which rounding would bring to it."""
     rgb, lab = np.float32([[1, 0.5, 0.50000006]]), np.float32([[50, 1, -1e-20]])
     for to, pixel in ((cs.rgb_to_hsv, rgb), (cs.rgb_to_hsl, rgb), (cs.to_lch, lab)):
         hue = compiled(to)(jnp.asarray(pixel))[0, 2 if to is cs.to_lch else 0]
@@ -235,7 +235,7 @@ def test_hue_stays_below_a_full_turn():
 
 
 def test_hexagons_there_and_back():
-    """Out of [0, 1] too; what is lost is lost in the two planes that are documented."""
+    """Also outside [0, 1]; colours are lost in the two documented planes only."""
     inside, outside = RNG.uniform(size=(51, 3)), RNG.uniform(-1, 2, size=(51, 3))
     dark = 1e-8 * inside
     for to, back in ((cs.rgb_to_hsv, cs.hsv_to_rgb), (cs.rgb_to_hsl, cs.hsl_to_rgb)):
@@ -251,7 +251,7 @@ def test_hexagons_there_and_back():
 
 @pytest.fixture
 def as_for_users():
-    """Without the suite's checks of annotations, which would be the first to refuse."""
+    """Without the suite's type checks, which would refuse first."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

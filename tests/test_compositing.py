@@ -19,7 +19,7 @@ def layer(*shape):
 
 A, B, C = layer(4, 5), layer(4, 5), layer(4, 5)
 
-# Which of the four regions (neither, only A, only B, both) shows what: table 1 of the paper.
+# The picture shown in each of four regions (neither, only A, only B, both): the paper's table 1.
 PICTURES = {
     "clear": "0000",
     "front": "0A0A",
@@ -128,7 +128,7 @@ def test_alpha_outside_its_range_is_named_and_defined_under_a_trace():
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_rounding_is_no_wrong_alpha(dtype):
-    """Blurred full coverage, a sum of rounded weights, is 1 but for a few units: kept as it is."""
+    """Blurred full coverage, a sum of rounded weights, is 1 except for a few units, and is kept."""
     eps = float(jnp.finfo(dtype).eps)
     nearly = jnp.asarray([1 + 4 * eps, 1 + 99 * eps, -99 * eps], dtype)[:, None]
     layer = jnp.concatenate([jnp.full((3, 1), 0.5, dtype), nearly], axis=-1)
@@ -144,7 +144,7 @@ def test_numbers_for_fractions():
 
 @pytest.fixture
 def as_for_users():
-    """Without the suite's checks of annotations, which would be the first to refuse."""
+    """Without the suite's type checks, which would refuse first."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

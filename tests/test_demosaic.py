@@ -30,7 +30,7 @@ INSIDE = np.s_[1:-1, 1:-1]
 
 @pytest.mark.parametrize("phase", BAYER_PHASES)
 def test_bilinear_is_colour_demosaicings_inside(phase):
-    """At the border it divides by the weights of pixels that are not there, and darkens."""
+    """At the border it divides by the weights of missing pixels, and darkens."""
     peer = peers.demosaicing_CFA_Bayer_bilinear(CODES, phase)
     ours = demosaic_bilinear(CODES, bayer(phase))
     np.testing.assert_array_equal(np.asarray(ours)[INSIDE], peer[INSIDE])

@@ -1,4 +1,4 @@
-"""Raw to picture by hand, colours against colour-science, and the codes that a file holds."""
+"""Raw to picture by hand, colours against colour-science, and the codes of a file."""
 
 from functools import partial
 
@@ -169,7 +169,7 @@ def chart():
 
 
 def raw_of(chart, sensitivities):
-    """What a camera writes of the patches, white at 1000 DN over a black of 64."""
+    """A camera's raw data of the patches, white at 1000 DN above a black of 64."""
     light = np.asarray(chart["reflectances"]) * np.asarray(chart["illuminant"])
     responses = light @ sensitivities
     white = (np.asarray(chart["illuminant"]) @ sensitivities).max()

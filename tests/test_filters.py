@@ -146,7 +146,7 @@ def test_nan_reaches_its_windows_and_with_fft_its_plane(method):
     image = np.ones((11, 11, 2))
     image[5, 5, 0] = np.nan
     taps = np.ones(5)
-    taps[0] = 0  # counts as much as any
+    taps[0] = 0  # a tap of 0 counts like any other
     got = np.isnan(filters.correlate(image, np.outer(taps, taps), method=method))
     assert not got[:, :, 1].any()
     window = np.zeros((11, 11), bool)
@@ -155,7 +155,7 @@ def test_nan_reaches_its_windows_and_with_fft_its_plane(method):
 
 
 def test_reach_of_nan_under_auto_and_kernels_that_are_not_finite():
-    """What the size of the kernel decides: its windows up to 15 x 15, everything beyond."""
+    """The reach of NaN by the size of the kernel: its windows up to 15 x 15, everything beyond."""
     f = np.ones((20, 20))
     f[10, 10] = np.nan
     for side, spoilt in ((15, 225), (17, 400)):
@@ -222,7 +222,7 @@ def test_shift_invariance_and_commuting_under_wrap():
 @pytest.mark.parametrize("method", ["conv", "direct", "fft"])
 @pytest.mark.parametrize("border", LINEAR)
 def test_gradients_by_hand(border, method):
-    """Of <y, K f> by every pixel and every tap: what a unit in its place would change."""
+    """Derivatives of <y, K f> by each pixel and tap: the change that a unit in its place makes."""
     size = 4, 3
     f, y, kernel = RNG.normal(size=size), RNG.normal(size=size), np.abs(RNG.normal(size=size))
 
@@ -248,7 +248,7 @@ def test_derivatives_forward_and_reverse_twice():
 
 
 def test_derivative_of_large_kernels_one_for_each_band():
-    """More taps than inner products are taken for."""
+    """More taps than are computed as inner products."""
     image, kernel, y = IMAGE, RNG.normal(size=(6, 7, 3)), RNG.normal(size=IMAGE.shape)
     got = jax.grad(lambda k: jnp.vdot(y, filters.correlate(image, k, border="wrap")))(
         jnp.asarray(kernel)

@@ -1,4 +1,4 @@
-"""The filters that have a name, against scipy and OpenCV, closed forms and their own laws."""
+"""Named filters against scipy and OpenCV, closed forms and their own laws."""
 
 from functools import partial
 from itertools import pairwise
@@ -42,7 +42,7 @@ def test_binomial_is_repeated_pairs():
 
 
 def test_binomial_of_any_size():
-    """2 ** 1099 is no float; the weights are, of sum 1 and variance (size - 1) / 4."""
+    """2 ** 1099 exceeds a float, the weights do not: sum 1 and variance (size - 1) / 4."""
     taps = filters.binomial_kernel(1100)
     x = np.arange(1100) - 1099 / 2
     np.testing.assert_allclose((taps.sum(), taps @ x**2), (1, 1099 / 4), rtol=1e-12)
@@ -62,7 +62,7 @@ def test_gaussian_of_two_widths_and_integers():
 
 
 def test_truncation_is_a_knob():
-    """Each sigma more cuts the error down; at eight nothing is missing."""
+    """Each further sigma reduces the error; at eight nothing is missing."""
     truth = filters.gaussian(PLANE, 1.5, truncate=9.0, border="wrap")
     errors = [
         np.abs(filters.gaussian(PLANE, 1.5, truncate=t, border="wrap") - truth).max()
@@ -112,7 +112,7 @@ def test_variance_of_a_narrow_gaussian():
     ("sigma", "sampled", "integrated"), [(0.3, 0.085, 0.663), (0.5, 0.860, 0.986), (0.7, 0.998, 1)]
 )
 def test_what_narrow_derivatives_lose(sigma, sampled, integrated):
-    """The slope of a ramp of 1 as stated, and the cure: differences of what is blurred."""
+    """The slope of a ramp of 1 as documented; the remedy is differences of the blurred picture."""
     for sampling, expected in (("sampled", sampled), ("integrated", integrated)):
         options = {"size": 9, "order": (0, 1), "sampling": sampling}
         slope = filters.gaussian(XX, value(sigma), **options)
@@ -221,7 +221,7 @@ def test_quadrature_pair_is_the_turned_filter(angle):
     [(1.0, 0.0, 1.41, 0.53), (1.0, np.pi / 4, 1.18, 0.81), (2.0, 0.3, 1.0, 0.9905)],
 )
 def test_energy_of_the_pair_by_its_width(width, angle, even, odd):
-    """The sum of squares of the answer to an impulse: 1 and 0.99 only from a width of 2 on."""
+    """The sum of squares of the impulse response: 1 and 0.99 only from a width of 2 on."""
     impulse = (XX == 0) & (YY == 0)
     pair = filters.steer(
         filters.quadrature_basis(impulse.astype(float), width, size=21), value(angle)

@@ -53,7 +53,7 @@ def test_one_kernel_everywhere_is_correlation():
 
 
 def varying_gaussian(plane, sigma, radius):
-    """Loops, the weights of each pixel brought to sum 1."""
+    """Loops, with the weights of each pixel normalised to sum 1."""
     wide, g = np.pad(plane, radius, mode="symmetric"), np.zeros_like(plane)
     yy, xx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     inside = yy**2 + xx**2 <= radius**2
@@ -213,7 +213,7 @@ def test_scipy_solves_with_the_operator():
     matrix = filters.scipy_matrix(
         filters.filter_matrix(jnp.asarray(kernel), shape=(H, W), border="mirror").matrix
     )
-    assert matrix.nnz < 9 * H * W  # ghosts added to the pixels they stand for
+    assert matrix.nnz < 9 * H * W  # ghosts added to the pixels that they copy
     np.testing.assert_allclose(matrix @ f[..., 0].ravel(), np.asarray(h(f))[..., 0].ravel())
 
 

@@ -18,7 +18,7 @@ from jaxvision.histogram import (
 )
 
 RNG = np.random.default_rng(8)
-# Two hills, one of them narrow, and empty codes between: what a photograph looks like.
+# Two hills, one of them narrow, and empty codes between, as in a photograph.
 CODES = np.clip(
     np.where(
         RNG.random((64, 48)) < 0.6,
@@ -262,7 +262,7 @@ def test_clahe_of_one_tile_without_limit_is_equalisation():
 
 
 def test_clahe_with_a_limit_of_one_keeps_the_values():
-    """Every clipped bin holds the mean count at most, so what is handed out levels the rest up:
+    """Every clipped bin holds the mean count at most, so redistribution levels the rest:
     the curve is nearly the identity where the tile fills its range evenly, and exactly so here."""
     even = np.tile(np.linspace(0.01, 0.99, 50), (50, 1))
     ours = equalise_locally(even, tiles=(1, 1), clip_limit=1.0, bins=50)

@@ -1,4 +1,4 @@
-"""Files come back as they went: depth, values, and one sentence when they cannot."""
+"""Files read back as written: depth, values, and one sentence where that is impossible."""
 
 import numpy as np
 import pytest

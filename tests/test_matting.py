@@ -393,7 +393,7 @@ def test_numbers_that_solve_nothing_are_named():
 
 @pytest.fixture
 def as_for_users():
-    """Without the suite's checks of annotations, which would be the first to refuse."""
+    """Without the suite's type checks, which would refuse first."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

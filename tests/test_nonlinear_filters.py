@@ -118,7 +118,7 @@ def test_joint_bilateral_is_the_loop():
 
 
 def test_bilateral_is_opencvs():
-    """Whose table of exp is good to about 1e-6."""
+    """OpenCV's table of exp is accurate to about 1e-6."""
     import cv2
 
     single = COLOUR.astype(np.float32)
@@ -173,7 +173,7 @@ def test_nonlocal_means_is_the_loop(profile, noise, cutoff):
 
 
 def test_nonlocal_means_is_scikit_images():
-    """Whose exp is approximate (weights within some 4 %), so the change it makes is within 4 %;
+    """scikit-image's exp is approximate (weights within some 4 %), so its change is within 4 %;
     inside, where its other border is not seen."""
     from skimage import restoration
 

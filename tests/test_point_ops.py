@@ -349,7 +349,7 @@ def together(x):
 
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
-    """NaN and infinity of one pixel leave the others what they were."""
+    """NaN and infinity in one pixel do not change the others."""
     x = jnp.asarray([-1e6, -1.0, 0.0, 1e-30, 0.5, 1.0, 1e6], dtype)
     run = jax.jit(together)
     clean = run(x)
@@ -385,7 +385,7 @@ def test_numbers_for_parameters_are_as_good_as_arrays():
 
 @pytest.fixture
 def as_for_users():
-    """Without the suite's checks of annotations, which would be the first to refuse."""
+    """Without the suite's type checks, which would refuse first."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

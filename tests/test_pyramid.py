@@ -48,7 +48,7 @@ def test_levels_are_opencvs():
 
     theirs = cv2.pyrDown(GREY, borderType=cv2.BORDER_REFLECT)
     np.testing.assert_allclose(reduce_by_two(GREY), theirs, rtol=1e-13)
-    theirs = cv2.pyrUp(GREY)  # which continues otherwise at the border
+    theirs = cv2.pyrUp(GREY)  # another border
     np.testing.assert_allclose(expand(GREY, (26, 36))[2:-2, 2:-2], theirs[2:-2, 2:-2], rtol=1e-13)
 
 

@@ -1,4 +1,4 @@
-"""Conversions keep dtypes, checks say what they got, grouping keeps order."""
+"""Conversions keep dtypes, checks name the value they got, grouping keeps the order."""
 
 import inspect
 
@@ -27,7 +27,7 @@ from jaxvision.scene import Sphere
 
 
 def test_aliases_print_as_their_names_and_still_check():
-    """What a signature and a type error say, and that axes of one name still have one length."""
+    """In signatures and type errors; and axes of one name still have one length."""
 
     @jaxtyped(typechecker=beartype)
     def mixed(a: Colour, b: Colour, key: Key) -> Colour:
