@@ -149,6 +149,17 @@ def test_quantile_is_within_a_bin():
     assert np.abs(np.asarray(ours) - exact).max() <= 0.01
 
 
+def test_quantile_is_linear_within_a_bin():
+    """The inverse of the cumulative distribution, which rises linearly within each bin."""
+    histogram = exact_histogram(VALUES, bins=12, value_range=(0.1, 0.9))  # none of them empty
+    q = np.array([0.0, 0.013, 0.2, 0.5, 0.777, 1.0])
+    below = [((edge > VALUES) & (VALUES >= 0.1)).sum() for edge in np.asarray(histogram.edges)]
+    below[-1] = ((VALUES >= 0.1) & (VALUES <= 0.9)).sum()
+    wanted = np.interp(q, np.array(below) / below[-1], np.linspace(0.1, 0.9, 13))
+    ours = jax.vmap(lambda q: quantile(histogram, q))(jnp.asarray(q))
+    np.testing.assert_allclose(ours, wanted, atol=1e-12)
+
+
 def test_otsu_is_opencvs_and_scikit_images():
     import cv2
     from skimage import filters

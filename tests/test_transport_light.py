@@ -21,7 +21,7 @@ from jaxvision._vector import as_array
 from jaxvision.brdf.glass import Glass
 from jaxvision.geometry import Ray
 from jaxvision.lights import LightFieldLight, Window
-from jaxvision.scene import Box, Disc, Plane, Quad, Scene, Sphere, Surface, TriangleMesh
+from jaxvision.scene import Box, Disc, Distortion, Plane, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import (
     Paths,
     light_traced,
@@ -335,6 +335,39 @@ def test_light_traced_is_path_traced():
     assert abs(chi_square(light, path) - 1) < 4 * np.sqrt(2 / 36)
     totals = [np.asarray(x.radiance).mean() for x in (light, path)]
     assert totals[0] == pytest.approx(totals[1], rel=0.01)
+
+
+def test_light_reaches_a_lens_that_distorts():
+    """A wall under a point light, seen through a barrel: k_d I cos / d^2 where each pixel's ray
+    meets it, its slope undistorted by bisection in NumPy; the sum over quarters of the picture."""
+    k = -0.2
+    view = Pinhole(
+        [0.0, 0, 0], np.eye(3), 0.01, 1e-3, resolution=(16, 16), distortion=Distortion([k])
+    )
+    wall = Surface(Quad([-9.0, -9, 1], [0, 18.0, 0], [18.0, 0, 0]), Lambert([0.25]))
+    lamp = np.array([0.1, -0.2, 0.4])
+    scene = Scene([wall], [PointLight(lamp, [3.0])])
+    trace = jax.jit(partial(light_traced, paths=20_000, depth=2, samples=1))
+    traced = trace(KEY, scene, view)
+    side = (np.arange(16) - 7.5) * 0.1
+    down, right = np.meshgrid(side, side, indexing="ij")
+    distorted = np.hypot(right, down)
+    low, high = np.zeros_like(distorted), np.full_like(distorted, 1.29)  # the fold of the lens
+    for _ in range(50):
+        middle = (low + high) / 2
+        short = middle * (1 + k * middle**2) < distorted
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    ideal = low / distorted
+    away = lamp - np.stack([right * ideal, down * ideal, np.ones_like(right)], axis=-1)
+    square = (away**2).sum(axis=-1)
+    expected = 0.25 * 3 * -away[..., 2] / square**1.5
+    seen = distorted < 0.8  # short of the fold
+    for part in (right < 0, right > 0, distorted < 0.4, distorted > 0.6):
+        chosen = seen & part
+        mean, error = (np.asarray(x)[chosen, 0] for x in (traced.radiance, traced.error))
+        total, spread = mean.sum(), np.sqrt((error**2).sum())
+        assert spread < 0.03 * total
+        assert abs(total - expected[chosen].sum()) < 4 * spread
 
 
 @pytest.mark.slow
