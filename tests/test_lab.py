@@ -3,8 +3,33 @@
 import tomllib
 
 import numpy as np
+import pytest
 
+from fitting.demo.lab import simulate_lab
 from jaxvision.io import read_image
+
+
+class EnoughError(Exception):
+    """Ends a simulation after a few images."""
+
+
+def first_flat(folder, seed):
+    def progress(written, total):
+        if written == 1:
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        simulate_lab(folder, seed=seed, progress=progress)
+    return read_image(folder / "noise" / "flat_00_00.tif")
+
+
+def test_the_seed_makes_the_images(tmp_path):
+    """The same again for the same seed, another pixel's noise for another."""
+    one, again, other = (
+        first_flat(tmp_path / name, seed) for name, seed in (("a", 3), ("b", 3), ("c", 4))
+    )
+    np.testing.assert_array_equal(again, one)
+    assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 5 / np.sqrt(one.size)
 
 
 def test_photon_transfer_of_the_files_gives_the_gain_that_was_set(lab):

@@ -37,6 +37,22 @@ def test_norm_and_normalize(dtype, scale):
 
 
 @both_precisions
+def test_arctan2_and_its_slopes(dtype):
+    """The angle as mpmath has it, and x / (x^2 + y^2), -y / (x^2 + y^2): ahead, behind, near both
+    axes, for short vectors and long ones."""
+    angles = np.array([0.0, 1e-6, 0.3, 0.7, 0.9, 1.5707, 1.5709, 2.0, 3.0, np.pi])
+    lengths = np.array([1e-12, 1.0, 1e12])[:, None]
+    x, y = (jnp.asarray((lengths * f(angles)).ravel(), dtype) for f in (np.cos, np.sin))
+    slopes = jax.jit(jax.vmap(jax.value_and_grad(num.arctan2, argnums=(0, 1))))
+    for a, b, value, by_y, by_x in zip(x, y, *jax.tree.leaves(slopes(y, x)), strict=True):
+        a, b = exact.number(a), exact.number(b)
+        assert exact.ulps(value, mp.atan2(b, a)) <= 4
+        square = a * a + b * b
+        assert exact.ulps(by_y, a / square) <= 8
+        assert exact.ulps(by_x, -b / square) <= 8
+
+
+@both_precisions
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.5, 3.0])
 def test_angles(dtype, angle):
     u, v = unit_pairs(dtype, angle)

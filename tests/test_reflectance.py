@@ -24,7 +24,8 @@ from fitting.inference.estimates import find
 from fitting.inference.posterior import SamplingOptions
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from fitting.reflectance.from_images.calibration import open_parameters
-from fitting.reflectance.from_images.fit import fit_channel
+from fitting.reflectance.from_images.comparison import relative_error
+from fitting.reflectance.from_images.fit import fit_channel, predicted_image
 from fitting.reflectance.from_images.geometry_cells import group
 from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.posterior import (
@@ -308,6 +309,23 @@ def test_held_out_images_do_not_touch_the_fit(observation):
     frames[:, observation.held_out] = BLACK + 500
     changed = fit(dataclasses.replace(observation, dn=frames))
     np.testing.assert_array_equal(changed.vector, fit(observation).vector)
+
+
+def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
+    """The held-out lights, some of whose pixels are clipped: the ratio of two RMS by hand."""
+    found = fit(observation)
+    frames, held_out = observation.dn.copy(), np.flatnonzero(observation.held_out)
+    frames[0, held_out[0], np.flatnonzero(observation.cosine[held_out[0]] > 0.3)] = 4095
+    clipped = dataclasses.replace(observation, dn=frames)
+    missed, signal = [], []
+    for light in held_out:
+        trusted = (observation.cosine[light] > 0) & (frames[0, light] < 4095)
+        measured = frames[0, light][trusted]
+        missed.append(predicted_image(observation, found, int(light))[trusted] - measured)
+        signal.append(measured - BLACK)
+    expected = np.linalg.norm(np.concatenate(missed)) / np.linalg.norm(np.concatenate(signal))
+    chosen = select(clipped, held_out=True, form=Form("phong"))
+    assert relative_error(clipped, found, chosen) == pytest.approx(expected, rel=1e-10)
 
 
 def test_the_section_names_the_right_model_and_draws(observation):

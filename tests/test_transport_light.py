@@ -113,20 +113,21 @@ def spheres():
 
 
 def test_glass_and_mirror_ray_by_ray():
-    """Forty rays at both spheres: all branches above 1e-9 of an independent recursion, in 40."""
+    """Forty rays at both spheres, and twenty from within the glass, where radiance is squeezed
+    once: all branches above 1e-9 of an independent recursion, in 40."""
     rng = np.random.default_rng(1)
-    eye = np.array([0.3, -2.5, 0.4])
-    targets = np.concatenate([np.zeros((20, 3)), np.tile(MIRROR[0], (20, 1))])
+    eyes = np.repeat([[0.3, -2.5, 0.4], [0.3, -2.5, 0.4], [0.1, -0.2, 0.05]], 20, axis=0)
+    targets = np.repeat([np.zeros(3), MIRROR[0], np.zeros(3)], 20, axis=0)
     targets += rng.uniform(-0.25, 0.25, targets.shape)  # not grazing: few branches count
-    directions = targets - eye
+    directions = targets - eyes
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     scene = spheres()
 
-    def one(direction):
-        return ray_tree_radiance(scene, Ray(jnp.asarray(eye), direction), rays=40)
+    def one(eye, direction):
+        return ray_tree_radiance(scene, Ray(eye, direction), rays=40)
 
-    seen = np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(directions)))
-    expected = np.array([traced_by_numpy(eye, d) for d in directions])
+    seen = np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(eyes), jnp.asarray(directions)))
+    expected = np.array([traced_by_numpy(o, d) for o, d in zip(eyes, directions, strict=True)])
     assert np.ptp(expected[:, 0]) > 0.2
     np.testing.assert_allclose(seen, expected, rtol=1e-7, atol=1e-7)
 
