@@ -1,0 +1,122 @@
+"""Every block of code and every command of the README, executed. What a block prints is compared
+with what the comment beside it promises.
+
+Two commands install the package first (the demo and the test command); CI runs them as written.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.measured import merl_bytes
+from typer.testing import CliRunner
+
+import fitting.cli
+import jaxvision.cli
+from jaxvision.io import write_image
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
+# Smaller numbers for what takes minutes as written, and files for those that a user has.
+INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"}
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def promises(block):
+    """[(number, tolerance)] that the comments beside a block's `print` promise, in order: `# 0.25`
+    to its last digit, `# 0.25 within 1 %`; None where a comment promises no number."""
+    found = []
+    for line in re.findall(r"^.*\bprint\(.*$", block, flags=re.MULTILINE):
+        comment = re.search(
+            r"#\s*([-+\d.]+(?:e[-+]?\d+)?)(?: within ([\d.]+) %)?(?=\s|$|[:,;])", line
+        )
+        if not comment:
+            found.append(None)
+            continue
+        value, percent = float(comment[1]), comment[2]
+        digits = len(comment[1].partition(".")[2])
+        found.append((value, abs(value) * float(percent) / 100 if percent else 0.5 * 10**-digits))
+    return found
+
+
+PROGRAM = """
+import jax
+for i, block in enumerate(BLOCKS):
+    jax.config.update("jax_enable_x64", False)  # as a user starts
+    exec(compile(block, f"README block {i}", "exec"), {})
+    print("<end>", flush=True)
+"""
+
+
+def test_promises_are_read():
+    assert promises(
+        "print(a)  # 0.25 within 1 %: the gain\nprint(b)  # W m^-2\n  print(c)  # -3.1"
+    ) == [
+        (0.25, 0.0025),
+        None,
+        (-3.1, 0.05),
+    ]
+
+
+def test_every_block_of_python_runs_and_keeps_its_promises(tmp_path):
+    python = blocks("python")
+    assert len(python) >= 5
+    program = PROGRAM.replace("BLOCKS", repr(python))
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    kept = 0
+    for block, said in zip(python, run.stdout.split("<end>\n"), strict=False):
+        printed = said.splitlines()
+        for promise, line in zip(promises(block), printed, strict=False):
+            if promise:
+                assert abs(float(line.split()[0]) - promise[0]) <= promise[1], (block, line)
+                kept += 1
+    assert kept, "no block promises a number"
+
+
+def commands():
+    """The lines of `sh` blocks, and the commands of the table."""
+    lines = [line for block in blocks("sh") for line in block.splitlines() if line.strip()]
+    return lines + re.findall(r"^\| `([^`]+)` \|", README, flags=re.MULTILINE)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch, lab):
+    """A folder with the files that a user has: a photo, a rig a calibration, a measured BRDF."""
+    monkeypatch.chdir(tmp_path)
+
+    def grey(h, d, p):
+        return np.broadcast_to(0.1 + 0.2 * np.exp(-9 * h * h)[..., None], (*np.shape(h), 3))
+
+    (tmp_path / "paint.binary").write_bytes(merl_bytes(grey, (12, 10, 8))[0])
+    write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
+    for kind in ("noise", "response", "brdf"):
+        (tmp_path / kind).symlink_to(lab[0] / kind)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_runs(command, workplace):
+    if re.match(r"python3 -m venv .*(pytest|jaxvision-fit demo)|jaxvision-fit demo$", command):
+        run = (Path(__file__).parents[1] / ".ci" / "run").read_text()
+        assert "demo_command" in run
+        assert "test_command" in run
+        return
+    for words, fewer in INSTEAD.items():
+        command = command.replace(words, fewer)
+    name, *arguments = shlex.split(command)
+    arguments = [arguments[0] if word == "PATH" else word for word in arguments]
+    result = CliRunner().invoke(COMMANDS[name], arguments)
+    assert result.exit_code == 0, result.output
+    for option, value in pairwise(arguments):
+        assert option != "--out" or Path(value).exists()
