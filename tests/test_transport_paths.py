@@ -272,6 +272,26 @@ def test_samples_in_parts_are_the_samples():
     np.testing.assert_allclose((part(3, 0) + part(3, 3)) / 2, part(6, 0), rtol=1e-13)
 
 
+def test_mean_and_error_are_numpys_of_the_same_paths():
+    """Three paths from a floor to a ceiling that shines, one by one."""
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.1, 0.2]))
+    ceiling = Surface(Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), Lambert([0.1, 0.2]), [1.0, 2])
+    scene, method = Scene([floor, ceiling], []), Paths(3, 2, strategy="lights")
+    ray = Ray(jnp.asarray([0.1, 0.2, 0.5]), unit(0, 0, -1))
+    seed, pixel = seed_of(KEY), jnp.uint32(0)
+
+    def both(numbers):
+        one = partial(path_sample, scene, ray, method=method)
+        paths = jax.vmap(lambda number: one(Stream(pixel, number, seed)))(numbers)
+        return path_radiance(KEY, scene, ray, method=method), paths
+
+    traced, values = jax.jit(both)(jnp.arange(3, dtype=jnp.uint32))
+    np.testing.assert_allclose(traced.radiance, np.mean(values, axis=0), rtol=1e-12)
+    deviation = np.std(values, axis=0, ddof=1)
+    assert deviation.min() > 0
+    np.testing.assert_allclose(traced.error, deviation / np.sqrt(3), rtol=1e-10)
+
+
 @pytest.mark.slow
 def test_error_is_the_standard_error():
     """Over 100 keys the spread of the mean of 16 is what each says of itself, on average."""
