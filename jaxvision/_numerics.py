@@ -80,6 +80,18 @@ def reciprocal(x: Scalars) -> Scalars:
     return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)
 
 
+def divide(
+    a: Scalars | float,
+    b: Scalars,
+    where: Bool[Array, "..."] | None = None,
+    otherwise: Scalars | float = 0,
+) -> Scalars:
+    """a / b, in the quotient of their units, where the condition holds (default: b > 0); elsewhere
+    `otherwise`, with gradient 0 in a and b."""
+    safe = b > 0 if where is None else where
+    return jnp.where(safe, a / jnp.where(safe, b, 1), otherwise)
+
+
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
     """The arrays of tree `a` where the condition holds, elsewhere those of `b`."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._numerics import arctan2, norm, safe_sqrt, smallest_divisor
+from ._numerics import arctan2, divide, norm, safe_sqrt, smallest_divisor
 from ._types import Scalars, as_relative, print_by_name
 from ._vector import Vec
 from .colour_data import cone_matrix, luma_weights, rgb_to_xyz_matrix
@@ -228,7 +228,7 @@ def _vanishes(x: Scalars) -> Bool[Array, "..."]:
 
 def _reciprocal(x: Scalars) -> Scalars:
     """1 / x, with 0 where x vanishes."""
-    return jnp.where(_vanishes(x), 0, 1 / jnp.where(_vanishes(x), 1, x))
+    return divide(1, x, ~_vanishes(x))
 
 
 # ---------------------------------------------------------------- CIE 1976

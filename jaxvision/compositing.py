@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ._numerics import smallest_divisor
+from ._numerics import divide, smallest_divisor
 from ._types import Scalars, as_relative, print_by_name
 from .point_ops import srgb_decode, srgb_encode
 
@@ -182,8 +182,7 @@ def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
         ValueError: for an alpha outside [0, 1].
     """
     alpha = checked_alpha(layer[..., -1:])
-    empty = alpha <= smallest_divisor(alpha.dtype)
-    return jnp.where(empty, 0, layer[..., :-1] / jnp.where(empty, 1, alpha))
+    return divide(layer[..., :-1], alpha, ~(alpha <= smallest_divisor(alpha.dtype)))
 
 
 def layer_from_srgb(rgba: Layer) -> Layer:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
-from ._numerics import power, safe_log, smallest_divisor
+from ._numerics import divide, power, safe_log, smallest_divisor
 from ._types import Image, Scalar, Scalars, as_relative
 
 _LN_10 = 2.302585092994046
@@ -181,8 +181,8 @@ def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Im
     """
     image, rows, columns = _sized(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
-    lit = falloff > smallest_divisor(image.dtype)
-    return image * _per_pixel(jnp.where(lit, 1 / jnp.where(lit, falloff, 1), 0), image)
+    inverse = divide(1, falloff, falloff > smallest_divisor(image.dtype))
+    return image * _per_pixel(inverse, image)
 
 
 def _falloff(
@@ -503,5 +503,5 @@ def with_luminance(
         (..., channels) relative.
     """
     image, luminance = as_relative(image), as_relative(luminance)
-    black = luminance <= smallest_divisor(luminance.dtype)
-    return image * jnp.where(black, 0, wanted / jnp.where(black, 1, luminance))[..., None]
+    gain = divide(wanted, luminance, ~(luminance <= smallest_divisor(luminance.dtype)))
+    return image * gain[..., None]

@@ -63,6 +63,17 @@ def test_angles(dtype, angle):
 
 
 @both_precisions
+def test_divide_where_there_is_a_quotient(dtype):
+    a, b = jnp.asarray([3, 1, 2, jnp.nan], dtype), jnp.asarray([4, 0, -2, 5], dtype)
+    default, chosen = num.divide(a, b), num.divide(a, b, b != 0, jnp.inf)
+    assert default.dtype == chosen.dtype == dtype
+    np.testing.assert_array_equal(default, [0.75, 0, 0, jnp.nan])
+    np.testing.assert_array_equal(chosen, [0.75, jnp.inf, -1, jnp.nan])
+    slopes = jax.grad(lambda a, b: num.divide(a, b).sum(), (0, 1))(a[:3], b[:3])
+    np.testing.assert_array_equal(slopes, [[0.25, 0, 0], [-3 / 16, 0, 0]])
+
+
+@both_precisions
 def test_sine_and_cosine_of_turns(dtype):
     """Many turns, next to every eighth, tiny and negative; quarters exactly; the slope in radians
     a turn."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import power, smallest_divisor
+from .._numerics import divide, power, smallest_divisor
 from .._types import Image, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
@@ -102,6 +102,5 @@ def grey_world_gains(
 def _balancing(means: Gains) -> Gains:
     """The largest mean over each: 1 where there is none. NaN spreads to all."""
     brightest = jnp.max(means, axis=-1, keepdims=True)
-    share = means / jnp.where(brightest <= 0, 1, brightest)
-    lit = ~(share <= smallest_divisor(means.dtype))
-    return jnp.where(lit, 1 / jnp.where(lit, share, 1), 1)
+    share = divide(means, brightest, ~(brightest <= 0))
+    return divide(1, share, ~(share <= smallest_divisor(means.dtype)), 1)

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import print_by_name
 from ..padding import Filtered, Picture, as_planes, ghosts
 from ._bilinear import correlate_stack
@@ -59,7 +59,7 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
     least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
     held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))
-    return restore(jnp.where(held, total / jnp.where(held, inside, 1), 0))
+    return restore(divide(total, inside, held))
 
 
 def _after(image: Stack, term: tuple[Kernel, ...], settings: Settings) -> Stack:

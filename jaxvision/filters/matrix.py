@@ -15,7 +15,7 @@ import numpy as np
 from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import as_float, as_optional_float, print_by_name
 from ..padding import check_border, ghosts
 from ._terms import Fill, Settings, filtered
@@ -77,7 +77,7 @@ def filter_matrix(
         least = kernel.size * jnp.finfo(kernel.dtype).eps * whole
         sums = form.matrix @ ones
         held = jnp.abs(sums) > jnp.maximum(least, smallest_divisor(kernel.dtype))
-        scale = jnp.where(held, 1 / jnp.where(held, sums, 1), 0)
+        scale = divide(1, sums, held)
         entries = form.matrix.data * scale[form.matrix.indices[:, 0]]
         return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
     if border == "constant":

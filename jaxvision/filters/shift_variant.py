@@ -20,7 +20,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._staging import stored
 from .._types import as_float, print_by_name
 from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
@@ -258,10 +258,9 @@ def _radial(
     distance, share = (jnp.asarray(v, wide.dtype) for v in octets[1:])
     start = jnp.zeros((wide.shape[0], h, wide.shape[2], w), wide.dtype), jnp.zeros_like(scale)
     (total, weights), _ = lax.scan(add_octet, start, (jnp.asarray(octets[0]), distance, share))
-    some = weights > smallest_divisor(weights.dtype)
-    mean = total / jnp.where(some, weights, 1)[None, :, None]
+    weights = weights[None, :, None]
     middle = wide[:, radius : radius + h, :, radius : radius + w]
-    return restore(jnp.where(some[None, :, None], mean, middle))
+    return restore(divide(total, weights, weights > smallest_divisor(weights.dtype), middle))
 
 
 def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
 from ._terms import Fill
@@ -133,5 +133,5 @@ def blur_straight(
     light, alpha = picture[..., :-1], picture[..., -1:]
     layer = blur(jnp.concatenate([light * alpha, alpha], axis=-1))
     covered = jnp.abs(layer[..., -1:]) > smallest_divisor(layer.dtype)
-    straight = layer[..., :-1] / jnp.where(covered, layer[..., -1:], 1)
-    return jnp.concatenate([jnp.where(covered, straight, 0), layer[..., -1:]], axis=-1)
+    straight = divide(layer[..., :-1], layer[..., -1:], covered)
+    return jnp.concatenate([straight, layer[..., -1:]], axis=-1)

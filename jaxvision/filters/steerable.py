@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numerics import safe_sqrt
 from .._types import Scalar, as_float, print_by_name
 from ..padding import Filtered, Picture
 from ._terms import Fill
@@ -192,7 +193,7 @@ def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
     square = c2 * c2 + c3 * c3
     oriented = square > 0
     angle = jnp.arctan2(jnp.where(oriented, c3, 0), jnp.where(oriented, c2, 1)) / 2
-    return angle, jnp.where(oriented, jnp.sqrt(jnp.where(oriented, square, 1)), 0)
+    return angle, safe_sqrt(square)
 
 
 def _weighted(weights: tuple[Angle, ...], basis: Basis) -> Filtered:

@@ -14,6 +14,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._numerics import divide
 from .._types import print_by_name
 
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
@@ -150,7 +151,7 @@ def cumulative_fractions(
     """The fraction of all counts below each edge; 0 throughout where there are none."""
     below = jnp.cumsum(counts, axis=-1).astype(dtype)
     total = below[..., -1:]
-    fractions = below / jnp.where(total > 0, total, 1)
+    fractions = divide(below, total, total != 0)
     return jnp.concatenate([jnp.zeros_like(total), fractions], axis=-1)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._numerics import divide
 from .._types import Scalars, as_float
 from ._planes import (
     Binning,
@@ -147,7 +148,7 @@ def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
     end = jnp.clip(end, 1, bins)[..., None]
     low, high = (jnp.take_along_axis(cdf, end - i, axis=-1)[..., 0] for i in (1, 0))
     rise = high - low
-    part = jnp.where(rise > 0, (q - low) / jnp.where(rise > 0, rise, 1), 0)
+    part = divide(q - low, rise)
     start = jnp.take(edges, end[..., 0] - 1)
     return start + jnp.maximum(part, 0) * (edges[1] - edges[0])
 
@@ -183,8 +184,8 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     moment = jnp.cumsum(counts / total * centres, axis=-1)
     mean = moment[..., -1:]
     spread = weight * (1 - weight)
-    between = (mean * weight - moment[..., :-1]) ** 2 / jnp.where(spread > 0, spread, 1)
-    best = jnp.argmax(jnp.where(spread > 0, between, 0), axis=-1)
+    between = divide((mean * weight - moment[..., :-1]) ** 2, spread)
+    best = jnp.argmax(between, axis=-1)
     return jnp.take(edges, best + 1)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._numerics import safe_sqrt, smallest_divisor
+from .._numerics import divide, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars, as_relative, print_by_name
 from ..compositing import checked_alpha
 from ..point_ops import clip
@@ -201,8 +201,7 @@ def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
 
 def _ratio(part: Scalars, whole: Scalars) -> Scalars:
     """part / whole, 0 where `whole` is."""
-    untold = jnp.abs(whole) <= smallest_divisor(whole.dtype)
-    return jnp.where(untold, 0, part / jnp.where(untold, 1, whole))
+    return divide(part, whole, ~(jnp.abs(whole) <= smallest_divisor(whole.dtype)))
 
 
 def _unit(x: Scalars) -> Scalars:

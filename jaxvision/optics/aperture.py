@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, divide, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars
 from ..scene import (
     AnnularAperture,
@@ -142,7 +142,7 @@ def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     wide = jnp.abs(a) > jnp.abs(b)
     radius, other = jnp.where(wide, a, b), jnp.where(wide, b, a)
     usable = jnp.abs(radius) > smallest_divisor(u.dtype)
-    angle = jnp.pi / 4 * other / jnp.where(usable, radius, 1)
+    angle = divide(jnp.pi / 4 * other, radius, usable)
     along, across = radius * jnp.cos(angle), radius * jnp.sin(angle)
     return jnp.where(wide, along, across), jnp.where(wide, across, along)
 
@@ -199,7 +199,7 @@ def _polygon_in_pixels(
     def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
         run = y1 - y0
         level = jnp.abs(run) <= smallest_divisor(run.dtype)
-        slope = (x1 - x0) / jnp.where(level, 1, run)
+        slope = divide(x1 - x0, run, ~level)
         enters, leaves = jnp.clip(y0, top, top + 1), jnp.clip(y1, top, top + 1)
         a, b = x0 + (enters - y0) * slope - left, x0 + (leaves - y0) * slope - left
         inside = _mean_above(a, b) - _mean_above(a - 1, b - 1)
@@ -214,5 +214,4 @@ def _mean_above(a: Scalar, b: Scalar) -> Scalar:
     """The mean of max(t, 0) for t from a to b."""
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)
     crosses = (low < 0) & (high > 0)
-    part = high * high / (2 * jnp.where(crosses, high - low, 1))
-    return jnp.where(crosses, part, jnp.maximum(low + high, 0) / 2)
+    return divide(high * high, 2 * (high - low), crosses, jnp.maximum(low + high, 0) / 2)

@@ -32,7 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import Scalar, Scalars, print_by_name
 from ..filters import adjoint, correlate, correlate_bank, disk_profile, radial_blur
 from ..scene import CircularAperture, ThinLens
@@ -146,8 +146,7 @@ def layered_defocus(
     blur = _blur(view, depth)
     low, high = blur.min(), blur.max()
     span = high - low
-    spread = span > smallest_divisor(span.dtype)
-    position = jnp.where(spread, (blur - low) / jnp.where(spread, span, 1), 0) * (layers - 1)
+    position = divide(blur - low, span, span > smallest_divisor(span.dtype)) * (layers - 1)
 
     around = jnp.full((2 * radius + 1,) * 2, 1 / (2 * radius + 1) ** 2, picture.dtype)
     light = jnp.zeros((), picture.dtype)
@@ -166,8 +165,7 @@ def layered_defocus(
         light = light + seen * blurred[..., :-2]
         # an empty layer covers nothing here, even where its blur makes nearer layers look dense
         covered = covered + seen * own
-    some = covered > smallest_divisor(covered.dtype)
-    return jnp.where(some, light / jnp.where(some, covered, 1), picture)
+    return divide(light, covered, covered > smallest_divisor(covered.dtype), picture)
 
 
 def chromatic_defocus(

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numerics import divide
 from .._types import Colour, Image, Scalar, Scalars
 from ..filters import correlate
 from ..scene import Diffraction, ThinLens
@@ -100,7 +101,7 @@ def airy_kernel(
     def of_band(wavelength: Scalar) -> Float[Array, "size size"]:
         unit = wavelength * f_number
         sharp = unit <= 0
-        scale = jnp.pi / jnp.where(sharp, 1, unit)
+        scale = divide(jnp.pi, unit, ~sharp)
         amplitude = jinc(scale * scale * (along[:, None] ** 2 + along[None, :] ** 2))
         light = amplitude * amplitude * share[:, None] * share[None, :]
         kernel = light.reshape(size, order, size, order).sum((1, 3))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import Scalar
 from ..scene import Distortion
 
@@ -170,6 +170,5 @@ def _solve(
     """The step whose image under the derivative of `distort` is (right, down); 0 at a fold."""
     a, b, c = _jacobian(distortion, x, y)
     area = a * c - b * b
-    regular = jnp.abs(area) > smallest_divisor(area.dtype)
-    inverse = jnp.where(regular, 1 / jnp.where(regular, area, 1), 0)
+    inverse = divide(1, area, jnp.abs(area) > smallest_divisor(area.dtype))
     return (c * right - b * down) * inverse, (a * down - b * right) * inverse

@@ -14,7 +14,7 @@ Source:
 import jax
 import jax.numpy as jnp
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import Colour, Image, Scalar
 from ..scene import Orthographic, ThinLens, View
 from .aperture import aperture_area
@@ -61,8 +61,7 @@ def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) 
         light = light * clear_fraction(view, row, column)
     if view.distortion is not None:
         spread = distortion_area(view.distortion, *chief_slope(view, row, column))
-        imaged = spread > smallest_divisor(spread.dtype)
-        light = jnp.where(imaged, light / jnp.where(imaged, spread, 1), 0)
+        light = divide(light, spread, spread > smallest_divisor(spread.dtype))
     return radiance * light
 
 

@@ -15,7 +15,7 @@ Sources:
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import smallest_divisor
+from .._numerics import divide, smallest_divisor
 from .._types import Scalars
 
 
@@ -252,11 +252,9 @@ def _is_near(z: Scalars, f: Scalars) -> Bool[Array, "..."]:
 def _reciprocal(x: Scalars) -> Scalars:
     """1 / x; at a size below `smallest_divisor` that of the divisor itself, with gradient 0."""
     least = smallest_divisor(x.dtype)
-    usable = ~(jnp.abs(x) <= least)
-    return jnp.where(usable, 1 / jnp.where(usable, x, 1), jnp.where(x < 0, -1 / least, 1 / least))
+    return divide(1, x, ~(jnp.abs(x) <= least), jnp.where(x < 0, -1 / least, 1 / least))
 
 
 def _positive_reciprocal(x: Scalars) -> Scalars:
     """1 / x; inf, with gradient 0, at and below 0."""
-    usable = ~(x <= smallest_divisor(x.dtype))
-    return jnp.where(usable, 1 / jnp.where(usable, x, 1), jnp.inf)
+    return divide(1, x, ~(x <= smallest_divisor(x.dtype)), jnp.inf)

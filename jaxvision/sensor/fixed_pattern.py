@@ -8,6 +8,7 @@ s^-1. Each raises `ValueError` where it draws and `die_key` is None.
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from .._numerics import divide
 from .._types import Key, Scalars
 from ..scene import HotPixels, Sensor
 from ._draws import (
@@ -67,8 +68,8 @@ def hot_rates(
     """
     from_end = tail_probability(~words(die_key, Die.DEFECT, shape), dtype)
     hot = from_end <= hot_pixels.fraction
-    place = from_end / jnp.where(hot_pixels.fraction > 0, hot_pixels.fraction, 1)
-    return jnp.where(hot, -hot_pixels.rate * jnp.log(jnp.where(hot, place, 1)), 0)
+    place = divide(from_end, hot_pixels.fraction, hot, 1)
+    return jnp.where(hot, -hot_pixels.rate * jnp.log(place), 0)
 
 
 def offsets(

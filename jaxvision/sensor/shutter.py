@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numerics import divide
 from .._types import Scalar
 from ..scene import RollingShutter
 
@@ -61,8 +62,7 @@ def exposure_slots(
     edges = (starts[-1] + exposure_time) * jnp.linspace(0, 1, slots + 1, dtype=starts.dtype)
     begin, end = starts[:, None], starts[:, None] + exposure_time
     open_until = jnp.clip(jnp.broadcast_to(edges, (rows, slots + 1)), begin, end)
-    exposed = exposure_time > 0
-    weights = jnp.diff(open_until) / jnp.where(exposed, exposure_time, 1)
+    weights = divide(jnp.diff(open_until), exposure_time, ~(exposure_time <= 0))
     return (edges[:-1] + edges[1:]) / 2, weights
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._groups import take
-from .._numerics import dot, norm, normalize, safe_sqrt, select
+from .._numerics import dot, norm, normalize, reciprocal, safe_sqrt, select
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
 from ..geometry import Ray
@@ -109,7 +109,7 @@ def _from_light_field(light: LightFieldLight, u: Float[Array, "5"]) -> Emitted:
     normal, whole = as_vec(normalize(span)), norm(span)
     line = start - target
     distance = norm(line)
-    inverse = jnp.where(distance > 0, 1 / jnp.where(distance > 0, distance, 1), 0)
+    inverse = reciprocal(distance)
     away = line * (inverse * jnp.where(dot(normal, line) < 0, -1, 1).astype(u.dtype))
     cosine = dot(normal, away)
     focal = norm(cross(light.focal.edge_u, light.focal.edge_v))

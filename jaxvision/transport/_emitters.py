@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._bands import Bands, apart, plus, times
 from .._groups import group_by_structure, row, take
-from .._numerics import dot, reciprocal, safe_sqrt, select, smallest_divisor
+from .._numerics import divide, dot, reciprocal, safe_sqrt, select, smallest_divisor
 from .._staging import stored
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
@@ -159,8 +159,7 @@ def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Towa
     place, whole = place_on(emitter.shape, u), area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
-    apart = distance > smallest_divisor(distance.dtype)
-    nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
+    nearness = divide(1, distance, distance > smallest_divisor(distance.dtype))
     direction = toward * nearness
     cosine = -dot(place.normal, direction)
     cosine = jnp.where(emitter.two_sided, jnp.abs(cosine), jnp.maximum(cosine, 0))
@@ -310,6 +309,5 @@ def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
     """p / (p + q), or the same of squares (Veach and Guibas, SIGGRAPH 1995), with neither square
     nor infinity: 1 / (1 + (q / p)^n). A constant to gradients."""
     own, other = jax.lax.stop_gradient((own, other))
-    drawn = own > 0
-    ratio = jnp.where(drawn, other / jnp.where(drawn, own, 1), jnp.inf)
+    ratio = divide(other, own, otherwise=jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))

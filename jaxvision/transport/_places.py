@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import norm, normalize, safe_sqrt
+from .._numerics import divide, norm, normalize, safe_sqrt
 from .._types import Scalar
 from .._vector import Vec, as_vec, scaled
 from ..hemisphere import cross, direction_at, local_frame, to_world
@@ -98,7 +98,7 @@ def _pick_one(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
     at = u * ends[-1]
     index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), len(weights) - 1)
     width = weights[index]
-    rest = (at - (ends[index] - width)) / jnp.where(width > 0, width, 1)
+    rest = divide(at - (ends[index] - width), width, width != 0)
     return index, jnp.clip(rest, 0, 1)
 
 

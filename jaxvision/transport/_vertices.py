@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .. import brdf
 from .._bands import Bands, apart
 from .._groups import group_by_structure, take
-from .._numerics import dot, reciprocal, select, smallest_divisor
+from .._numerics import divide, dot, reciprocal, select, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec, where
@@ -275,8 +275,7 @@ def _transfer(
     if carries == "radiance":
         return brdf.shading(material, onward, back)
     into, out = _height(back, flat), _height(onward, flat)
-    above = into > smallest_divisor(into.dtype)
-    slant = jnp.where(above, jnp.maximum(out, 0) / jnp.where(above, into, 1), 0)
+    slant = divide(jnp.maximum(out, 0), into, into > smallest_divisor(into.dtype))
     return brdf.shading(material, back, onward) * slant
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics import dot, norm, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
 from .._staging import TILE, together
 from .._types import Key, Scalar
@@ -180,7 +180,7 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
     depth = dot(away, forward)
     distance = norm(away)
     ahead = depth > smallest_divisor(depth.dtype)
-    nearness = jnp.where(ahead, 1 / jnp.where(ahead, depth, 1), 0)
+    nearness = divide(1, depth, ahead)
     x = dot(away, right) * nearness + a * focus
     y = dot(away, down) * nearness + b * focus
     area = jnp.ones_like(depth)
@@ -190,7 +190,7 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
     side = view.pixel_pitch * sensor_vergence(view)
     # cos^3 = (depth / distance)^3, of which distance^2 goes with 1 / d^2
     response = area * distance * nearness**3 / (side * side)
-    inverse = jnp.where(ahead, 1 / jnp.where(ahead, distance, 1), 0)
+    inverse = divide(1, distance, ahead)
     return _Arrival(
         away * -inverse, distance, y / side - (1 - rows) / 2, x / side - (1 - columns) / 2, response
     )

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, UInt32
 
 from .._bands import Bands, apart, plus, times
-from .._numerics import dot, safe_sqrt
+from .._numerics import divide, dot, safe_sqrt
 from .._random import Stream, seed_of, uniforms
 from .._staging import LANES, stored
 from .._types import Colour, Key, Scalar, Scalars, Spectrum
@@ -217,7 +217,7 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
     if method.roulette is not None:
         likely = jnp.where(k >= method.roulette, jnp.minimum(jax.lax.stop_gradient(largest), 1), 1)
         alive &= of_surface[3] < likely
-        weight = tuple(w / jnp.where(likely > 0, likely, 1) for w in weight)
+        weight = tuple(divide(w, likely) for w in weight)
     ray = stored(leave, met, came, onward.direction, alive)
     absorption = absorption_after(world.surfaces, met, came.direction, ray, path.absorption)
     return _Path(ray, _where(alive, weight), radiance, onward.density, absorption, alive)

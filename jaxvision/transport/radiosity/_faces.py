@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from ..._numerics import arctan2, dot, normalize, safe_sqrt
+from ..._numerics import arctan2, divide, dot, normalize, reciprocal, safe_sqrt
 from ..._types import Scalar, Scalars
 from ..._vector import Vec, Vec3, as_array, as_vec
 from ...hemisphere import cross, local_frame
@@ -113,7 +113,7 @@ def face_place(
             a, b, c = (as_vec(shape.vertices[shape.faces[triangle, k]]) for k in range(3))
             s, t = _in_parallelogram(point - a, b - a, c - a)
             u = jnp.minimum(s + t, 1)
-            return triangle, u, jnp.where(u > 0, t / jnp.where(u > 0, s + t, 1), 0)
+            return triangle, u, divide(t, s + t, u > 0)
     raise TypeError(f"{type(shape).__name__} has no faces.")
 
 
@@ -132,6 +132,6 @@ def _in_parallelogram(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
     """The coordinates, in [0, 1], along two edges."""
     area = cross(u, v)
     square = dot(area, area)
-    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0)
+    inverse = reciprocal(square)
     along, across = dot(cross(inside, v), area), dot(cross(u, inside), area)
     return jnp.clip(along * inverse, 0, 1), jnp.clip(across * inverse, 0, 1)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._numerics import arctan2, safe_sqrt
+from ..._numerics import arctan2, reciprocal, safe_sqrt
 from ..._types import Scalar
 
 
@@ -139,5 +139,5 @@ def around_place(
     )
     open_ = jnp.where(covered[cells], none, jnp.maximum(weights, 0))
     total = open_.sum()
-    shared = open_ * jnp.where(total > 0, 1 / jnp.where(total > 0, total, 1), 0)
+    shared = open_ * reciprocal(total)
     return cells, jnp.where(hidden, shared, weights)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool
 
-from ..._numerics import dot
+from ..._numerics import divide, dot
 from ..._staging import together
 from ..._types import Scalar
 from ..._vector import Vec
@@ -50,7 +50,7 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
         toward = place - point
         square = dot(toward, toward)
         facing = jnp.maximum(dot(normal, toward), 0) * jnp.maximum(-dot(area, toward), 0)
-        total = total + weight * facing / jnp.where(square > 0, square * square, 1)
+        total = total + divide(weight * facing, square * square, square != 0)
     return total / jnp.pi
 
 

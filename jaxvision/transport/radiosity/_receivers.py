@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..._numerics import dot
+from ..._numerics import divide, dot
 from ..._staging import TILE, in_tiles
 from ..._vector import Vec, as_array, as_vec, where
 from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
@@ -45,7 +45,7 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
     # of three open parts of four the one across from the body is taken, of fewer their middle.
     middle = as_vec(mean_of_parts(as_array(parts.centre), parts, plan))
     partly = (uncovered > 0) & (uncovered < 1)
-    away = uncovered / jnp.where(partly, jnp.minimum(uncovered, 1 - uncovered), 1)
+    away = divide(uncovered, jnp.minimum(uncovered, 1 - uncovered), partly, uncovered)
     in_the_open = elements.centre + away * (middle - elements.centre)
     elements = eqx.tree_at(
         lambda e: (e.centre, e.area),

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._groups import group_by_structure
-from ..._numerics import dot, normalize
+from ..._numerics import divide, dot, normalize
 from ..._staging import stored
 from ..._types import Colour, Scalar
 from ..._vector import Vec, as_array, as_vec
@@ -88,7 +88,7 @@ def irradiance_at(
                 return None, _by_nodes(light, shapes, point, normal, rule)[1]
             white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))
             met, passed = jax.lax.stop_gradient(_by_nodes(white, shapes, point, normal, rule))
-            share = passed / jnp.where(met > 0, met, 1)
+            share = divide(passed, met, met != 0)
             return None, rectangle_irradiance(light, point, normal) * share
 
         total = total + jax.lax.scan(from_light, None, group)[1].sum(axis=0)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._numerics import dot, norm
+from ..._numerics import dot, norm, reciprocal
 from ..._random import Stream, uniforms
 from ..._types import Scalar
 from ..._vector import Vec
@@ -144,7 +144,7 @@ def _visible_part(
         # aimed above the patch, or it would itself be met by a ray whose start has been moved
         toward = offset_origin(target, patch.normal, patch.normal, size=size) - start
         distance = norm(toward)
-        direction = toward * (1 / jnp.where(distance > 0, distance, 1))
+        direction = toward * reciprocal(distance)
         blocked = occluded(start, element.normal, direction, distance, shapes)
         return seen + jnp.where(blocked, 0, jnp.ones_like(seen))
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._numerics import arctan2, norm, normalize, safe_log, safe_sqrt, smallest_divisor
+from ..._numerics import arctan2, divide, norm, normalize, safe_log, safe_sqrt, smallest_divisor
 from ..._types import Scalar, Scalars
 from ..._vector import Vec, as_vec
 from ...lights import gauss_legendre
@@ -33,8 +33,7 @@ def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     x, y = (_ratio(side, gap) for side in (width, height))
     area = x * y
     extended = area > smallest_divisor(area.dtype) ** 1.5
-    share = 2 * _opposed(x, y) / (jnp.pi * jnp.where(extended, area, 1))
-    return jnp.where(extended, share, 0)
+    return divide(2 * _opposed(x, y), jnp.pi * area, extended)
 
 
 def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
@@ -47,14 +46,13 @@ def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scal
     """
     w, h = (_ratio(side, edge) for side in (width, other))
     wide = w > smallest_divisor(w.dtype)
-    share = _hinged(w, h) / (jnp.pi * jnp.where(wide, w, 1))
-    return jnp.where(wide & (h > 0), share, 0)
+    return divide(_hinged(w, h), jnp.pi * w, wide & (h > 0))
 
 
 def _ratio(side: Scalars, unit: Scalars) -> Scalars:
     """side / unit within [0, _LARGEST]."""
     fits = side < _LARGEST * unit
-    return jnp.where(fits, jnp.maximum(side, 0) / jnp.where(fits, unit, 1), _LARGEST)
+    return divide(jnp.maximum(side, 0), unit, fits, _LARGEST)
 
 
 def _opposed(x: Scalars, y: Scalars) -> Scalars:
@@ -81,7 +79,7 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
     w, h = jnp.minimum(w, h), jnp.maximum(w, h)
     w2, h2 = w * w, h * h
     s = safe_sqrt(w2 + h2)
-    longer = w * (w / jnp.where(s > 0, s + h, 1))  # S - h
+    longer = w * divide(w, s + h, s > 0)  # S - h
     angles = w * arctan2(jnp.ones_like(w), w) + (
         h * arctan2(longer, 1 + h * s) - longer * arctan2(jnp.ones_like(w), s)
     )
@@ -145,7 +143,7 @@ def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2
         x[None], z[None], _node_differences(first[0], second[0])[:, None, None]
     )
     square = v * v + x * x + z * z
-    kernel = x * z / jnp.where(square > 0, square * square, 1)
+    kernel = divide(x * z, square * square, square != 0)
     weights = jnp.asarray(
         _WEIGHTS[:, None, None] * _NODE_WEIGHTS[:, None] * _NODE_WEIGHTS, first.dtype
     )

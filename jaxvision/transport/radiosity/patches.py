@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._numerics import norm, normalize
+from ..._numerics import divide, norm, normalize, reciprocal
 from ..._staging import stored, together
 from ..._vector import Vec, as_vec
 from ...brdf.lambert import Lambert
@@ -116,7 +116,7 @@ def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "
     vector = halves[0] + halves[1]
     sizes = [norm(half) for half in halves]
     both = sizes[0] + sizes[1]
-    share = sizes[0] / jnp.where(both > 0, both, 1)
+    share = divide(sizes[0], both)
     third = jnp.full_like(share, 1 / 3)
     centre = third * (a + c + share * b + (1 - share) * d)
     fields = (*corners, centre, as_vec(normalize(vector)), norm(vector) / 2, bulge)
@@ -146,7 +146,7 @@ def by_patch(
     weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
     sums = jax.ops.segment_sum(weighted * elements.area[:, None], of_patch, count)
     total, area = sums[:, :-1], sums[:, -1:]
-    return total * jnp.where(area > 0, 1 / jnp.where(area > 0, area, 1), 0)
+    return total * reciprocal(area)
 
 
 Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge

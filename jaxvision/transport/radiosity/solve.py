@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._numerics import divide
 from ..._types import Scalar, print_by_name
 
 PatchSpectra = Float[Array, "patches bands"]
@@ -138,8 +139,7 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
     ones = jnp.ones_like(albedo)
     total, term = jax.lax.fori_loop(0, _BOUNCES, once, (ones, ones))
     kept = (albedo * (table @ term)).max(axis=0)
-    bound = total.max(axis=0) / jnp.where(kept < 1, 1 - kept, 1) - 1
-    return jnp.where(kept < 1, bound, jnp.inf).max()
+    return (divide(total.max(axis=0), 1 - kept, kept < 1, jnp.inf) - 1).max()
 
 
 def ambient_estimate(
