@@ -81,10 +81,10 @@ def reciprocal(x: Scalars) -> Scalars:
 
 
 def divide(
-    a: Scalars | float,
+    a: Scalars | float | int,
     b: Scalars,
     where: Bool[Array, "..."] | None = None,
-    otherwise: Scalars | float = 0,
+    otherwise: Scalars | float | int = 0,
 ) -> Scalars:
     """a / b, in the quotient of their units, where the condition holds (default: b > 0); elsewhere
     `otherwise`, with gradient 0 in a and b."""

@@ -1,16 +1,34 @@
-"""What is computed at once and what is stored in between: for speed, no value depends on it."""
+"""What is computed at once and what is stored in between: for speed, no value depends on it.
 
+Parts of JAX below its documented interface make programs faster here; `_primitives` alone uses
+them. Without them the same programs are public JAX and give the same values and derivatives, to
+rounding, up to 20 times slower. PLAIN is True where the installed JAX lacks one of them, or where
+the environment variable JAXVISION_PLAIN_JAX is set, and is not 0, when jaxvision is imported.
+"""
+
+import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.xla_metadata import set_xla_metadata
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
+
+
+def _found() -> Any:
+    """The module `_primitives`, or None."""
+    if os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0"):
+        return None
+    try:
+        from . import _primitives
+    except (ImportError, AttributeError):
+        return None
+    return _primitives
+
+
+_primitives = _found()
+PLAIN = _primitives is None
 
 TILE = 16384  # rays at once: an array of them is 64 kB in float32, and all of a tile fit the cache
 
@@ -19,22 +37,14 @@ TILE = 16384  # rays at once: an array of them is 64 kB in float32, and all of a
 LANES = 64
 
 
-@partial(jax.jit, static_argnums=0)
-def _stage(function: Callable[..., Any], *arguments: Any) -> Any:
-    with set_xla_metadata(inlineable="true"):
-        return function(*arguments)
-
-
 def stored(function: Callable[..., Any], *arguments: Any) -> Any:
     """`function(*arguments)`, computed once and stored.
 
-    XLA fuses a value into every loop that reads it, and so repeats a ray's hit for each band of
-    each light (a render takes twice as long); an optimisation barrier is gone before it fuses. A
-    call that is not inlined is a border that loops do not cross. The attribute would reach all
-    calls inside, each `jnp.where` among them, hence its opposite there.
+    XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
+    compute its first pass again. An optimisation barrier is gone before XLA fuses. Loops do not
+    cross the border of a call that is not inlined.
     """
-    with set_xla_metadata(inlineable="false"):
-        return _stage(function, *arguments)
+    return function(*arguments) if PLAIN else _primitives.not_inlined(function, *arguments)
 
 
 def together(values: Any) -> Any:
@@ -45,8 +55,10 @@ def together(values: Any) -> Any:
     reduction of several arrays is one loop with several results: here over an axis of two equal
     entries, of which the last one stays.
     """
+    if _together is None:
+        return values
     leaves, tree = jax.tree.flatten(values)
-    return jax.tree.unflatten(tree, _together.bind(*leaves))
+    return jax.tree.unflatten(tree, _together(*leaves))
 
 
 def _in_one_loop(*values: Array) -> Sequence[Array]:
@@ -70,100 +82,33 @@ def _in_one_loop(*values: Array) -> Sequence[Array]:
     return results
 
 
-def _batched(
-    primitive: Primitive, values: Sequence[Array], axes: Sequence[int | None]
-) -> tuple[list[Array], list[int]]:
-    (size,) = {v.shape[axis] for v, axis in zip(values, axes, strict=True) if axis is not None}
-    moved = [
-        jnp.broadcast_to(v, (size, *v.shape)) if axis is None else jnp.moveaxis(v, axis, 0)
-        for v, axis in zip(values, axes, strict=True)
-    ]
-    return primitive.bind(*moved), [0] * len(moved)
-
-
-def _of_known(primitive: Primitive, values: Sequence[Any]) -> list[Any]:
-    """The primitive of tangents or cotangents, those that are zero by their structure left
-    alone."""
-    known = [value for value in values if type(value) is not ad.Zero]
-    results = iter(primitive.bind(*known) if known else ())
-    return [value if type(value) is ad.Zero else next(results) for value in values]
-
-
-_together = Primitive("together")
-_together.multiple_results = True
-_together.def_impl(lambda *values: list(values))  # eager values are stored already
-_together.def_abstract_eval(lambda *values: values)
-mlir.register_lowering(_together, mlir.lower_fun(_in_one_loop, multiple_results=True))
-batching.primitive_batchers[_together] = partial(_batched, _together)
-ad.primitive_jvps[_together] = lambda values, tangents: (
-    _together.bind(*values),
-    _of_known(_together, tangents),
-)
-ad.primitive_transposes[_together] = lambda cotangents, *_: _of_known(_together, cotangents)
-
-
-def derived_together(values: Any) -> Any:
-    """The same tree of numbers, as it is; only their cotangents are computed in one loop and
-    stored. For parameters that many rays share: the sums over the rays that follow would else
-    each repeat what the cotangents share."""
-    leaves, tree = jax.tree.flatten(values)
-    return jax.tree.unflatten(tree, _derived.bind(*leaves))
-
-
-_derived = Primitive("derived_together")
-_derived.multiple_results = True
-_derived.def_impl(lambda *values: list(values))
-_derived.def_abstract_eval(lambda *values: values)
-mlir.register_lowering(_derived, lambda context, *values: list(values))
-batching.primitive_batchers[_derived] = partial(_batched, _derived)
-ad.primitive_jvps[_derived] = lambda values, tangents: (
-    list(values),
-    _of_known(_derived, tangents),
-)
-ad.primitive_transposes[_derived] = lambda cotangents, *_: _of_known(_together, cotangents)
+_together = None if PLAIN else _primitives.identity("together", _in_one_loop)
 
 
 def reordered(values: Array, order: Array, back: Array) -> Array:
     """values[order] along the first axis, 0 where `order` points past the end; `back` undoes it:
-    order[back[i]] = i, or past the end for what `order` leaves out.
-
-    Its cotangents are read by `back` as the values are by `order`; those of a plain index are added
-    up one by one, which takes the CPU seven times as long.
-    """
-    return _reordered.bind(values, order, back)
-
-
-def _read(values: Array, order: Array, back: Array) -> Array:
+    order[back[i]] = i, or past the end for what `order` leaves out."""
     del back
     return values.at[order].get(mode="fill", fill_value=0)
 
 
-def _batched_order(arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[Array, int]:
-    """Of many values in one order one reading; of an order for each, a plain index of each."""
-    values, order, back = arguments
-    axis, *of_orders = axes
-    if axis is None or of_orders != [None, None]:
-        return jax.vmap(_read, in_axes=tuple(axes))(*arguments), 0
-    last = values.ndim - 1
-    return _reordered.bind(jnp.moveaxis(values, axis, last), order, back), last
+def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """`function(*arguments, **named)`, a search, whose results are whole numbers and flags.
+
+    `vmap` and derivatives see one step instead of the thousand of a search among all shapes. The
+    gradient of a loop in a loop would trace each of them a dozen times, only to find nothing to
+    differentiate: half of its time to compile.
+    """
+    if PLAIN:
+        arguments, named = jax.lax.stop_gradient((arguments, named))
+        return function(*arguments, **named)
+    return _primitives.one_step(function, *arguments, **named)
 
 
-_reordered = Primitive("reordered")
-_reordered.def_impl(_read)
-_reordered.def_abstract_eval(
-    lambda values, order, back: values.update(shape=(*order.shape, *values.shape[1:]))
-)
-mlir.register_lowering(_reordered, mlir.lower_fun(_read, multiple_results=False))
-batching.primitive_batchers[_reordered] = _batched_order
-ad.primitive_jvps[_reordered] = lambda arguments, tangents: (
-    _reordered.bind(*arguments),
-    tangents[0] if type(tangents[0]) is ad.Zero else _reordered.bind(tangents[0], *arguments[1:]),
-)
-ad.primitive_transposes[_reordered] = lambda cotangent, values, order, back: [
-    cotangent if type(cotangent) is ad.Zero else _reordered.bind(cotangent, back, order),
-    None,
-    None,
-]
+def bilinear(name: str, function: Callable[..., Array], **rules: Any) -> Callable[..., Array]:
+    """A function that is linear in each of two arrays, with the `rules` of `_primitives.bilinear`
+    for its transposes and batches in place of those that JAX finds in its parts."""
+    return function if PLAIN else _primitives.bilinear(name, function, **rules)
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int, keep: Sequence[str] = ()) -> Any:

@@ -20,7 +20,7 @@ from . import brdf
 from ._bands import FEW, Bands, apart, plus
 from ._directions import balanced, in_frame, where_clear
 from ._groups import group_by_structure
-from ._staging import derived_together, together
+from ._staging import together
 from ._types import Colour, Scalar, common_dtype
 from ._vector import Vec, Vector, as_vec
 from .brdf.mirror import Mirror
@@ -237,7 +237,6 @@ def _in_numbers(material: Material) -> Callable[[], Material]:
     leaves, tree = jax.tree.flatten(material)
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
     numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
-    numbers = derived_together(numbers)
 
     def assembled() -> Material:
         again = list(leaves)

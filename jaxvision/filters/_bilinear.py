@@ -11,13 +11,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
+from .._staging import bilinear
 from ._methods import METHODS, Anchor, Kernel, Result, Stack, by_fft, padded
-
-_correlate_p = Primitive("jaxvision_correlate")
 
 # Inner products, one a tap, up to this many; a transform beyond.
 _MOST_PRODUCTS = 25
@@ -28,7 +25,7 @@ def correlate_stack(
 ) -> Result:
     """g[p] = sum over i of kernel[i] image[p + i - anchor]; `border` "none", "zero", "clamp",
     "wrap", "mirror" or "extend", `method` "conv", "direct" or "fft"."""
-    return _correlate_p.bind(image, kernel, anchor=anchor, border=border, method=method)
+    return _correlate(image, kernel, anchor=anchor, border=border, method=method)
 
 
 @partial(jax.jit, static_argnames=("anchor", "border", "method"))
@@ -108,8 +105,10 @@ def _shape(image: Any, kernel: Any, *, border: str, **_: Any) -> Any:
     return image.update(shape=(n, h, w, c), weak_type=False)
 
 
-_correlate_p.def_impl(_implementation)
-_correlate_p.def_abstract_eval(_shape)
-mlir.register_lowering(_correlate_p, mlir.lower_fun(_implementation, multiple_results=False))
-ad.defbilinear(_correlate_p, _image_transpose, _kernel_transpose)
-batching.primitive_batchers[_correlate_p] = _batched
+_correlate = bilinear(
+    "jaxvision_correlate",
+    _implementation,
+    shape=_shape,
+    transposes=(_image_transpose, _kernel_transpose),
+    batched=_batched,
+)

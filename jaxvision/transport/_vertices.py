@@ -26,7 +26,7 @@ from .. import brdf
 from .._bands import Bands, apart
 from .._groups import group_by_structure, take
 from .._numerics import divide, dot, reciprocal, select, smallest_divisor
-from .._staging import together
+from .._staging import searched, together
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec, where
 from ..brdf.glass import Glass, Split, interface
@@ -44,7 +44,6 @@ from ..geometry import (
 from ..hemisphere import Frame, local_frame, to_local, to_world
 from ..scene import Material, Scene
 from ._emitters import LARGEST
-from ._search import searched
 
 Carries = Literal["radiance", "light"]
 SEARCHED = "searched"  # what a search among all shapes found: a gradient keeps it, see `paths`
