@@ -20,11 +20,8 @@ Loops = Callable[..., Sequence[Array]]
 # for each `vmap`, the innermost first: the size of the batch, and each value's axis of it
 Layers = tuple[tuple[int, tuple[int | None, ...]], ...]
 
-# A JAX that lacks one of these is found out at import.
-_NEEDED = (
-    *(ad.Zero, ad.defbilinear, ad.primitive_jvps, ad.primitive_transposes),
-    *(batching.primitive_batchers, mlir.lower_fun, mlir.register_lowering),
-)
+# What nothing below uses on import: a JAX that lacks it is found out then.
+_NEEDED = ad.Zero, ad.defbilinear, ad.primitive_transposes.get
 
 
 @partial(jax.jit, static_argnums=0)
