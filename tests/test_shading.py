@@ -117,10 +117,18 @@ SHINING = {
 KEY = jax.random.key(7)
 
 
+# Each kind and each light once by default, the other pairs with the slow tests.
+FIRST = {
+    "lambert": "environment",
+    "oren-nayar": "light field",
+    "phong shading": "rectangle",
+    "normalised phong": "rectangle",
+    "torrance-sparrow": "rectangle",
+}
+
+
 def _pair(kind, light):
-    """Each kind and each light once by default, the other pairs with the slow tests."""
-    first = kind == "torrance-sparrow" or light == "rectangle"
-    return pytest.param(kind, light, marks=() if first else pytest.mark.slow)
+    return pytest.param(kind, light, marks=() if FIRST[kind] == light else pytest.mark.slow)
 
 
 @pytest.mark.parametrize(
