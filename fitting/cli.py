@@ -2,52 +2,37 @@
 from files of measured BRDFs, and a demo that simulates such a folder first.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
+The libraries that compute are imported once the arguments, the paths and the rig are known to be
+good, so that `--help` and a mistake are answered at once.
 """
 
 import inspect
+import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import jax
-import numpy as np
 import typer
 
+from jaxvision import __version__
 from jaxvision.command_line import failures_as_sentences, leave
 from jaxvision.errors import InputError
 
-from .inference.posterior import Progress, SamplingOptions
-from .report.console import Reporter, output, print_section, reporting
-from .report.section import Section
+from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
+from .report.progress import Progress, Reporter, reporting
+from .rig import load_rig
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .inference.emcee_run import SamplingOptions
+    from .report.section import Section
 
 COMMAND = "jaxvision-fit"
-
-
-class Model(StrEnum):
-    """Reflectance models that `brdf` reports in full."""
-
-    LAMBERT = "lambert"
-    OREN_NAYAR = "oren-nayar"
-    PHONG = "phong"
-    NORMALISED_PHONG = "normalised-phong"
-    GAUSSIAN_LOBE = "gaussian-lobe"
-    BLINN = "blinn"
-    NORMALISED_BLINN = "normalised-blinn"
-    TORRANCE_SPARROW = "torrance-sparrow"
-    TORRANCE_SPARROW_GGX = "torrance-sparrow-ggx"
-    TORRANCE_SPARROW_METAL = "torrance-sparrow-metal"
-
-
-class Objective(StrEnum):
-    """What a fit of measured reflectance minimises."""
-
-    COSINE = "cosine"
-    CUBE_ROOT = "cube-root"
 
 
 @dataclass(frozen=True)
@@ -66,12 +51,13 @@ class Options:
     steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
     walkers: Annotated[int, typer.Option(help="Walkers (--mcmc).", min=4)] = 64
 
-    def sampling(self, kind: str, progress: Progress) -> SamplingOptions | None:
+    def sampling(self, kind: str, progress: Progress) -> "SamplingOptions | None":
         """How to sample, or None for Laplace."""
+        from .inference.emcee_run import SamplingOptions
+
         if not self.mcmc:
             return None
         return SamplingOptions(
-            seed=self.seed,
             walkers=self.walkers,
             steps=self.steps,
             block=min(100, self.steps),
@@ -81,15 +67,34 @@ class Options:
 
 
 CHECKPOINT = "checkpoint"
-Images = dict[str, np.ndarray]
-Calibrate = Callable[[Reporter], tuple[list[Section], Images]]
+Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Calibrate camera noise, camera response and surface reflectance from images.",
-)
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> bool:
+    if wanted:
+        print(f"jaxvision {__version__}")
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=_print_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """Calibrate camera noise, camera response and surface reflectance from images."""
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; check the name.")
+    return path
 
 
 def _path(text: str) -> Path:
@@ -108,7 +113,7 @@ RigPath = Annotated[
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Registers a sub-command, whose `options` hold what the options that all share say."""
+    """Registers a sub-command; its `options` gathers the options that all commands share."""
     shared = inspect.signature(Options).parameters
     own = dict(inspect.signature(function).parameters)
     del own["options"]
@@ -141,46 +146,45 @@ def noise(
     ] = "",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
-    from .noise.calibration import calibrate as calibrate_noise
-    from .noise.read import read_photon_transfer
-    from .noise.section import section as noise_section
 
-    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+    def calibrate_noise(reporter: Reporter) -> tuple[list, dict]:
+        _ = _existing(path) if path.suffix.lower() == ".csv" else load_rig(path)
+        from .noise.calibration import calibrate
+        from .noise.read import read_photon_transfer
+        from .noise.section import section
+
         with reporter.step("reading frames"):
             measurement = read_photon_transfer(path, bits=bits, channel=channel)
         with reporter.step("fitting photon transfer") as progress:
             sampling = options.sampling("noise", progress)
-            calibration = calibrate_noise(measurement, sampling=sampling, seed=options.seed)
-        return [noise_section(calibration)], {}
+            calibration = calibrate(measurement, sampling=sampling, seed=options.seed)
+        return [section(calibration)], {}
 
-    _run("Photon transfer", path, options, calibrate)
+    _run("Photon transfer", path, options, calibrate_noise)
 
 
 @_command
-def response(
-    options: Options,
-    path: RigPath,
-) -> None:
+def response(options: Options, path: RigPath) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
-    from .response.calibration import calibrate as calibrate_response
-    from .response.calibration import radiance_images
-    from .response.read import read_exposure_stack
-    from .response.section import section as response_section
-    from .rig import load_rig
 
-    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+    def calibrate_response(reporter: Reporter) -> tuple[list, dict]:
+        rig = load_rig(path)
+        from .response.calibration import calibrate, radiance_images
+        from .response.read import read_exposure_stack
+        from .response.section import section
+
         with reporter.step("reading exposures"):
-            stack = read_exposure_stack(load_rig(path))
+            stack = read_exposure_stack(rig)
         with reporter.step("fitting response") as progress:
             sampling = options.sampling("response", progress)
-            calibration = calibrate_response(stack, sampling=sampling, seed=options.seed)
+            calibration = calibrate(stack, sampling=sampling, seed=options.seed)
         images = {
             f"radiance_{group}.exr" if group else "radiance.exr": radiance
             for group, radiance in radiance_images(calibration).items()
         }
-        return [response_section(calibration)], images
+        return [section(calibration)], images
 
-    _run("Camera response", path, options, calibrate)
+    _run("Camera response", path, options, calibrate_response)
 
 
 @_command
@@ -203,14 +207,14 @@ def brdf(
     ] = None,
     index: Annotated[
         float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
-    ] = 1.5,
+    ] = INDEX,
     compare_all: Annotated[
         bool, typer.Option("--compare-all", help="Rig: fit all models, not only the usual ones.")
     ] = False,
     ambient: Annotated[
         bool, typer.Option("--ambient", help="Rig: fit a constant ambient light per channel.")
     ] = False,
-    gamma: Annotated[
+    fit_gamma: Annotated[
         bool, typer.Option("--fit-gamma", help="Rig: fit the encoding exponent of the images.")
     ] = False,
     minimum_cosine: Annotated[
@@ -225,117 +229,122 @@ def brdf(
 ) -> None:
     """Reflectance from images of a known shape, or of measured BRDFs, models compared on held-out
     lights or angles."""
-    from .reflectance.from_files.read import is_measured_brdf
-
-    if any(is_measured_brdf(path) for path in paths):
-        for_rigs = {
-            "--compare-all": compare_all,
-            "--ambient": ambient,
-            "--fit-gamma": gamma,
-            "--minimum-cosine": minimum_cosine,
-        }
-        _brdf_of_files(paths, options, model, index, objective or Objective.COSINE, for_rigs)
-        return
-    from .reflectance.from_images.calibration import calibrate as calibrate_reflectance
-    from .reflectance.from_images.read import read_reflectance_observation
-    from .reflectance.from_images.section import section as reflectance_section
-    from .rig import load_rig
-
-    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
-        if len(paths) > 1:
-            raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
-        if paths[0].is_file() and paths[0].suffix != ".toml":
-            raise InputError(
-                f"{paths[0]}: neither a rig nor a file of measured reflectance by its suffix; give "
-                "a folder with a rig.toml, or a .brdf, .bsdf or .binary file."
-            )
-        if objective is not None:
-            raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
-        with reporter.step("reading images"):
-            observation = read_reflectance_observation(load_rig(paths[0]))
-        with reporter.step("fitting reflectance") as progress:
-            sampling = options.sampling("brdf", progress)
-            calibration = calibrate_reflectance(
-                observation,
-                model=(model or Model.PHONG).value,
-                compare_all=compare_all,
-                index=index,
-                sampling=sampling,
-                ambient=ambient,
-                fit_gamma=gamma,
-                minimum_cosine=minimum_cosine,
-            )
-        return [reflectance_section(calibration)], {}
-
-    _run("Reflectance", paths[0], options, calibrate)
+    of_rigs = {
+        "compare_all": compare_all,
+        "ambient": ambient,
+        "fit_gamma": fit_gamma,
+        "minimum_cosine": minimum_cosine,
+    }
+    measured = any(is_measured_brdf(path) for path in paths)
+    work = partial(
+        _measured_files if measured else _images_of_a_rig,
+        *(paths, options, model, index, objective, of_rigs),
+    )
+    _run("Measured reflectance" if measured else "Reflectance", paths[0], options, work)
 
 
-def _brdf_of_files(
+def _images_of_a_rig(
     paths: Sequence[Path],
     options: Options,
     model: Model | None,
     index: float,
-    objective: Objective,
-    for_rigs: dict[str, bool | float],
-) -> None:
-    from .reflectance.from_files.calibration import calibrate as calibrate_brdf
-    from .reflectance.from_files.read import is_measured_brdf, read_measured_brdf
-    from .reflectance.from_files.section import materials_section
-    from .reflectance.from_files.section import section as material_section
+    objective: Objective | None,
+    of_rigs: dict[str, Any],
+    reporter: Reporter,
+) -> tuple[list, dict]:
+    if len(paths) > 1:
+        raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
+    if paths[0].is_file() and paths[0].suffix != ".toml":
+        raise InputError(
+            f"{paths[0]}: neither a rig nor a file of measured reflectance by its suffix; give "
+            "a folder with a rig.toml, or a .brdf, .bsdf or .binary file."
+        )
+    if objective is not None:
+        raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
+    rig = load_rig(paths[0])
+    from .reflectance.from_images.calibration import calibrate
+    from .reflectance.from_images.read import read_reflectance_observation
+    from .reflectance.from_images.section import section
 
-    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
-        for path in paths:
-            if not is_measured_brdf(path):
-                raise InputError(
-                    f"{path}: no file of measured reflectance beside ones that are; give either "
-                    "such files (.brdf, .bsdf, .binary) or one rig folder."
-                )
-        given = [name for name, value in for_rigs.items() if value]
-        if given:
-            raise InputError(f"{paths[0]}: {given[0]} is for images; leave it out for files.")
-        with reporter.step("reading samples"):
-            materials = [read_measured_brdf(path) for path in paths]
-        names = [material.name for material in materials]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"{name}: two files have this name; rename one of them.")
-        calibrations = []
-        for material in materials:
-            with reporter.step(f"fitting {material.name}") as progress:
-                calibrations.append(
-                    calibrate_brdf(
-                        material,
-                        model=None if model is None else model.value,
-                        objective=objective.value,
-                        index=index,
-                        sampling=options.sampling("brdf", progress),
-                        seed=options.seed,
-                    )
-                )
-        compared = [materials_section(calibrations)] if len(calibrations) > 1 else []
-        return [*compared, *(material_section(c) for c in calibrations)], {}
+    with reporter.step("reading images"):
+        observation = read_reflectance_observation(rig)
+    with reporter.step("fitting reflectance") as progress:
+        sampling = options.sampling("brdf", progress)
+        calibration = calibrate(
+            observation,
+            model=model or "phong",
+            index=index,
+            sampling=sampling,
+            seed=options.seed,
+            **of_rigs,
+        )
+    return [section(calibration)], {}
 
-    _run("Measured reflectance", paths[0], options, calibrate)
+
+def _measured_files(
+    paths: Sequence[Path],
+    options: Options,
+    model: Model | None,
+    index: float,
+    objective: Objective | None,
+    of_rigs: dict[str, Any],
+    reporter: Reporter,
+) -> tuple[list, dict]:
+    for path in paths:
+        if not is_measured_brdf(_existing(path)):
+            raise InputError(
+                f"{path}: not a measured-BRDF file, unlike the others; give either such files "
+                "(.brdf, .bsdf, .binary) or one rig folder."
+            )
+    for name, value in of_rigs.items():
+        if value:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
+    from .reflectance.from_files.calibration import calibrate
+    from .reflectance.from_files.read import read_measured_brdf
+    from .reflectance.from_files.section import materials_section, section
+
+    with reporter.step("reading samples"):
+        materials = [read_measured_brdf(path) for path in paths]
+    names = [material.name for material in materials]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name}: two files have this name; rename one of them.")
+    calibrations = []
+    for material in materials:
+        with reporter.step(f"fitting {material.name}") as progress:
+            calibrations.append(
+                calibrate(
+                    material,
+                    model=model,
+                    objective=objective or "cosine",
+                    index=index,
+                    sampling=options.sampling("brdf", progress),
+                    seed=options.seed,
+                )
+            )
+    compared = [materials_section(calibrations)] if len(calibrations) > 1 else []
+    return [*compared, *(section(calibration) for calibration in calibrations)], {}
 
 
 @_command
 def demo(options: Options) -> None:
     """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
     in the folder jaxvision-demo, or the one of --out."""
-    from .demo.compare import calibrate_lab
-    from .demo.lab import simulate_lab
-    from .demo.section import section as demo_section
-
     out = options.out or Path("jaxvision-demo")
     options = replace(options, out=out)
 
-    def calibrate(reporter: Reporter) -> tuple[list[Section], Images]:
+    def calibrate_demo(reporter: Reporter) -> tuple[list, dict]:
+        from .demo.compare import calibrate_lab
+        from .demo.lab import simulate_lab
+        from .demo.section import section
+
         with reporter.step("simulating the lab") as progress:
             truth = simulate_lab(out / "lab", seed=options.seed, progress=progress)
-        sections = calibrate_lab(out / "lab", reporter.step, options.sampling)
-        return [demo_section(sections, truth), *sections], {}
+        sections = calibrate_lab(out / "lab", reporter.step, options.sampling, seed=options.seed)
+        return [section(sections, truth), *sections], {}
 
-    _run("A simulated lab afternoon", out, options, calibrate)
+    _run("A simulated lab afternoon", out, options, calibrate_demo)
 
 
 _failures = partial(
@@ -347,15 +356,16 @@ _failures = partial(
 
 def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
     """Calibrates, writes what was asked for, prints the result."""
-    from jaxvision.io import write_image
-
-    from .report.page import as_json, write_report
-
     with _failures(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
             sections, images = calibrate(reporter)
+        from jaxvision.io import write_image
+
+        from .report.console import output, print_section
+        from .report.page import as_json, write_report
+
         settings = {"input": path.name, **asdict(options)}
         if options.out is not None:
             with reporter.step("writing the report"):
@@ -391,7 +401,7 @@ def _folder(out: Path | None) -> Iterator[None]:
 
 
 def main() -> None:
-    """Entry point. Calibration needs double precision, so it is switched on here, never on
-    import."""
-    jax.config.update("jax_enable_x64", True)
+    """Entry point. Calibration needs double precision, so it is asked for here, never on import of
+    the package, and by the environment, since JAX itself is imported only where it is needed."""
+    os.environ["JAX_ENABLE_X64"] = "1"
     app()

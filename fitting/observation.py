@@ -16,8 +16,19 @@ from .rig import Camera, Rig
 
 
 def read_frame(path: Path, camera: Camera) -> np.ndarray:
-    """One image's digital numbers; `InputError` for non-finite, negative or too large ones and for
-    data whose depth contradicts the camera's `bits`."""
+    """Digital numbers of one image.
+
+    Args:
+        path: of the image.
+        camera: whose bits the numbers must fit.
+
+    Returns:
+        (h, w) or (h, w, channels) DN, float64, as stored.
+
+    Raises:
+        InputError: for non-finite, negative or too large numbers, and for data of a depth that
+            contradicts the camera's `bits`.
+    """
     stored = read_image(path)
     numeric = np.issubdtype(stored.dtype, np.integer) or np.issubdtype(stored.dtype, np.floating)
     if not numeric or stored.ndim not in (2, 3) or stored.size == 0:
@@ -43,7 +54,18 @@ def read_frame(path: Path, camera: Camera) -> np.ndarray:
 
 
 def read_stack(rig: Rig, files: Sequence[str]) -> np.ndarray:
-    """Frames of one size as (frames, h, w[, channels])."""
+    """Frames of one size.
+
+    Args:
+        rig: that names them.
+        files: names within the rig.
+
+    Returns:
+        (frames, h, w) or (frames, h, w, channels) DN.
+
+    Raises:
+        InputError: for frames of different size, and as `read_frame` does.
+    """
     frames = [read_frame(rig.path(name), rig.camera) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
@@ -55,8 +77,19 @@ def read_stack(rig: Rig, files: Sequence[str]) -> np.ndarray:
 
 
 def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """Colour planes of one frame by name: `grey` for (h, w), `red green blue` for (h, w, 3), and
-    for a Bayer mosaic its four sites `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2)."""
+    """Colour planes of one frame by name.
+
+    Args:
+        frame: (h, w) or (h, w, 3).
+        camera: whose `pattern` says whether the frame is a mosaic.
+
+    Returns:
+        `grey` for (h, w), `red green blue` for (h, w, 3), and for a Bayer mosaic its four sites
+        `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2).
+
+    Raises:
+        InputError: for another number of channels.
+    """
     if frame.ndim == 3:
         if frame.shape[2] != 3:
             raise InputError(
@@ -73,7 +106,18 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
-    """A boolean (h, w) mask: true where any channel of the image is non-zero."""
+    """A mask of pixels.
+
+    Args:
+        path: of the image.
+        shape: (h, w) that it must have.
+
+    Returns:
+        (h, w), true where any channel of the image is non-zero.
+
+    Raises:
+        InputError: for another size.
+    """
     mask = read_image(path) != 0
     mask = mask.any(axis=-1) if mask.ndim == 3 else mask
     if mask.shape != shape:

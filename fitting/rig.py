@@ -16,7 +16,6 @@ from jaxvision.errors import InputError
 from jaxvision.toml_files import Entry, checked, read_toml
 
 RIG_FILE = "rig.toml"
-BAYER_PHASES = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -27,12 +26,19 @@ Vector = tuple[Finite, Finite, Finite]
 class Camera(Entry):
     """`[camera]`: what is known of the camera; what is not known stays out.
 
-    bits: ADC bits of the digital numbers in the files (12-bit data may sit in 16-bit files).
-    black_level: DN without light. saturation: DN from which a pixel counts as clipped (default:
-    2^bits - 1). gamma: encoding exponent of the files, 1 = linear. gain: DN per electron.
-    read_noise: electrons rms; without both gain and read_noise a fit estimates its pixels' noise
-    from their residuals. pattern: phase of a Bayer mosaic. pixel_pitch: metres.
-    wavelength: metres, of the monochromatic light of the flats.
+    Without both gain and read_noise a fit estimates the noise of its pixels from their residuals.
+
+    Attributes:
+        bits: ADC bits of the digital numbers in the files (12-bit data may lie in 16-bit files), 1
+            to 16.
+        black_level: DN without light.
+        saturation: DN from which a pixel counts as clipped (default: 2^bits - 1).
+        gamma: encoding exponent of the files; 1 is linear.
+        gain: DN per electron.
+        read_noise: electrons rms.
+        pattern: phase of a Bayer mosaic.
+        pixel_pitch: m.
+        wavelength: m, of the monochromatic light of the flats.
     """
 
     bits: Annotated[int, Field(ge=1, le=16)]
@@ -55,9 +61,16 @@ class Camera(Entry):
 
 
 class Flat(Entry):
-    """`[[flat]]`: two or more images of one uniform field. exposure: seconds. photons: mean photons
-    per pixel, or irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength);
-    neither is needed unless the quantum efficiency is wanted."""
+    """`[[flat]]`: two or more images of one uniform field.
+
+    Neither photons nor irradiance is needed unless the quantum efficiency is wanted.
+
+    Attributes:
+        files: names.
+        exposure: s.
+        photons: mean photons per pixel and exposure.
+        irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength).
+    """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
     exposure: Positive
@@ -66,15 +79,26 @@ class Flat(Entry):
 
 
 class Dark(Entry):
-    """`[[dark]]`: two or more images without light. exposure: seconds."""
+    """`[[dark]]`: two or more images without light.
+
+    Attributes:
+        files: names.
+        exposure: s.
+    """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
     exposure: Positive
 
 
 class Exposure(Entry):
-    """`[[exposure]]`: one image of an exposure stack of a still scene. exposure: seconds.
-    channels of colour images are taken apart; group separates stacks (an illumination band)."""
+    """`[[exposure]]`: one image of an exposure stack of a still scene. Colour channels are fitted
+    apart.
+
+    Attributes:
+        file: name.
+        exposure: s.
+        group: separates stacks (an illumination band).
+    """
 
     file: str
     exposure: Positive
@@ -82,10 +106,17 @@ class Exposure(Entry):
 
 
 class Light(Entry):
-    """`[[light]]`: one image of the object under one light. direction: unit vector from the object
-    toward a distant light, or position: metres (then `[geometry]` needs a sphere in metres).
-    intensity: irradiance per channel on a surface facing the light (W m^-2 or relative), or the
-    point light's radiant intensity. held_out: keep this image for testing the prediction."""
+    """`[[light]]`: one image of the object under one light, which has either a direction or a
+    position.
+
+    Attributes:
+        file: name.
+        direction: unit vector from the object toward a distant light.
+        position: m, from the centre of the sphere (then `[geometry]` needs a sphere in metres).
+        intensity: irradiance per channel on a surface facing the light (W m^-2 or relative), or the
+            radiant intensity of a point light.
+        held_out: keep this image for testing the prediction.
+    """
 
     file: str
     direction: Vector | None = None
@@ -107,8 +138,13 @@ class Light(Entry):
 
 
 class SphereGeometry(Entry):
-    """A sphere seen orthographically along -z (x right, y up, z toward the camera): centre (column,
-    row) and radius in pixels, pixel centres at integers; radius_m: metres, for point lights."""
+    """A sphere seen orthographically along -z (x right, y up, z toward the camera).
+
+    Attributes:
+        centre: (column, row) in pixels, pixel centres at integers.
+        radius: pixels.
+        radius_m: m, for point lights.
+    """
 
     centre: tuple[Finite, Finite]
     radius: Positive
@@ -116,8 +152,13 @@ class SphereGeometry(Entry):
 
 
 class Geometry(Entry):
-    """`[geometry]`: a sphere, or a normals file ((h, w, 3) `.npy` or EXR; x right, y up, z toward
-    the camera); mask: an image that is non-zero where the object is."""
+    """`[geometry]`: either a sphere or a file of normals.
+
+    Attributes:
+        sphere: seen orthographically.
+        normals: an (h, w, 3) `.npy` or EXR file; x right, y up, z toward the camera.
+        mask: an image that is non-zero where the object is.
+    """
 
     sphere: SphereGeometry | None = None
     normals: str | None = None
@@ -131,7 +172,18 @@ class Geometry(Entry):
 
 
 class Rig(Entry):
-    """A whole rig file. `folder` is where its paths start."""
+    """A whole rig file.
+
+    Attributes:
+        folder: where its paths start.
+        camera: that took the images.
+        root: folder of the images, relative to `folder`; `${NAME}` is an environment variable.
+        flat: of the noise calibration.
+        dark: of the noise calibration, and the black level of a response.
+        exposure: of the response calibration.
+        light: of the reflectance calibration.
+        geometry: of the reflectance calibration.
+    """
 
     folder: Path
     camera: Camera
@@ -148,7 +200,17 @@ class Rig(Entry):
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
-    """The checked rig of a folder (its `rig.toml`) or of a rig file given by name."""
+    """Reads and checks a rig.
+
+    Args:
+        path: a folder with a `rig.toml`, or a rig file by name.
+
+    Returns:
+        The rig; no image is read.
+
+    Raises:
+        InputError: names the file, the entry and the remedy.
+    """
     file = Path(path)
     if file.is_dir():
         file = file / RIG_FILE
@@ -164,7 +226,16 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def require(rig: Rig, *sections: str, purpose: str) -> None:
-    """`InputError` naming the first of these sections that the rig lacks."""
+    """Refuses a rig that lacks what a calibration needs.
+
+    Args:
+        rig: to check.
+        sections: names of its fields; the first that is empty is named.
+        purpose: "a response calibration", say.
+
+    Raises:
+        InputError: for a missing section.
+    """
     for section in sections:
         if not getattr(rig, section):
             heading = f"[{section}]" if section == "geometry" else f"[[{section}]]"

@@ -15,15 +15,16 @@ from oracles import brdfs
 from typer.testing import CliRunner
 
 from fitting import cli
-from fitting.inference.posterior import SamplingOptions
-from fitting.inference.shared_shape import fit_shared_shape
+from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.separable import fit_separable
 from fitting.reflectance.from_files.calibration import best, errors, prediction_of_held_out
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
 from fitting.reflectance.from_files.fit import fit_model
 from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import materials_section
 from fitting.reflectance.from_files.section import section as material_section
-from fitting.reflectance.models import INDEX, MODELS, REFLECTANCES, unit_brdf
+from fitting.reflectance.models import REFLECTANCES, unit_brdf
+from fitting.reflectance.names import INDEX, MODELS
 from fitting.report.page import as_json
 from jaxvision._vector import as_vec
 from jaxvision.brdf.half_difference import HalfDifferenceTable
@@ -157,11 +158,11 @@ def test_amplitudes_stay_positive_and_bands_share_one_shape():
     def columns(logs):
         return jnp.exp(-jnp.exp(logs)[:, None] * x[None])
 
-    found = fit_shared_shape(
-        columns, jnp.ones(80), jnp.asarray(y), jnp.asarray(weights), lower=-2.0, upper=3.0
+    found = fit_separable(
+        columns, jnp.ones((1, 80)), jnp.asarray(y), jnp.asarray(weights), lower=-2.0, upper=3.0
     )
-    np.testing.assert_allclose(np.exp(found.shape), 2, rtol=0.05)
-    design = np.column_stack([np.ones(80), np.exp(-np.exp(found.shape) * x)])
+    np.testing.assert_allclose(np.exp(found.nonlinear), 2, rtol=0.05)
+    design = np.column_stack([np.ones(80), np.exp(-np.exp(found.nonlinear) * x)])
     total = 0.0
     for band in range(3):
         root = np.sqrt(weights[:, band])
@@ -378,7 +379,7 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
         ((junk, "--out", tmp_path / "new"), "not an RGL tensor file"),
         ((empty,), "count of wavelengths"),
         ((junk,), "not an RGL tensor file"),
-        ((good, tmp_path / "rig"), "no file of measured reflectance"),
+        ((good, tmp_path / "rig"), "not a measured-BRDF file"),
         ((good, copy), "two files have this name"),
         ((good, "--index", "0.9"), "index = 0.9"),
         ((good, "--fit-gamma"), "--fit-gamma is for images"),

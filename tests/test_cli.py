@@ -201,3 +201,36 @@ def test_eight_bit_numbers_in_sixteen_bit_files_are_refused(lab, tmp_path):
 def test_a_misspelt_key_is_named(tmp_path):
     (tmp_path / "rig.toml").write_text("[camera]\nbitz = 12\n")
     assert "camera.bitz is not a key" in one_sentence(run("noise", tmp_path)[2])
+
+
+def test_what_needs_no_computation_imports_none(tmp_path):
+    """Help, the version, and paths and rigs that cannot be used; all in one fresh process."""
+    attempts = [
+        ["--help"],
+        ["--version"],
+        ["brdf", "--help"],
+        ["noise", str(tmp_path / "none")],
+        ["noise", str(tmp_path / "none.csv")],
+        ["response", str(tmp_path)],
+        ["brdf", str(tmp_path / "none.bsdf")],
+        ["brdf", str(broken_rig(tmp_path / "rig") / "rig.txt")],
+        ["noise", "--nonsense"],
+    ]
+    program = (
+        "import sys, json\n"
+        "from fitting.cli import main\n"
+        "ends = []\n"
+        f"for arguments in {attempts}:\n"
+        "    sys.argv = ['jaxvision-fit', *arguments]\n"
+        "    try: main()\n"
+        "    except SystemExit as end: ends.append(end.code)\n"
+        "loaded = {name.split('.')[0] for name in sys.modules}\n"
+        "print(json.dumps([ends, sorted(loaded)]))\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    ends, loaded = json.loads(ran.stdout.splitlines()[-1])
+    assert ends == [0, 0, 0, 2, 2, 2, 2, 2, 2]
+    assert "jaxvision" in loaded
+    assert not set(loaded) & {"jax", "equinox", "scipy", "matplotlib", "emcee", "xarray"}

@@ -11,10 +11,10 @@ from oracles.cameras import CameraTruth, expose, sweep
 from scipy.stats import norm, poisson
 from test_emva1288 import measurement_of, noise_free
 
+from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
-from fitting.inference.posterior import SamplingOptions
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import evaluate, ranges, sheet, statistics
 from fitting.noise.fit import (
@@ -379,7 +379,7 @@ def _barrier(vector, target):
 def test_sampling_agrees_with_laplace():
     measured = simulate(CameraTruth(), seed=3)
     smooth = calibrate_noise(measured)
-    drawn = calibrate_noise(measured, sampling=SamplingOptions(seed=1, walkers=32))
+    drawn = calibrate_noise(measured, sampling=SamplingOptions(walkers=32), seed=1)
     for name in ("system_gain", "read_noise", "quantum_efficiency"):
         one, two = (find(c.sheet, name) for c in (smooth, drawn))
         assert abs(one.value - two.value) < 0.15 * one.standard_error

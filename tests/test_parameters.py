@@ -8,7 +8,6 @@ from scipy import stats
 
 from fitting.inference.parameters import (
     Parameter,
-    bounds,
     log_prior,
     names,
     to_natural,
@@ -30,7 +29,7 @@ def test_round_trip_over_the_whole_range():
 
 def test_any_vector_lands_inside_the_bounds():
     natural = to_natural(SPACE, jnp.array([[-40.0, -40.0, -40.0], [40.0, 40.0, 30.0]]))
-    lower, upper = bounds(SPACE)
+    lower, upper = ([getattr(p, end) for p in SPACE] for end in ("lower", "upper"))
     assert (np.asarray(natural) >= lower).all()
     assert (np.asarray(natural) <= upper).all()
 

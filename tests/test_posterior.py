@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fitting.inference.emcee_run import SamplingOptions, for_group
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import (
-    SamplingOptions,
-    convergence_in_words,
-    estimates,
-    for_group,
-    laplace,
-    sample,
-)
+from fitting.inference.posterior import convergence_in_words, estimates, laplace, sample
 from jaxvision.errors import InputError
 
 COVARIANCE = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.3], [0.0, 0.3, 2.0]])
@@ -27,7 +21,8 @@ SPACE = (
     Parameter("dark", symbol="d", unit="e-"),
 )
 ORIGIN = jnp.zeros(3)
-SHORT = {"walkers": 32, "block": 100, "seed": 5}
+SHORT = {"walkers": 32, "block": 100}
+SEED = 5
 
 
 def gaussian(vector, precision):
@@ -75,11 +70,14 @@ def test_laplace_refuses_an_open_direction_in_words():
         laplace(flat, SPACE, ORIGIN, jnp.asarray(-1.0))
 
 
+def chain_of(options, *, precision=PRECISION, seed=SEED):
+    return sample(gaussian, SPACE, ORIGIN, COVARIANCE, precision, options=options, seed=seed)
+
+
 @pytest.fixture(scope="module")
 def sampled():
     """One chain that runs through, and the same one killed after 300 steps and resumed."""
-    options = SamplingOptions(**SHORT, steps=20_000)
-    return sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+    return chain_of(SamplingOptions(**SHORT, steps=20_000))
 
 
 def test_emcee_finds_the_gaussian(sampled):
@@ -94,10 +92,10 @@ def test_emcee_finds_the_gaussian(sampled):
 
 
 def test_the_same_seed_gives_the_same_chain_and_another_another(sampled):
-    again = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=SamplingOptions(**SHORT))
+    again = chain_of(SamplingOptions(**SHORT))
     np.testing.assert_array_equal(again.draws, sampled.draws)
-    other = SamplingOptions(**{**SHORT, "seed": 6})
-    different = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=other)
+    different = chain_of(SamplingOptions(**SHORT), seed=6)
+    assert (sampled.seed, different.seed) == (SEED, 6)
     assert different.draws.shape != sampled.draws.shape or (different.draws != sampled.draws).any()
 
 
@@ -114,17 +112,10 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
         return SamplingOptions(**SHORT, checkpoint=tmp_path / "c", progress=progress)
 
     with pytest.raises(KilledError):
-        sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options(kill))
+        chain_of(options(kill))
     assert len(list((tmp_path / "c").glob("*.npz"))) == 1
     resumed_at = []
-    resumed = sample(
-        gaussian,
-        SPACE,
-        ORIGIN,
-        COVARIANCE,
-        PRECISION,
-        options=options(lambda done, total: resumed_at.append(done)),
-    )
+    resumed = chain_of(options(lambda done, total: resumed_at.append(done)))
     assert resumed_at[0] == 200
     np.testing.assert_array_equal(resumed.draws, sampled.draws)
     np.testing.assert_array_equal(resumed.log_density, sampled.log_density)
@@ -132,17 +123,17 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     options = SamplingOptions(**SHORT, checkpoint=tmp_path)
-    sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+    chain_of(options)
     with pytest.raises(InputError, match="chain of another run"):
-        sample(gaussian, SPACE, ORIGIN, COVARIANCE, 2 * PRECISION, options=options)
+        chain_of(options, precision=2 * PRECISION)
 
 
 def test_a_short_chain_is_refused_and_its_remedy_works(tmp_path):
     def run(steps):
         options = SamplingOptions(
-            walkers=8, block=min(steps, 300), steps=steps, seed=2, checkpoint=tmp_path
+            walkers=8, block=min(steps, 300), steps=steps, checkpoint=tmp_path
         )
-        return sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options)
+        return chain_of(options, seed=2)
 
     with pytest.raises(InputError, match="not moved in 10 steps"):
         run(10)
@@ -158,8 +149,10 @@ def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():
     shape = jnp.asarray(3.0)
     start = jnp.log(shape)[None]
     gaussian_fit = laplace(gamma_in_log, space, start, shape)
-    options = SamplingOptions(walkers=32, block=400, seed=1)
-    chain = sample(gamma_in_log, space, start, gaussian_fit.covariance, shape, options=options)
+    options = SamplingOptions(walkers=32, block=400)
+    chain = sample(
+        gamma_in_log, space, start, gaussian_fit.covariance, shape, options=options, seed=1
+    )
     low, high = stats.gamma(3.0).interval(0.95)
     (estimate,) = estimates(chain, group="red")
     assert estimate.group == "red"
@@ -173,9 +166,15 @@ def nan_below_zero(vector, args):
 
 def test_nan_counts_as_impossible():
     space = (Parameter("x", symbol="x", unit="1"),)
-    options = SamplingOptions(walkers=16, block=400, seed=1)
+    options = SamplingOptions(walkers=16, block=400)
     chain = sample(
-        nan_below_zero, space, jnp.ones(1), np.eye(1) * 0.01, jnp.asarray(1.0), options=options
+        nan_below_zero,
+        space,
+        jnp.ones(1),
+        np.eye(1) * 0.01,
+        jnp.asarray(1.0),
+        options=options,
+        seed=1,
     )
     assert chain.samples.min() > 0
 

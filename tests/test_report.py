@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import (
     Estimate,
     find,
@@ -18,11 +19,12 @@ from fitting.inference.estimates import (
     sampled_estimate,
 )
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import SamplingOptions, laplace, sample
+from fitting.inference.posterior import laplace, sample
 from fitting.report.formatting import format_interval, format_number, format_value
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
 
+X = Parameter("x", symbol="x", unit="1")
 SPACE = (
     Parameter("gain", symbol="K", unit="DN/e-"),
     Parameter("read_noise", symbol="σ", unit="e-"),
@@ -47,8 +49,14 @@ def section():
         kind="noise",
         title="Photon transfer",
         estimates=(
-            gaussian_estimate("gain", "K", "DN/e-", 0.2807692, 0.00042, method="EMVA 1288"),
-            not_determined("dsnu", "DSNU", "e-", "no <spatial> statistics", method="EMVA 1288"),
+            gaussian_estimate(
+                Parameter("gain", symbol="K", unit="DN/e-"), 0.2807692, 0.00042, method="EMVA 1288"
+            ),
+            not_determined(
+                Parameter("dsnu", symbol="DSNU", unit="e-"),
+                "no <spatial> statistics",
+                method="EMVA 1288",
+            ),
         ),
         findings=("The camera is not exactly linear & says so.",),
         pictures=(Picture("ptc", "Photon transfer", "Variance against mean.", figure),),
@@ -75,23 +83,23 @@ def test_values_are_rounded_to_their_uncertainty(value, error, expected):
 
 def test_numbers_without_uncertainty_and_missing_ones():
     assert format_value(Estimate("x", "x", "1", 1 / 3)) == "0.333333"
-    assert format_value(not_determined("x", "x", "1", "why")) == "–"
-    assert format_interval(not_determined("x", "x", "1", "why"), 68) == ""
+    assert format_value(not_determined(X, "why")) == "–"
+    assert format_interval(not_determined(X, "why"), 68) == ""
     assert format_number(0.0, 9) == "0.000000000e+00"
 
 
 def test_gaussian_estimates_against_scipy_quantiles():
-    plain = gaussian_estimate("x", "x", "1", 2.0, 0.5)
+    plain = gaussian_estimate(X, 2.0, 0.5)
     np.testing.assert_allclose(plain.interval_95, [2 - 0.979982, 2 + 0.979982], rtol=1e-6)
     np.testing.assert_allclose(plain.interval_68, [2 - 0.497229, 2 + 0.497229], rtol=1e-6)
-    positive = gaussian_estimate("x", "x", "1", 2.0, 3.0, log_scale=True)
+    positive = gaussian_estimate(X, 2.0, 3.0, log_scale=True)
     assert positive.interval_95[0] > 0
     np.testing.assert_allclose(np.prod(positive.interval_95), 4.0)
 
 
 def test_sampled_estimates_are_quantiles():
     draws = np.arange(10_001) / 10_000
-    estimate = sampled_estimate("x", "x", "1", draws, group="red")
+    estimate = sampled_estimate(X, draws, group="red")
     np.testing.assert_allclose(estimate.interval_95, (0.025, 0.975))
     np.testing.assert_allclose(estimate.interval_68, (0.16, 0.84))
     np.testing.assert_allclose(estimate.standard_error, 1 / np.sqrt(12), rtol=1e-3)

@@ -1,6 +1,5 @@
 """Variable projection against scipy's non-negative least squares and multistart searches."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,8 +10,15 @@ from fitting.inference.separable import fit_separable, non_negative_amplitudes
 X = np.linspace(0.0, 5.0, 200)
 
 
-def decay(log_rate, x):
-    return jnp.exp(-jnp.exp(log_rate) * x)
+def decays(log_rates):
+    return jnp.exp(-jnp.exp(log_rates)[:, None] * jnp.asarray(X, log_rates.dtype)[None])
+
+
+def best(y, fixed, *, lower, upper, weights=None):
+    """The fit of one band; fixed columns (count, observations)."""
+    y, fixed = jnp.asarray(y)[:, None], jnp.asarray(fixed, y.dtype)
+    weights = jnp.ones_like(y) if weights is None else jnp.asarray(weights)[:, None]
+    return fit_separable(decays, fixed, y, weights, lower=lower, upper=upper)
 
 
 def scipy_best(y, fixed, lower, upper, *, count=20_001):
@@ -56,22 +62,14 @@ def test_finds_the_brute_force_optimum_with_weights():
     rng = np.random.default_rng(0)
     y = 0.5 + 2.0 * np.exp(-1.7 * X) + 0.05 * rng.standard_normal(X.size)
     weights = rng.uniform(0.0, 2.0, X.size)
-    found = fit_separable(
-        jnp.ones((1, X.size)),
-        decay,
-        jnp.asarray(y),
-        jnp.asarray(X),
-        lower=-4.0,
-        upper=4.0,
-        weights=jnp.asarray(weights),
-    )
+    found = best(y, np.ones((1, X.size)), lower=-4.0, upper=4.0, weights=weights)
     root = np.sqrt(weights)
 
     def residuals(p):
         return root * (p[0] + p[1] * np.exp(-p[2] * X) - y)
 
     reference = scipy.optimize.least_squares(residuals, [0.5, 2.0, 1.7], xtol=1e-15, ftol=1e-15)
-    got = [found.amplitudes[0], found.amplitudes[1], np.exp(found.nonlinear)]
+    got = [*found.amplitudes[0], np.exp(found.nonlinear)]
     np.testing.assert_allclose(got, reference.x, rtol=1e-5)
     np.testing.assert_allclose(found.cost, 2 * reference.cost, rtol=1e-9)
 
@@ -79,34 +77,38 @@ def test_finds_the_brute_force_optimum_with_weights():
 def test_negative_amplitudes_are_held_at_zero():
     rng = np.random.default_rng(1)
     y = 1.0 - 0.4 * np.exp(-2.0 * X) + 0.01 * rng.standard_normal(X.size)
-    found = fit_separable(
-        jnp.ones((1, X.size)), decay, jnp.asarray(y), jnp.asarray(X), lower=-2.0, upper=4.0
-    )
+    found = best(y, np.ones((1, X.size)), lower=-2.0, upper=4.0)
     cost, _, amplitudes = scipy_best(y, [np.ones_like(X)], -2.0, 4.0, count=601)
-    assert found.amplitudes[1] == amplitudes[1] == 0
+    assert found.amplitudes[0, 1] == amplitudes[1] == 0
     np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
 
 
 def test_a_slope_that_only_falls_ends_at_the_bound():
     y = np.exp(-0.01 * X)  # slower than the slowest rate allowed
-    found = fit_separable(
-        jnp.zeros((0, X.size)), decay, jnp.asarray(y), jnp.asarray(X), lower=-1.0, upper=3.0
-    )
+    found = best(y, np.zeros((0, X.size)), lower=-1.0, upper=3.0)
     np.testing.assert_allclose(found.nonlinear, -1.0, atol=1e-6)
 
 
-def test_batches_and_keeps_float32():
+def test_keeps_float32():
     rng = np.random.default_rng(2)
-    rates = np.exp(rng.uniform(-1, 1, 8))
-    y = (0.3 + np.exp(-rates[:, None] * X)).astype(np.float32)
-    x = jnp.asarray(X, jnp.float32)
-    fixed = jnp.ones((1, X.size), jnp.float32)
-    found = jax.vmap(lambda row: fit_separable(fixed, decay, row, x, lower=-3.0, upper=3.0))(
-        jnp.asarray(y)
-    )
-    assert found.nonlinear.dtype == jnp.float32
-    # The search ranks costs, and a float32 cost is known to about eps of sum y^2.
-    amplitudes = np.asarray(found.amplitudes, np.float64)
-    rate = np.exp(np.asarray(found.nonlinear, np.float64))
-    left = amplitudes[:, :1] + amplitudes[:, 1:] * np.exp(-rate[:, None] * X) - y
-    assert np.all(np.sum(left**2, axis=1) < 10 * np.finfo(np.float32).eps * np.sum(y**2, axis=1))
+    for rate in np.exp(rng.uniform(-1, 1, 8)):
+        y = (0.3 + np.exp(-rate * X)).astype(np.float32)
+        found = best(y, np.ones((1, X.size)), lower=-3.0, upper=3.0)
+        assert found.amplitudes.dtype == jnp.float32
+        # The search ranks costs, and a float32 cost is known to about eps of sum y^2.
+        constant, amplitude = np.asarray(found.amplitudes[0], np.float64)
+        left = constant + amplitude * np.exp(-np.exp(found.nonlinear) * X) - y
+        assert np.sum(left**2) < 10 * np.finfo(np.float32).eps * np.sum(y**2)
+
+
+def test_two_fixed_columns_beside_the_searched_one():
+    """Against scipy's NNLS at the rate that was found."""
+    rng = np.random.default_rng(3)
+    y = 0.2 + 0.1 * X + 2 * np.exp(-3 * X) + 0.02 * rng.standard_normal(X.size)
+    found = best(y, np.stack([np.ones_like(X), X]), lower=-4.0, upper=4.0)
+    design = np.column_stack([np.ones_like(X), X, np.exp(-np.exp(found.nonlinear) * X)])
+    expected, norm = scipy.optimize.nnls(design, y)
+    np.testing.assert_allclose(found.amplitudes[0], expected, rtol=1e-8)
+    np.testing.assert_allclose(found.cost, norm**2, rtol=1e-9)
+    cost, _, _ = scipy_best(y, design.T[:2], -4.0, 4.0, count=801)
+    assert found.cost <= cost

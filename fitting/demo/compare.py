@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..inference.emcee_run import Progress, SamplingOptions
 from ..inference.estimates import Estimate, find
-from ..inference.posterior import Progress, SamplingOptions
 from ..noise.calibration import LIKELIHOOD, STANDARD
 from ..noise.calibration import calibrate as calibrate_noise
 from ..noise.read import read_photon_transfer
@@ -28,7 +28,13 @@ Key = tuple[str, str, str]  # section kind, estimate name, group
 
 @dataclass(frozen=True)
 class Comparison:
-    """An estimate beside the value it was simulated with."""
+    """An estimate beside the value it was simulated with.
+
+    Attributes:
+        kind: of its section.
+        estimate: from the files.
+        truth: in the same unit.
+    """
 
     kind: str
     estimate: Estimate
@@ -63,16 +69,31 @@ def calibrate_lab(
     folder: Path,
     step: Callable[[str], AbstractContextManager[Progress]],
     sampling: Callable[[str, Progress], SamplingOptions | None],
+    *,
+    seed: int,
 ) -> list[Section]:
-    """The three calibrations of `simulate_lab`'s files. The reflectance fit weighs its pixels with
-    the gain and the read noise that photon transfer has just measured."""
+    """The three calibrations of `simulate_lab`'s files.
+
+    The reflectance fit weighs its pixels with the gain and the read noise that photon transfer has
+    just measured.
+
+    Args:
+        folder: of the lab.
+        step: context of one step, which gives a progress callback.
+        sampling: how to sample, of (kind, progress); None for Laplace.
+        seed: of every draw.
+
+    Returns:
+        A section each.
+    """
     with step("photon transfer") as progress:
         measurement = read_photon_transfer(folder / "noise")
-        noise = noise_section(calibrate_noise(measurement, sampling=sampling("noise", progress)))
+        own = sampling("noise", progress)
+        noise = noise_section(calibrate_noise(measurement, sampling=own, seed=seed))
     with step("response curve") as progress:
         stack = read_exposure_stack(load_rig(folder / "response"))
         response = response_section(
-            calibrate_response(stack, sampling=sampling("response", progress))
+            calibrate_response(stack, sampling=sampling("response", progress), seed=seed)
         )
     with step("reflectance") as progress:
         rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
@@ -81,6 +102,7 @@ def calibrate_lab(
                 read_reflectance_observation(rig),
                 model="phong",
                 sampling=sampling("brdf", progress),
+                seed=seed,
             )
         )
     return [noise, response, reflectance]
@@ -113,8 +135,18 @@ def truths(truth: Truth) -> dict[Key, float]:
 
 
 def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
-    """Every estimate whose truth is known, with that truth; where the standard's figure stands
-    beside the likelihood's, which uses the same frames, only the latter."""
+    """Every estimate with a known truth, beside that truth.
+
+    Where the standard's figure stands beside the likelihood's, which uses the same frames, only the
+    latter is taken.
+
+    Args:
+        sections: of the calibrations.
+        truth: the lab was simulated with.
+
+    Returns:
+        The comparisons.
+    """
     known = truths(truth)
     return [
         Comparison(section.kind, estimate, known[section.kind, estimate.name, estimate.group])

@@ -1,7 +1,7 @@
 """A lab afternoon, simulated to files: flats and darks over exposures, an exposure stack, and a
 sphere under many lights, each in a folder with its `rig.toml`. The calibrations see only the files.
 
-One camera takes everything: a 12-bit CMOS-like sensor whose die keeps its fixed pattern. The
+One camera takes everything: a 12-bit CMOS-like sensor with the fixed pattern of its die. The
 exposure stack leaves it as an 8-bit gamma-encoded colour picture, the rest as raw numbers.
 """
 
@@ -40,7 +40,7 @@ from jaxvision.scene import (
 from jaxvision.sensor import raw_image
 from jaxvision.shot import capture
 
-from ..inference.posterior import Progress
+from ..inference.emcee_run import Progress
 from ..rig import RIG_FILE
 
 FLAT_SIZE, STACK_SIZE, SPHERE_SIZE = (240, 320), (96, 128), (128, 128)
@@ -52,7 +52,23 @@ RED_GREEN_BLUE = ("red", "green", "blue")
 
 @dataclass(frozen=True)
 class Truth:
-    """What the afternoon was simulated with."""
+    """What the afternoon was simulated with.
+
+    Attributes:
+        system_gain: DN per electron.
+        quantum_efficiency: electrons per photon.
+        read_noise: e- rms.
+        dark_current: e- s^-1.
+        dsnu: e- rms over the pixels.
+        prnu: relative, rms over the pixels.
+        full_well: e-.
+        offset: DN.
+        bits: of the ADC.
+        gamma: encoding exponent of the exposure stack.
+        diffuse: k_d of the sphere, red, green, blue.
+        specular: k_s of the sphere.
+        exponent: of its Phong lobe.
+    """
 
     system_gain: float = 0.25  # DN per electron
     quantum_efficiency: float = 0.55
@@ -91,9 +107,15 @@ def _picture(bench: _Bench, scene: Scene, camera: Camera, frame: jax.Array) -> A
 
 
 def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = None) -> Truth:
-    """Writes `noise`, `response` and `brdf` below `folder`; returns what they were made with.
+    """Writes `noise`, `response` and `brdf`, each a rig with its images.
 
-    `progress` is called with (images written, all images).
+    Args:
+        folder: above the three.
+        seed: of the camera's die and of every frame.
+        progress: called with (images written, all images).
+
+    Returns:
+        What they were made with.
     """
     truth = Truth()
     bench = _Bench(_sensor(truth), *jax.random.split(jax.random.key(seed)))

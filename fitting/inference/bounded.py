@@ -1,4 +1,4 @@
-"""Minimisation in a box by jaxopt's L-BFGS-B: likelihoods that are no sum of squares (censored
+"""Minimisation in a box by jaxopt's L-BFGS-B: likelihoods that are not sums of squares (censored
 pixels, say) under physical bounds. The only module that imports jaxopt.
 
 Every variable is scaled to [0, 1] across its box and the objective by `scale`; unscaled, the same
@@ -22,14 +22,18 @@ Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
 
 class BoxSolution(eqx.Module):
-    """Where a bounded minimisation ended. `residual`: norm of the projected gradient in scaled
-    units; `at_bound`: which variables rest on a bound."""
+    """Where a bounded minimisation ended.
+
+    Attributes:
+        vector: (parameters,).
+        cost: the objective there.
+        steps: iterations taken.
+        converged: whether the norm of the projected gradient is within the tolerance.
+    """
 
     vector: Float[Array, " parameters"]
     cost: Float[Array, ""]
-    residual: Float[Array, ""]
     steps: Int[Array, ""]
-    at_bound: Bool[Array, " parameters"]
     converged: Bool[Array, ""]
 
 
@@ -45,12 +49,23 @@ def minimise_in_box(
     max_steps: int = 300,
     tolerance: float = 1e-6,
 ) -> BoxSolution:
-    """Minimises objective(vector, args) over lower <= vector <= upper (finite bounds).
+    """Minimises objective(vector, args) over lower <= vector <= upper.
 
-    scale: what the objective is divided by, about the number of observations for a negative log
-    likelihood. tolerance: on the norm of the scaled projected gradient. Pass a module-level
-    `objective` and all data through `args`. Nothing is raised for a fit that does not converge;
-    read `converged`.
+    Nothing is raised for a fit that does not converge; read `converged`.
+
+    Args:
+        objective: module-level function (it is part of the compile key).
+        start: (parameters,), moved into the box where it lies outside.
+        lower: (parameters,), finite.
+        upper: (parameters,), finite.
+        args: all data of the objective.
+        scale: what the objective is divided by, about the number of observations for a negative log
+            likelihood.
+        max_steps: most iterations.
+        tolerance: on the norm of the scaled projected gradient.
+
+    Returns:
+        The end of the search.
     """
     width = upper - lower
 
@@ -66,8 +81,6 @@ def minimise_in_box(
     return BoxSolution(
         vector=lower + width * end,
         cost=scaled(end) * scale,
-        residual=state.error,
         steps=state.iter_num,
-        at_bound=(end <= 0) | (end >= 1),
         converged=state.error <= tolerance,
     )

@@ -21,9 +21,16 @@ FEWEST_FREE = 3  # clusters beyond the parameters: Student's t has a variance fr
 
 @dataclass(frozen=True)
 class Robustness:
-    """covariance: sandwich where clustering shows, else the inverse information. by_light,
-    by_pixel: design effects as measured, NaN with fewer than three clusters more than parameters.
-    design_effect: of the covariance, 1 where both are within chance."""
+    """Covariance of a fit, and how far its residuals cluster.
+
+    Attributes:
+        covariance: (parameters, parameters); sandwich where clustering shows, else the inverse
+            information.
+        by_light: design effect within lights as measured; NaN with fewer than three clusters more
+            than parameters.
+        by_pixel: the same within pixels.
+        design_effect: of the covariance; 1 where both are within chance.
+    """
 
     covariance: Float[np.ndarray, "parameters parameters"]
     by_light: float
@@ -39,10 +46,22 @@ def cluster_robust(
 ) -> Robustness:
     """Covariance that allows for residuals shared within lights and within pixels.
 
-    A kind of clustering enters only where its design effect exceeds what independent residuals
-    give in 99 of 100 cases, and never narrows an error. P fitted parameters take their part of what
-    the clusters show, so J counts clusters - P of them; with few, J is itself uncertain, and the
+    A kind of clustering enters only where its design effect exceeds what independent residuals give
+    in 99 of 100 cases, and never narrows an error. P fitted parameters take their part of what the
+    clusters show, so J counts clusters - P of them; with few, J is itself uncertain, and the
     covariance is widened to the variance of Student's t.
+
+    Args:
+        scores: (parameters, samples), gradient of each sample's log likelihood.
+        information: (parameters, parameters), as if all samples were independent.
+        light: (samples,) cluster of each sample.
+        pixel: (samples,) cluster of another kind.
+
+    Returns:
+        Covariance and design effects.
+
+    Source:
+        Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011.
     """
     count = len(information)
     root = np.linalg.cholesky(information)
@@ -77,8 +96,18 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """C with C^T information C = covariance^-1: moves in C (vector - mode) that the information
-    calls one deviation are so by the covariance; the identity where they already agree."""
+    """C with C^T information C = covariance^-1, the identity where they already agree.
+
+    A move that the information calls one deviation then is one by the covariance: log density(mode
+    + C (vector - mode)) has the covariance as its inverse curvature.
+
+    Args:
+        information: (parameters, parameters), positive definite.
+        covariance: (parameters, parameters), positive definite.
+
+    Returns:
+        C, (parameters, parameters).
+    """
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -21,12 +21,14 @@ OPEN = 1.0  # standard deviation of a log parameter from which it counts as not 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """eigenvalues: of the scaled information, ascending. worst_direction: unit vector in scaled
-    coordinates. inflation: sqrt(VIF), infinite where undetermined. sentences: the same in words,
-    empty when there is nothing to worry about."""
+    """What an information matrix says about the parameters.
 
-    eigenvalues: Float[np.ndarray, " parameters"]
-    worst_direction: Float[np.ndarray, " parameters"]
+    Attributes:
+        inflation: (parameters,) sqrt(VIF), infinite where undetermined.
+        determined: whether every direction is.
+        sentences: the same in words; empty when there is nothing to worry about.
+    """
+
     inflation: Float[np.ndarray, " parameters"]
     determined: bool
     sentences: tuple[str, ...]
@@ -35,34 +37,37 @@ class Identifiability:
 def identifiability(
     space: ParameterSpace, information: Float[np.ndarray, "parameters parameters"]
 ) -> Identifiability:
-    """Judges a (P, P) information matrix on the unconstrained scale of `space`."""
+    """Judges an information matrix.
+
+    Args:
+        space: the P parameters.
+        information: (P, P) on the unconstrained scale.
+
+    Returns:
+        Variance inflation, and sentences.
+
+    Source:
+        Belsley, Kuh & Welsch, "Regression Diagnostics", 1980.
+    """
     information = np.asarray(information, np.float64)
     labels = names(space)
     diagonal = np.diagonal(information)
     blind = ~(np.isfinite(diagonal) & (diagonal > 0))
     if blind.any() or not np.isfinite(information).all():
-        count = len(labels)
         lost = [label for label, unseen in zip(labels, blind, strict=True) if unseen]
         what = listed(lost) if lost else "any parameter"
-        direction = blind / max(1.0, np.sqrt(blind.sum()))
-        return Identifiability(
-            np.zeros(count),
-            direction,
-            np.where(blind, np.inf, 1.0),
-            False,
-            (f"The data say nothing about {what}.",),
-        )
+        sentence = f"The data say nothing about {what}."
+        return Identifiability(np.where(blind, np.inf, 1.0), False, (sentence,))
     size = np.sqrt(diagonal)
     eigenvalues, directions = np.linalg.eigh(information / np.outer(size, size))
-    worst = directions[:, 0]
     open_ = eigenvalues <= UNDETERMINED
     if open_.any():
         touched = (np.abs(directions[:, open_]) > 1e-3).any(axis=1)
         inflation = np.where(touched, np.inf, 1.0)
         words = tuple(_undetermined(labels, direction) for direction in directions[:, open_].T)
-        return Identifiability(eigenvalues, worst, inflation, False, words)
+        return Identifiability(inflation, False, words)
     inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
-    return Identifiability(eigenvalues, worst, inflation, True, _confused(labels, worst, inflation))
+    return Identifiability(inflation, True, _confused(labels, directions[:, 0], inflation))
 
 
 def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:

@@ -2,18 +2,43 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import norm
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
 
 
+@runtime_checkable
+class Named(Protocol):
+    """What has a name, a symbol and a unit: a `Parameter`, or a line of a data sheet."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def symbol(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+
+
 @dataclass(frozen=True)
 class Estimate:
-    """One number with its uncertainty; `value` is None where the input cannot determine it and
-    `reason` then says why. `group` separates equal names (a colour channel, say), `method` the
-    ways of estimating one quantity."""
+    """One number with its uncertainty.
+
+    Attributes:
+        name: of the quantity, a word.
+        symbol: its letter, with a subscript behind `_`.
+        unit: of the value; "1" for none.
+        value: None where the input cannot determine it.
+        standard_error: in the same unit.
+        interval_68: (low, high).
+        interval_95: (low, high).
+        method: separates the ways of estimating one quantity.
+        group: separates equal names (a colour channel, say).
+        reason: why there is no value.
+    """
 
     name: str
     symbol: str
@@ -27,10 +52,37 @@ class Estimate:
     reason: str = ""
 
 
+def quantile_estimate(
+    what: Named,
+    value: float | np.floating,
+    standard_error: float | np.floating,
+    quantiles: Sequence[float] | Float[np.ndarray, "5"],
+    *,
+    method: str = "",
+    group: str = "",
+) -> Estimate:
+    """Estimate with given intervals.
+
+    Args:
+        what: the quantity.
+        value: in its unit.
+        standard_error: in its unit.
+        quantiles: (5,) the value's `QUANTILES`, of which the middle one is not used.
+        method: of the estimate.
+        group: it belongs to.
+
+    Returns:
+        The estimate.
+    """
+    low95, low68, _, high68, high95 = (float(q) for q in quantiles)
+    return Estimate(
+        *(what.name, what.symbol, what.unit, float(value), float(standard_error)),
+        *((low68, high68), (low95, high95), method, group),
+    )
+
+
 def gaussian_estimate(
-    name: str,
-    symbol: str,
-    unit: str,
+    what: Named,
     value: float,
     standard_error: float,
     *,
@@ -38,24 +90,30 @@ def gaussian_estimate(
     group: str = "",
     log_scale: bool = False,
 ) -> Estimate:
-    """Estimate with symmetric Gaussian intervals; with `log_scale` they are symmetric in the log
-    (for positive quantities), `standard_error` staying that of the value itself."""
-    low95, low68, high68, high95 = (
-        _shifted(value, float(norm.ppf(q)) * standard_error, log_scale)
-        for q in QUANTILES
-        if q != 0.5
-    )
-    return Estimate(
-        name,
-        symbol,
-        unit,
-        float(value),
-        float(standard_error),
-        (low68, high68),
-        (low95, high95),
-        method,
-        group,
-    )
+    """Estimate with Gaussian intervals.
+
+    Args:
+        what: the quantity.
+        value: in its unit.
+        standard_error: of the value, in its unit.
+        method: of the estimate.
+        group: it belongs to.
+        log_scale: intervals are symmetric in the logarithm (for positive quantities) instead of
+            about the value.
+
+    Returns:
+        The estimate.
+
+    Example:
+        >>> from fitting.inference.estimates import gaussian_estimate
+        >>> from fitting.inference.parameters import Parameter
+        >>> gain = Parameter("gain", symbol="K", unit="DN/e-")
+        >>> low, high = gaussian_estimate(gain, 0.25, 0.01).interval_95
+        >>> round(low, 4), round(high, 4)
+        (0.2304, 0.2696)
+    """
+    ends = [_shifted(value, float(norm.ppf(q)) * standard_error, log_scale) for q in QUANTILES]
+    return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 
 
 def _shifted(value: float, step: float, log_scale: bool) -> float:
@@ -63,40 +121,57 @@ def _shifted(value: float, step: float, log_scale: bool) -> float:
 
 
 def sampled_estimate(
-    name: str,
-    symbol: str,
-    unit: str,
-    samples: np.ndarray,
-    *,
-    method: str = "",
-    group: str = "",
+    what: Named, draws: Float[np.ndarray, " draws"], *, method: str = "", group: str = ""
 ) -> Estimate:
-    """Median, standard deviation and equal-tailed quantile intervals of draws (n,)."""
-    low95, low68, middle, high68, high95 = (float(q) for q in np.quantile(samples, QUANTILES))
+    """Median, standard deviation and equal-tailed quantile intervals of draws.
+
+    Args:
+        what: the quantity.
+        draws: (draws,) in its unit.
+        method: of the estimate.
+        group: it belongs to.
+
+    Returns:
+        The estimate.
+    """
+    ends = np.quantile(draws, QUANTILES)
+    return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
+
+
+def not_determined(what: Named, reason: str, *, method: str = "", group: str = "") -> Estimate:
+    """The estimate of something that the input cannot give.
+
+    Args:
+        what: the quantity.
+        reason: why, as a clause.
+        method: of the estimate.
+        group: it belongs to.
+
+    Returns:
+        The estimate, without a value.
+    """
     return Estimate(
-        name,
-        symbol,
-        unit,
-        middle,
-        float(np.std(samples)),
-        (low68, high68),
-        (low95, high95),
-        method,
-        group,
+        what.name, what.symbol, what.unit, None, method=method, group=group, reason=reason
     )
-
-
-def not_determined(
-    name: str, symbol: str, unit: str, reason: str, *, method: str = "", group: str = ""
-) -> Estimate:
-    """The estimate of something this input cannot give."""
-    return Estimate(name, symbol, unit, None, method=method, group=group, reason=reason)
 
 
 def find(
     estimates: Sequence[Estimate], name: str, *, method: str = "", group: str = ""
 ) -> Estimate:
-    """The first estimate of that name (and method and group, where given); `KeyError` if none."""
+    """The first estimate of a name.
+
+    Args:
+        estimates: to search.
+        name: of the quantity.
+        method: of the estimate; empty for any.
+        group: of the estimate; empty for any.
+
+    Returns:
+        The estimate.
+
+    Raises:
+        KeyError: if there is none.
+    """
     for estimate in estimates:
         if (
             estimate.name == name

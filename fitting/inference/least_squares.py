@@ -18,7 +18,16 @@ Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observat
 
 
 class Solution(eqx.Module):
-    """Where a fit ended. `cost` = sum r^2 / 2, `gram` = J^T J, `gradient` = J^T r there."""
+    """Where a fit ended.
+
+    Attributes:
+        vector: (parameters,).
+        cost: sum r^2 / 2.
+        gram: J^T J, the Fisher information of standardised residuals.
+        gradient: J^T r.
+        steps: iterations taken.
+        converged: whether the tolerances were reached.
+    """
 
     vector: Float[Array, " parameters"]
     cost: Float[Array, ""]
@@ -38,11 +47,21 @@ def minimise_residuals(
     rtol: float = 1e-8,
     atol: float = 1e-8,
 ) -> Solution:
-    """Minimises sum residuals(vector, args)^2 / 2 from `start` (unconstrained, so bounds belong in
-    the parameters' transforms). `rtol`, `atol`: stop when both vector and cost move by less.
+    """Minimises sum residuals(vector, args)^2 / 2, unbounded: bounds belong in the parameters'
+    transforms.
 
-    Pass a module-level `residuals` and all data through `args`: the function is part of the
-    compile key. Nothing is raised for a fit that does not converge; read `converged`.
+    Nothing is raised for a fit that does not converge; read `converged`.
+
+    Args:
+        residuals: module-level function (it is part of the compile key), in standard deviations.
+        start: (parameters,).
+        args: all data of the residuals.
+        max_steps: most iterations.
+        rtol: relative tolerance on the moves of vector and cost.
+        atol: absolute tolerance on the same.
+
+    Returns:
+        The end of the search.
     """
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
     found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)

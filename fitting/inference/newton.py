@@ -1,6 +1,6 @@
 """Maximum likelihood in a few unconstrained parameters: Newton's method, damped, free of saddles.
 
-For likelihoods that are no sum of squares: the curvature comes from forward-over-reverse
+For likelihoods that are not sums of squares: the curvature comes from forward-over-reverse
 differentiation, so that the Hessian at the end is the observed information itself.
 """
 
@@ -17,12 +17,21 @@ Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 EASIER, HARDER = 0.1, 8.0  # what a success and a failure do to the damping
 STUCK = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
-ROUNDING = 1e-14  # relative rise of the cost that is none
+SAME_COST = 1e-14  # relative rise of the cost that is rounding
 
 
 class NewtonSolution(eqx.Module):
-    """Where a minimisation ended. `information` is the Hessian there; `decrement` the fall in cost
-    that one more Newton step promises, half a squared standard deviation being 0.5."""
+    """Where a minimisation ended.
+
+    Attributes:
+        vector: (parameters,).
+        cost: the objective there.
+        information: (parameters, parameters), the Hessian there.
+        decrement: fall in cost that one more Newton step promises; half a squared standard
+            deviation is 0.5.
+        steps: evaluations.
+        converged: whether `decrement` is within the tolerance and the Hessian positive definite.
+    """
 
     vector: Float[Array, " parameters"]
     cost: Float[Array, ""]
@@ -54,11 +63,21 @@ def minimise(
     max_steps: int = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Minimises objective(vector, args) from `start`, until a step promises less than `tolerance`.
+    """Minimises objective(vector, args) until a step promises less than a tolerance. Works under
+    `vmap`.
 
-    Pass a module-level `objective` and all data through `args`. Where the objective is not finite
-    is out of bounds: such a step is refused. Nothing is raised for a fit that does not converge;
-    read `converged`. Works under `vmap`.
+    Where the objective is not finite is out of bounds: such a step is refused. Nothing is raised
+    for a fit that does not converge; read `converged`.
+
+    Args:
+        objective: module-level function (it is part of the compile key), twice differentiable.
+        start: (parameters,), unconstrained.
+        args: all data of the objective.
+        max_steps: most evaluations.
+        tolerance: on the promised fall in cost.
+
+    Returns:
+        The end of the search.
     """
 
     def goes_on(state: _State) -> Array:
@@ -68,7 +87,7 @@ def minimise(
     def step(state: _State) -> _State:
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
         cost, gradient, information = _local(objective, state.proposal, args)
-        better = cost <= state.cost + ROUNDING * jnp.abs(state.cost)
+        better = cost <= state.cost + SAME_COST * jnp.abs(state.cost)
         here = _State(
             vector=jnp.where(better, state.proposal, state.vector),
             cost=jnp.where(better, cost, state.cost),

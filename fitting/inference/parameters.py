@@ -21,10 +21,22 @@ Transform = Literal["identity", "log", "logit"]
 class Parameter(eqx.Module):
     """One scalar to be estimated.
 
-    `lower` and `upper` bound the natural value (`logit` needs both finite; bounded solvers use
-    them for every transform). The prior is Gaussian on the unconstrained scale when `prior_sd` is
-    given, with `prior_mean` on that scale (so a `log` parameter has a log-normal prior); without
-    one it is flat on the unconstrained scale.
+    Without a prior it is flat on the unconstrained scale.
+
+    Attributes:
+        name: a word.
+        symbol: its letter, with a subscript behind `_`.
+        unit: of the natural value; "1" for none.
+        transform: how the natural value becomes unconstrained: `identity` (any real), `log`
+            (positive) or `logit` (between its bounds, which are then finite).
+        lower: bound of the natural value; bounded searches use it for every transform.
+        upper: the other bound.
+        prior_mean: of a Gaussian prior on the unconstrained scale (a `log` parameter has a
+            log-normal one).
+        prior_sd: its standard deviation; None for no prior.
+
+    Raises:
+        ValueError: for bounds that are not ascending, and a prior_sd that is not positive.
     """
 
     name: str = eqx.field(static=True)
@@ -75,30 +87,52 @@ def _to_unconstrained(parameter: Parameter, value: Array) -> Array:
 
 
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
-    """Unconstrained vector (..., P) to values in the parameters' own units."""
+    """Unconstrained values to values in the parameters' own units.
+
+    Args:
+        space: the P parameters.
+        unconstrained: (..., P).
+
+    Returns:
+        (..., P).
+
+    Example:
+        >>> from fitting.inference.parameters import Parameter, to_natural
+        >>> space = (Parameter("gain", symbol="K", unit="DN/e-", transform="log"),)
+        >>> round(float(to_natural(space, jnp.array([0.0]))[0]), 3)
+        1.0
+    """
     columns = [_to_natural(p, unconstrained[..., i]) for i, p in enumerate(space)]
     return jnp.stack(columns, axis=-1)
 
 
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
-    """Inverse of `to_natural`; a `log` value must be positive, a `logit` one inside its bounds."""
+    """Inverse of `to_natural`.
+
+    Args:
+        space: the P parameters.
+        natural: (..., P); a `log` value must be positive, a `logit` one inside its bounds.
+
+    Returns:
+        (..., P).
+    """
     columns = [_to_unconstrained(p, natural[..., i]) for i, p in enumerate(space)]
     return jnp.stack(columns, axis=-1)
 
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
-    """Log prior density on the unconstrained scale, up to a constant; parameters without a prior
-    add nothing and are not traced."""
+    """Log prior density on the unconstrained scale, up to a constant.
+
+    Args:
+        space: the P parameters; those without a prior add nothing and are not traced.
+        unconstrained: (..., P).
+
+    Returns:
+        (...).
+    """
     total = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for i, parameter in enumerate(space):
         if parameter.prior_sd is not None:
             z = (unconstrained[..., i] - parameter.prior_mean) / parameter.prior_sd
             total = total - z * z / 2
     return total
-
-
-def bounds(
-    space: ParameterSpace,
-) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
-    """(lower, upper) in natural units."""
-    return np.array([p.lower for p in space]), np.array([p.upper for p in space])

@@ -1,46 +1,68 @@
 """Variable projection: amplitudes >= 0 in closed form, one nonlinear parameter by search.
 
-For a model that is linear but for one parameter t,
+For a model that is linear but for one parameter t, which all bands b share,
 
-    y ~ a_1 f_1 + ... + a_K f_K + a g(t),    all a >= 0,
+    y_b ~ a_1b f_1 + ... + a_Kb f_K + a_b g(t),    all a >= 0,
 
-the best amplitudes at a given t are a small non-negative least-squares problem, so that the cost
-is a curve over t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The minimum of a curve on
-an interval is found by looking at all of it: a grid, then a golden section in the best bracket. No
-start is needed, and none can lead astray.
+the best amplitudes at a given t are one small non-negative least-squares problem a band, so that
+the cost is a curve over t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The search
+evaluates that curve on a grid over the whole interval and then on finer grids about the lowest
+knot: it needs no start, and none can lead it astray.
 """
 
 import itertools
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-Column = Callable[[Float[Array, ""], Any], Float[Array, " observations"]]
+KNOTS = 48
+ZOOMS = 4  # each shrinks the interval by (KNOTS - 1) / 2
+COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
 
-GOLDEN = (5**0.5 - 1) / 2
-COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes are not told apart
+Columns = Callable[[Float[Array, " knots"]], Float[Array, "knots observations"]]
 
 
 class SeparableFit(eqx.Module):
-    """amplitudes: of the fixed columns, then of the searched one. cost: the weighted sum of squared
-    residuals."""
+    """The best fit of a separable model.
 
-    amplitudes: Float[Array, " columns"]
-    nonlinear: Float[Array, ""]
-    cost: Float[Array, ""]
+    Attributes:
+        amplitudes: (bands, columns), of the fixed columns, then of the searched one.
+        nonlinear: t, NaN without a searched column.
+        cost: weighted sum of squared residuals over all bands.
+    """
+
+    amplitudes: Float[Array, "bands columns"]
+    nonlinear: float
+    cost: float
 
 
 def non_negative_amplitudes(
     gram: Float[Array, "columns columns"], moment: Float[Array, " columns"]
 ) -> tuple[Float[Array, " columns"], Float[Array, ""]]:
-    """The a >= 0 that minimise a^T G a - 2 a^T b for G = `gram`, b = `moment`, and that minimum.
+    """The a >= 0 that minimise a^T G a - 2 a^T b.
 
-    The optimum solves the unconstrained problem on its own support, so with few columns (four at
-    most) every support is tried; branch-free, hence cheap under `vmap`. A column of zeros gets 0.
+    The optimum solves the unconstrained problem on its own support, so with few columns every
+    support is tried: branch-free, hence cheap under `vmap`. A column of zeros gets 0.
+
+    Args:
+        gram: (columns, columns) G, symmetric and positive semi-definite.
+        moment: (columns,) b.
+
+    Returns:
+        a, (columns,), and the minimum.
+
+    Raises:
+        ValueError: for more than four columns.
+
+    Example:
+        >>> from fitting.inference.separable import non_negative_amplitudes
+        >>> amplitudes, _ = non_negative_amplitudes(jnp.eye(2), jnp.array([3.0, -1.0]))
+        >>> amplitudes.tolist()
+        [3.0, 0.0]
     """
     count = len(moment)
     if count > 4:
@@ -80,75 +102,90 @@ def _solve_scaled(gram: Array, moment: Array) -> tuple[Array, Array]:
     return found / scale, solvable
 
 
-@eqx.filter_jit
 def fit_separable(
+    columns: Columns,
     fixed: Float[Array, "fixed observations"],
-    column: Column,
-    values: Float[Array, " observations"],
-    args: Any,
+    values: Float[Array, "observations bands"],
+    weights: Float[Array, "observations bands"],
     *,
-    lower: float | Float[Array, ""],
-    upper: float | Float[Array, ""],
-    weights: Float[Array, " observations"] | None = None,
-    grid: int = 48,
-    refinements: int = 30,
+    lower: float,
+    upper: float,
+    coarse: Float[Array, "knots observations"] | None = None,
 ) -> SeparableFit:
-    """The global minimum of sum w (y - fixed^T a - column(t, args) a_last)^2 over a >= 0 and
-    lower <= t <= upper.
+    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t.
 
-    `column`: module-level (it is part of the compile key), evaluated once a grid point and once a
-    refinement, each of which shrinks the bracket by 0.618. `weights`: inverse variances, 0 to
-    leave an observation out. `grid` must be fine enough to show the deepest valley; choose a
-    coordinate (a logarithm, say) in which valleys are alike. At an end of the interval the search
-    stops there.
+    Args:
+        columns: g at many t in one call: (knots,) to (knots, observations). The grid must show the
+            deepest valley, so t should be a coordinate (a logarithm, say) in which valleys are
+            alike.
+        fixed: (fixed, observations), at most three columns.
+        values: (observations, bands) y.
+        weights: (observations, bands), inverse variances; 0 leaves an observation out.
+        lower: lower end of the interval of t.
+        upper: upper end; at either end the search stops there.
+        coarse: `columns` of the first grid, `first_knots(lower, upper)`, where fits share it.
+
+    Returns:
+        The best fit, t to about 1e-7 of the interval.
     """
-    weighted = values if weights is None else weights * values
-    total = weighted @ values
-    weighted_fixed = fixed if weights is None else weights[None] * fixed
-    fixed_gram, fixed_moment = weighted_fixed @ fixed.T, weighted_fixed @ values
-
-    def projected(t: Array) -> tuple[Array, Array]:
-        searched = column(t, args)
-        cross = weighted_fixed @ searched
-        own = searched if weights is None else weights * searched
-        gram = jnp.block(
-            [[fixed_gram, cross[:, None]], [cross[None], (own @ searched)[None, None]]]
+    knots = first_knots(lower, upper)
+    table = columns(jnp.asarray(knots, values.dtype)) if coarse is None else coarse
+    amplitudes, cost = _projected(table, fixed, values, weights)
+    for _ in range(ZOOMS):
+        best = int(jnp.argmin(cost))
+        knots = np.linspace(knots[max(best - 1, 0)], knots[min(best + 1, KNOTS - 1)], KNOTS)
+        amplitudes, cost = _projected(
+            columns(jnp.asarray(knots, values.dtype)), fixed, values, weights
         )
-        return non_negative_amplitudes(gram, jnp.append(fixed_moment, searched @ weighted))
-
-    def cost_at(t: Array) -> Array:
-        return projected(t)[1]
-
-    knots = jnp.linspace(lower, upper, grid, dtype=values.dtype)
-    deepest = jnp.argmin(jax.lax.map(cost_at, knots))
-    low = knots[jnp.maximum(deepest - 1, 0)]
-    high = knots[jnp.minimum(deepest + 1, grid - 1)]
-    t = _golden_section(cost_at, low, high, refinements)
-    amplitudes, reduction = projected(t)
-    return SeparableFit(amplitudes, t, total + reduction)
+    best = int(jnp.argmin(cost))
+    return SeparableFit(amplitudes[best], float(knots[best]), float(cost[best]))
 
 
-def _golden_section(
-    cost_at: Callable[[Array], Array], low: Array, high: Array, refinements: int
-) -> Array:
-    """Middle of the bracket after `refinements` evaluations beyond the first two."""
+def first_knots(lower: float, upper: float) -> Float[np.ndarray, " knots"]:
+    """The grid on which the search begins: (knots,) from `lower` to `upper`."""
+    return np.linspace(lower, upper, KNOTS)
 
-    def shrink(_: Any, state: tuple[Array, ...]) -> tuple[Array, ...]:
-        low, left, right, high, at_left, at_right = state
-        down = at_left < at_right
-        low, high = jnp.where(down, low, left), jnp.where(down, right, high)
-        new = jnp.where(down, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
-        at_new = cost_at(new)
-        return (
-            low,
-            jnp.where(down, new, right),
-            jnp.where(down, left, new),
-            high,
-            jnp.where(down, at_new, at_right),
-            jnp.where(down, at_left, at_new),
-        )
 
-    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    state = (low, left, right, high, cost_at(left), cost_at(right))
-    low, _, _, high, *_ = jax.lax.fori_loop(0, refinements, shrink, state)
-    return (low + high) / 2
+def fit_amplitudes(
+    fixed: Float[Array, "fixed observations"],
+    values: Float[Array, "observations bands"],
+    weights: Float[Array, "observations bands"],
+) -> SeparableFit:
+    """`fit_separable` without a searched column: its amplitudes are 0, its t is NaN.
+
+    Args:
+        fixed: (fixed, observations).
+        values: (observations, bands).
+        weights: (observations, bands), inverse variances.
+
+    Returns:
+        The best fit.
+    """
+    nothing = jnp.zeros((1, fixed.shape[1]), values.dtype)
+    amplitudes, cost = _projected(nothing, fixed, values, weights)
+    return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
+
+
+@jax.jit
+def _projected(
+    columns: Float[Array, "knots observations"],
+    fixed: Float[Array, "fixed observations"],
+    values: Float[Array, "observations bands"],
+    weights: Float[Array, "observations bands"],
+) -> tuple[Float[Array, "knots bands columns"], Float[Array, " knots"]]:
+    """Best amplitudes and the cost, summed over bands, for each of several searched columns."""
+    weighted = weights * values
+    own = jnp.square(columns) @ weights
+
+    def of_fixed(i: int, j: int) -> Array:
+        return jnp.broadcast_to((fixed[i] * fixed[j]) @ weights, own.shape)
+
+    count = len(fixed)
+    cross = [(columns * column) @ weights for column in fixed[:, None]]
+    rows = [[of_fixed(i, j) for j in range(count)] + [cross[i]] for i in range(count)]
+    rows.append([*cross, own])
+    gram = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    moments = [jnp.broadcast_to(column @ weighted, own.shape) for column in fixed]
+    moment = jnp.stack([*moments, columns @ weighted], axis=-1)
+    amplitudes, reduction = jax.vmap(jax.vmap(non_negative_amplitudes))(gram, moment)
+    return amplitudes, jnp.sum(weighted * values) + reduction.sum(axis=-1)

@@ -12,27 +12,40 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Int
 
+from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.parameters import to_unconstrained
-from ..inference.posterior import Posterior, SamplingOptions, laplace, sample
+from ..inference.posterior import Posterior, laplace_or_emcee
 from .emva1288 import QUANTITIES, Evaluation, Quantity, Ranges, evaluate, ranges, through_origin
 from .fit import LikelihoodFit, choose_model, likelihood_sheet, needed_window, noise_data
 from .levels import PhotonTransfer, linear_levels
-from .model import NoiseData, log_density, predicted_moments
+from .model import log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
+BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 
 @dataclass(frozen=True)
 class NoiseCalibration:
-    """standard: the sheet by the standard. linear, chosen: the likelihood fits of a linear camera
-    and of the model that the camera calls for, the same where the linear one does. sheet: figures
-    of the chosen model. standard_of_chosen: K, DN/e-, that the standard's regression would give for
-    the chosen model's own curves. usable: the bright levels below saturation. patterns: by the
-    standard and by the fit to all levels, None where only temporal sums are known."""
+    """A calibrated camera, which findings, figures and report read.
+
+    Attributes:
+        measurement: what was calibrated.
+        within: which levels enter what, by the standard.
+        usable: indices of the bright levels below saturation.
+        standard: the sheet by the standard's regressions.
+        linear: the likelihood fit of a linear camera.
+        chosen: of the model that the camera calls for; `linear` where that does.
+        posterior: of the chosen model.
+        sheet: figures of the chosen model.
+        standard_of_chosen: K, DN/e-, that the standard's regression gives for the chosen model's
+            own curves.
+        patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
+            temporal sums are known.
+    """
 
     measurement: PhotonTransfer
     within: Ranges
@@ -49,19 +62,33 @@ class NoiseCalibration:
 def calibrate(
     measurement: PhotonTransfer, *, sampling: SamplingOptions | None = None, seed: int = 0
 ) -> NoiseCalibration:
-    """Both sheets of a measurement. With `sampling` the likelihood's posterior is drawn by emcee,
-    else it is Laplace's, its draws by `seed`."""
+    """Both sheets of a measurement: by the standard's regressions and by maximum likelihood.
+
+    Args:
+        measurement: bright and dark levels.
+        sampling: how to draw the likelihood's posterior by emcee; None for Laplace.
+        seed: of every draw.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: where a fit has no maximum, or a chain stays too short.
+    """
     within = ranges(measurement)
     usable = linear_levels(measurement)
     standard = eqx.filter_jit(evaluate)(measurement, within)
     data = noise_data(measurement, usable, window=needed_window(measurement, usable))
     linear, chosen = choose_model(measurement, within, data, standard.values)
-    args = (chosen.space, chosen.data, jnp.asarray(1 / chosen.inflation))
-    mode, covariance = chosen.solution.vector, chosen.inflation * chosen.covariance
-    if sampling is None:
-        posterior = laplace(log_density, chosen.space, mode, args, covariance=covariance, seed=seed)
-    else:
-        posterior = sample(log_density, chosen.space, mode, covariance, args, options=sampling)
+    posterior = laplace_or_emcee(
+        log_density,
+        chosen.space,
+        chosen.solution.vector,
+        chosen.inflation * chosen.covariance,
+        (chosen.space, chosen.data, jnp.asarray(1 / chosen.inflation)),
+        sampling=sampling,
+        seed=seed,
+    )
     patterns = None
     if measurement.bright.spatial_variance is not None:
         patterns = standard_pattern(measurement, within), fitted_pattern(measurement, usable)
@@ -79,33 +106,26 @@ def calibrate(
     )
 
 
-def _linearity_of_usable(
-    within: Ranges, usable: np.ndarray, darks: int
-) -> Bool[np.ndarray, " levels"]:
-    return np.concatenate([np.asarray(within.linearity)[usable], np.zeros(darks, bool)])
-
-
 def _likelihood_estimates(
     fit: LikelihoodFit, posterior: Posterior, within: Ranges, usable: np.ndarray
 ) -> tuple[Estimate, ...]:
     """The sheet of the chosen model: by the delta method for Laplace, from the draws for emcee."""
-    darks = fit.data.mean.size - len(usable)
-    linearity = jnp.asarray(_linearity_of_usable(within, usable, darks))
-    args = (fit.space, fit.data, linearity)
-    mode, saturation = fit.solution.vector, within.saturation
-    quantities = {quantity.name: quantity for quantity in QUANTITIES}
+    linearity = np.zeros(fit.data.mean.size, bool)
+    linearity[: len(usable)] = np.asarray(within.linearity)[usable]
+    args = (fit.space, fit.data, jnp.asarray(linearity))
     if posterior.method == "emcee":
-        return _drawn_estimates(posterior, within, args, quantities)
-    values, slopes, at_saturation = eqx.filter_jit(_sheet_and_slopes)(mode, saturation, args)
-    covariance = posterior.covariance
+        return _drawn_estimates(posterior, within, args)
+    values, slopes, at_saturation = eqx.filter_jit(_sheet_and_slopes)(
+        fit.solution.vector, within.saturation, args
+    )
     found = []
     for name, value in values.items():
         slope = np.asarray(slopes[name])
-        variance = slope @ covariance @ slope
+        variance = slope @ posterior.covariance @ slope
         if at_saturation is not None and within.saturation_width is not None:
             variance += float(at_saturation[name] * within.saturation_width) ** 2 / 24
         error = float(np.sqrt(variance))
-        found.append(sheet_estimate(quantities[name], float(value), error, LIKELIHOOD))
+        found.append(sheet_estimate(BY_NAME[name], float(value), error, LIKELIHOOD))
     return tuple(found)
 
 
@@ -119,28 +139,19 @@ def _sheet_and_slopes(
     return values, slopes, jax.jacfwd(likelihood_sheet, argnums=1)(mode, saturation, args)
 
 
-def _drawn_estimates(
-    posterior: Posterior, within: Ranges, args: tuple, quantities: dict[str, Quantity]
-) -> tuple[Estimate, ...]:
+def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple[Estimate, ...]:
     vectors = to_unconstrained(posterior.space, jnp.asarray(posterior.samples))
-    if within.saturation is None or within.saturation_width is None:
-        drawn = jax.jit(jax.vmap(lambda vector: likelihood_sheet(vector, None, args)))(vectors)
-    else:
+    lights = None
+    if within.saturation is not None and within.saturation_width is not None:
         half = float(within.saturation_width) / 2
         rng = np.random.default_rng(posterior.seed)
         offsets = rng.triangular(-half, 0, half, len(vectors)) if half > 0 else 0.0
-        lights = jnp.asarray(float(within.saturation) + offsets)
-        drawn = jax.jit(jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args)))(
-            vectors, lights
-        )
+        lights = jnp.broadcast_to(float(within.saturation) + offsets, len(vectors))
+    drawn = jax.jit(jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args)))(
+        vectors, lights
+    )
     return tuple(
-        sampled_estimate(
-            name,
-            quantities[name].symbol,
-            quantities[name].unit,
-            np.asarray(values),
-            method=LIKELIHOOD,
-        )
+        sampled_estimate(BY_NAME[name], np.asarray(values), method=LIKELIHOOD)
         for name, values in drawn.items()
     )
 
@@ -149,25 +160,24 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
     """What the standard's regression makes of the fitted curves: K of the model's own means and
     variances."""
     moments = predicted_moments(fit.values, fit.data, fit.data.light)
-    unlit = predicted_moments(fit.values, _unlit(fit.data), jnp.zeros_like(fit.data.light))
+    unlit_data = eqx.tree_at(lambda data: data.lit, fit.data, jnp.zeros_like(fit.data.lit))
+    unlit = predicted_moments(fit.values, unlit_data, jnp.zeros_like(fit.data.light))
     bright = slice(0, len(usable))
     signal = (moments.mean - unlit.mean)[bright]
     shot = (moments.variance - unlit.variance)[bright]
     return float(through_origin(signal, shot, within.sensitivity[jnp.asarray(usable)]))
 
 
-def _unlit(data: NoiseData) -> NoiseData:
-    return eqx.tree_at(lambda data: data.lit, data, jnp.zeros_like(data.lit))
-
-
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """A line of the sheet as an estimate."""
-    return gaussian_estimate(
-        quantity.name,
-        quantity.symbol,
-        quantity.unit,
-        value,
-        error,
-        method=method,
-        log_scale=quantity.positive,
-    )
+    """A line of the sheet as an estimate, its intervals as the quantity asks for.
+
+    Args:
+        quantity: the line.
+        value: in its unit.
+        error: standard error.
+        method: of the estimate.
+
+    Returns:
+        The estimate.
+    """
+    return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

@@ -30,19 +30,27 @@ import numpy as np
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Bool, Float
 
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
 from .levels import Levels, PhotonTransfer, linear_levels, saturation_index
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
 LEAST_DARK_VARIANCE = 0.24  # DN^2; below, the standard says, rounding rules and sigma_d is a bound
-ROUNDING = 1 / 12
 UNLIKELY = 0.01  # p-value of a chi-square from which scatter is believed
 
 Sheet = dict[str, Float[Array, ""]]
 
 
 class Quantity(NamedTuple):
-    """A line of the sheet. positive: its intervals are symmetric in the logarithm."""
+    """A line of the sheet.
+
+    Attributes:
+        name: a word.
+        symbol: the standard's.
+        unit: of the value.
+        positive: whether its intervals are symmetric in the logarithm.
+    """
 
     name: str
     symbol: str
@@ -75,21 +83,23 @@ QUANTITIES = (
     Quantity("prnu", "PRNU", "%"),
 )
 NEED_PHOTONS = ("quantum_efficiency", "responsivity", "saturation_photons", "threshold_photons")
-NEED_SATURATION = (
-    "saturation_photons",
-    "saturation_electrons",
-    "snr_max",
-    "snr_max_db",
-    "snr_max_bits",
-    "dynamic_range",
-    "dynamic_range_db",
-    "usable_bits",
+NEED_SATURATION = tuple(
+    quantity.name
+    for quantity in QUANTITIES
+    if quantity.name.startswith(("saturation", "snr_max", "dynamic_range", "usable_bits"))
 )
 
 
 class Ranges(eqx.Module):
-    """Which bright levels enter what. saturation: light at the saturation point and the distance
-    of its two neighbours, between which the true maximum lies; None without saturation."""
+    """Which bright levels enter what.
+
+    Attributes:
+        sensitivity: (levels,) those of responsivity and gain.
+        linearity: (levels,) those of the linearity errors.
+        saturation: light at the saturation point; None without saturation.
+        saturation_width: distance of its two neighbours, between which the true maximum lies.
+        dark_exposures: how many different exposures the darks have.
+    """
 
     sensitivity: Bool[Array, " levels"]
     linearity: Bool[Array, " levels"]
@@ -99,8 +109,15 @@ class Ranges(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """What the sheet is a function of: means (DN) and variances (DN^2) of bright and dark levels,
-    and the light at saturation."""
+    """What the sheet is a function of.
+
+    Attributes:
+        bright_mean: (levels,) DN.
+        bright_variance: (levels,) DN^2.
+        dark_mean: (darks,) DN.
+        dark_variance: (darks,) DN^2.
+        saturation: light at saturation; None without.
+    """
 
     bright_mean: Float[Array, " levels"]
     bright_variance: Float[Array, " levels"]
@@ -110,7 +127,13 @@ class Statistics(eqx.Module):
 
 
 class SamplingErrors(eqx.Module):
-    """Variances of a level's mean and variance, and their covariance."""
+    """Sampling (co)variances of a level's mean and temporal variance.
+
+    Attributes:
+        mean: (levels,) variance of the mean, DN^2.
+        variance: (levels,) variance of the variance, DN^4.
+        both: (levels,) their covariance, DN^3.
+    """
 
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
@@ -118,8 +141,16 @@ class SamplingErrors(eqx.Module):
 
 
 class Misfit(eqx.Module):
-    """Chi-square per degree of freedom of the four regressions against pixel noise, and the factors
-    by which the variances were multiplied for it (1 where the scatter is no surprise)."""
+    """Scatter about the four regressions, chi-square per degree of freedom against pixel noise.
+
+    Attributes:
+        dark_mean: about the line of dark means over exposure.
+        dark_variance: about the line of dark variances.
+        responsivity: about R.
+        gain: about K.
+        factors: (4,) by which the variances were multiplied for it, 1 where the scatter is not a
+            surprise.
+    """
 
     dark_mean: Float[Array, ""]
     dark_variance: Float[Array, ""]
@@ -129,7 +160,13 @@ class Misfit(eqx.Module):
 
 
 class Evaluation(eqx.Module):
-    """The sheet with the standard error of each figure."""
+    """The sheet with its errors.
+
+    Attributes:
+        values: figures by name.
+        errors: their standard errors.
+        misfit: scatter about the regressions.
+    """
 
     values: Sheet
     errors: Sheet
@@ -137,8 +174,17 @@ class Evaluation(eqx.Module):
 
 
 def ranges(measurement: PhotonTransfer) -> Ranges:
-    """The standard's ranges. Without a saturation point the brightest usable level stands for it
-    there, and no figure that needs saturation is given."""
+    """The standard's ranges of a measurement.
+
+    Without a saturation point the brightest usable level stands for it there, and no figure that
+    needs saturation is given.
+
+    Args:
+        measurement: bright and dark levels.
+
+    Returns:
+        The ranges.
+    """
     bright = measurement.bright
     signal = np.asarray(_signal(statistics(measurement, None), measurement))
     saturated = saturation_index(bright)
@@ -162,14 +208,33 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
 
 
 def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statistics:
-    """The measured statistics of a sheet."""
+    """The measured statistics of a sheet.
+
+    Args:
+        measurement: bright and dark levels.
+        saturation: light at saturation; None without.
+
+    Returns:
+        The statistics.
+    """
     bright, dark = measurement.bright, measurement.dark
     return Statistics(bright.mean, bright.variance, dark.mean, dark.variance, saturation)
 
 
 def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """The standard's figures; those the measurement cannot give are left out. Of `measurement` only
-    light and exposures are used."""
+    """The standard's figures; those that the measurement cannot give are left out.
+
+    Args:
+        stats: means and variances.
+        measurement: of which light and exposures alone are used.
+        within: the standard's ranges.
+
+    Returns:
+        Figures by name, in the units of `QUANTITIES`.
+
+    Source:
+        EMVA Standard 1288, release 3.1.
+    """
     signal = _signal(stats, measurement)
     gain = through_origin(signal, _shot_variance(stats, measurement), within.sensitivity)
     responsivity = through_origin(measurement.bright.light, signal, within.sensitivity)
@@ -199,8 +264,18 @@ def derived_figures(
     *,
     photons_known: bool,
 ) -> Sheet:
-    """What follows from K (DN/e-), R (DN per unit of light), sigma_y.dark^2 (DN^2) and the light at
-    saturation. Where the light is counted in seconds, what needs photons is left out."""
+    """What follows from gain, responsivity, dark noise and saturation.
+
+    Args:
+        gain: K, DN/e-.
+        responsivity: R, DN per unit of light.
+        dark_variance: sigma_y.dark^2, DN^2, above 1/12.
+        saturation: light at saturation; None to leave out what needs it.
+        photons_known: whether light is counted in photons; what needs them is left out otherwise.
+
+    Returns:
+        Figures by name.
+    """
     efficiency = responsivity / gain
     threshold = jnp.sqrt(dark_variance) / gain + 0.5
     figures = {
@@ -209,7 +284,7 @@ def derived_figures(
         "quantum_efficiency": 100 * efficiency,
         "responsivity": responsivity,
         "temporal_dark_noise": jnp.sqrt(dark_variance),
-        "read_noise": jnp.sqrt(dark_variance - ROUNDING) / gain,
+        "read_noise": jnp.sqrt(dark_variance - QUANTISATION_VARIANCE) / gain,
         "threshold_photons": threshold / efficiency,
         "threshold_electrons": threshold,
     }
@@ -235,8 +310,17 @@ def derived_figures(
 def linearity_errors(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """(LE_min, LE_max) in per cent: extreme relative deviations of the signal (DN) from the line
-    that minimises the sum of (deviation / signal)^2."""
+    """Extreme relative deviations of the signal from the line that minimises the sum of (deviation
+    / signal)^2.
+
+    Args:
+        light: (levels,).
+        signal: (levels,) DN above dark.
+        within: (levels,) the linearity range.
+
+    Returns:
+        (LE_min, LE_max) in per cent.
+    """
     deviation = linearity_deviation(light, signal, within)
     return (
         jnp.min(jnp.where(within, deviation, jnp.inf)),
@@ -247,7 +331,16 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Deviation of each level from the linearity line, in per cent of the line."""
+    """Deviation of each level from the linearity line.
+
+    Args:
+        light: (levels,).
+        signal: (levels,) DN above dark.
+        within: (levels,) the linearity range.
+
+    Returns:
+        (levels,) per cent of the line.
+    """
     safe = jnp.where(within, signal, 1)
     offset, slope = line(light, signal, weights=jnp.where(within, 1 / safe**2, 0))
     expected = offset + slope * light
@@ -255,7 +348,15 @@ def linearity_deviation(
 
 
 def evaluate(measurement: PhotonTransfer, within: Ranges) -> Evaluation:
-    """The sheet and its standard errors."""
+    """The sheet and its standard errors by the delta method.
+
+    Args:
+        measurement: bright and dark levels.
+        within: the standard's ranges.
+
+    Returns:
+        Values, errors and misfit.
+    """
     stats = statistics(measurement, within.saturation)
     values = sheet(stats, measurement, within)
     errors, misfit = _sampling(stats, measurement, within, values["system_gain"])
@@ -276,12 +377,30 @@ def evaluate(measurement: PhotonTransfer, within: Ranges) -> Evaluation:
 
 
 def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
-    """Least-squares slope of y = b x over the levels `within`."""
+    """Least-squares slope of y = b x.
+
+    Args:
+        x: (levels,).
+        y: (levels,).
+        within: (levels,) those that enter.
+
+    Returns:
+        b.
+    """
     return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
 
 
 def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
-    """(intercept, slope) of the weighted least-squares line."""
+    """The weighted least-squares line.
+
+    Args:
+        x: (points,).
+        y: (points,).
+        weights: (points,), inverse variances; None for equal ones.
+
+    Returns:
+        (intercept, slope).
+    """
     weights = jnp.ones_like(x) if weights is None else weights
     total = jnp.sum(weights)
     centre_x, centre_y = jnp.sum(weights * x) / total, jnp.sum(weights * y) / total
@@ -291,8 +410,17 @@ def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Ar
 
 
 def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> SamplingErrors:
-    """Sampling (co)variances of mean and variance over n pixels and L frames; `shot_variance`
-    (DN^2) is the part that is Poisson and so skew: kappa_3 = K var, kappa_4 = K^2 var."""
+    """Sampling (co)variances of mean and variance over n pixels and L frames.
+
+    Args:
+        levels: of either kind.
+        shot_variance: (levels,) DN^2, the part that is Poisson and so skew: kappa_3 = K var,
+            kappa_4 = K^2 var.
+        gain: K, DN/e-.
+
+    Returns:
+        The (co)variances.
+    """
     shot = jnp.maximum(shot_variance, 0)
     n, frames = levels.pixels, levels.frames
     return SamplingErrors(
@@ -303,18 +431,32 @@ def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> Sampli
 
 
 def surprise(chi_square: Array, degrees: Array) -> Array:
-    """The p-value of a chi-square; 1 without degrees of freedom."""
+    """The p-value of a chi-square.
+
+    Args:
+        chi_square: any shape.
+        degrees: of freedom, of the same shape.
+
+    Returns:
+        Of the same shape; 1 without degrees of freedom.
+    """
     free = jnp.maximum(degrees, 1)
     return jnp.where(degrees > 0, gammaincc(free / 2, chi_square / 2), 1)
 
 
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """(chi-square, degrees of freedom) of y about its own weighted line over x."""
+    """Chi-square of points about their own weighted line.
+
+    Args:
+        x: (points,).
+        y: (points,).
+        variances: (points,) of y.
+
+    Returns:
+        (chi-square, degrees of freedom).
+    """
     intercept, slope = line(x, y, weights=1 / variances)
-    return (
-        jnp.sum((y - intercept - slope * x) ** 2 / variances),
-        jnp.asarray(x.size - 2, y.dtype),
-    )
+    return (jnp.sum((y - intercept - slope * x) ** 2 / variances), jnp.asarray(x.size - 2, y.dtype))
 
 
 def _signal(stats: Statistics, measurement: PhotonTransfer) -> Array:

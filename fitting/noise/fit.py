@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstrained
 from .emva1288 import Ranges, Sheet, derived_figures, line_misfit, linearity_errors
@@ -30,7 +32,6 @@ from .model import (
     OFFSET,
     READ_NOISE,
     RESPONSIVITY,
-    ROUNDING,
     SHUTTER_OFFSET,
     SIGNAL_RATE,
     SYSTEM_GAIN,
@@ -55,7 +56,16 @@ SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
 
 @dataclass(frozen=True)
 class LikelihoodFit:
-    """One fitted model. chi_square: of all standardised residuals; p_value: of it."""
+    """One fitted model.
+
+    Attributes:
+        space: the P parameters.
+        data: levels it was fitted to.
+        solution: vector, information and convergence.
+        residuals: standardised.
+        chi_square: of all residuals.
+        degrees: of freedom.
+    """
 
     space: ParameterSpace
     data: NoiseData
@@ -96,12 +106,18 @@ class LikelihoodFit:
 
 
 def noise_data(
-    measurement: PhotonTransfer,
-    usable: Int[np.ndarray, " usable"],
-    *,
-    window: Window | None = None,
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], *, window: Window | None = None
 ) -> NoiseData:
-    """Bright levels `usable` and all darks in one row."""
+    """Bright levels and all darks in one row.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+        window: of the levels that need exact moments.
+
+    Returns:
+        The data of a fit.
+    """
     bright, dark = measurement.bright, measurement.dark
     index = jnp.asarray(usable)
 
@@ -127,32 +143,57 @@ def noise_data(
 
 
 def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
-    """The exact moments that clipped black or fine read noise call for; None where neither does."""
+    """The exact moments that clipped black or fine read noise call for.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The window; None where the usual moments do.
+    """
     data = noise_data(measurement, usable)
     mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation
     clipped = bool(near_black[dark].any())
-    fine = bool(variance[dark].min() < FINE_READ_NOISE**2 + ROUNDING)
+    fine = bool(variance[dark].min() < FINE_READ_NOISE**2 + QUANTISATION_VARIANCE)
     if not fine and not clipped:
         return None
     affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
     # Clipping hides up to half of a deviation.
     widest = (2 if clipped else 1.2) * float(deviation[affected].max())
-    read_noise = float(np.sqrt(max(variance[dark].max() - ROUNDING, 0)))
+    read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
     levels = tuple(int(i) for i in np.flatnonzero(affected))
     return window_for(levels, mean[affected], deviation=widest, read_noise=read_noise)
 
 
 def base_space(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
-    """A linear camera."""
+    """The parameters of a linear camera.
+
+    Args:
+        measurement: whose light is counted in photons or in seconds.
+        within: whose number of dark exposures decides on a dark current.
+
+    Returns:
+        The space.
+    """
     responsivity = RESPONSIVITY if measurement.photons_known else SIGNAL_RATE
     space = (SYSTEM_GAIN, responsivity, OFFSET, READ_NOISE)
     return (*space, DARK_CURRENT) if within.dark_exposures > 2 else space
 
 
 def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Float[Array, " p"]:
-    """Where a fit starts: the standard's figures, no compression, slight scatter."""
+    """Where a fit starts: the standard's figures, no compression, slight scatter.
+
+    Args:
+        space: the P parameters.
+        standard: the standard's sheet.
+        data: of the fit.
+
+    Returns:
+        (P,) unconstrained.
+    """
     dark = data.lit == 0
     gain = standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
@@ -172,7 +213,16 @@ def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Flo
 
 
 def fit_space(space: ParameterSpace, data: NoiseData, standard: Sheet) -> NewtonSolution:
-    """The most likely vector of one model; pure, so cameras of equal structure can be vmapped."""
+    """The most likely vector of one model; pure, so cameras of equal structure can be vmapped.
+
+    Args:
+        space: the P parameters.
+        data: of the fit.
+        standard: the standard's sheet, from which the fit starts.
+
+    Returns:
+        Where the fit ended.
+    """
     start = start_vector(space, standard, data)
     if data.window is not None:
         start = _best_start(space, data, start)
@@ -200,7 +250,16 @@ def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
 
 
 def fitted(space: ParameterSpace, data: NoiseData, standard: Sheet) -> LikelihoodFit:
-    """One model fitted and judged."""
+    """One model fitted and judged.
+
+    Args:
+        space: the P parameters.
+        data: of the fit.
+        standard: the standard's sheet, from which the fit starts.
+
+    Returns:
+        The fit.
+    """
     solution = fit_space(space, data, standard)
     residuals = _residuals(solution.vector, (space, data))
     chi_square = float(jnp.sum(residuals.mean**2) + jnp.sum(residuals.variance**2))
@@ -216,7 +275,15 @@ def _residuals(vector: Array, args: tuple[ParameterSpace, NoiseData]) -> Residua
 
 
 def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
-    """The random effects that the darks show about their own lines over exposure."""
+    """The random effects that the darks show about their own lines over exposure.
+
+    Args:
+        measurement: bright and dark levels.
+        within: whose number of dark exposures must be three at least.
+
+    Returns:
+        Their parameters.
+    """
     dark = measurement.dark
     if within.dark_exposures <= 2:
         return ()
@@ -236,7 +303,17 @@ def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
 def choose_model(
     measurement: PhotonTransfer, within: Ranges, data: NoiseData, standard: Sheet
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
-    """(linear camera, chosen model); the same fit twice where the linear camera does."""
+    """The model that a camera calls for.
+
+    Args:
+        measurement: bright and dark levels.
+        within: the standard's ranges.
+        data: of the fit.
+        standard: the standard's sheet, from which fits start.
+
+    Returns:
+        (linear camera, chosen model); the same fit twice where the linear camera does.
+    """
     linear = fitted(base_space(measurement, within), data, standard)
     if linear.p_value >= MISFIT:
         return linear, linear
@@ -278,13 +355,22 @@ def likelihood_sheet(
     args: tuple[ParameterSpace, NoiseData, Bool[Array, " levels"]],
 ) -> Sheet:
     """The standard's figures from the likelihood's parameters, gain and responsivity at zero
-    signal; args = (space, data, levels of the linearity range). The linearity errors are those of
-    the fitted curve, left out where it is straight."""
+    signal.
+
+    Args:
+        vector: (P,) unconstrained.
+        saturation: light at saturation; None without.
+        args: (space, data, levels of the linearity range).
+
+    Returns:
+        Figures by name. The linearity errors are those of the fitted curve, left out where it is
+        straight.
+    """
     space, data, linearity = args
     values = named(space, vector)
     gain = values["system_gain"]
     responsivity = values["responsivity" if data.photons_known else "signal_rate"]
-    dark_variance = (gain * values["read_noise"]) ** 2 + ROUNDING
+    dark_variance = (gain * values["read_noise"]) ** 2 + QUANTISATION_VARIANCE
     figures = derived_figures(
         gain, responsivity, dark_variance, saturation, photons_known=data.photons_known
     )
@@ -296,6 +382,14 @@ def likelihood_sheet(
 
 
 def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
-    """1 - h'(X): by what fraction the gain falls from zero signal to the brightest level."""
+    """1 - h'(X): by what fraction the gain falls from zero signal to the brightest level.
+
+    Args:
+        values: natural parameters by name.
+        data: for X.
+
+    Returns:
+        The fraction.
+    """
     top = data.top_signal
     return 1 - jax.grad(lambda x: compressed(values, x, top))(top)

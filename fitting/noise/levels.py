@@ -24,9 +24,15 @@ CLEAR_OF_CLIPPING = 4.0  # standard deviations
 class Levels(eqx.Module):
     """Statistics of the frames taken at each level of light.
 
-    light: photons per pixel (0 in the dark). exposure: s. mean: DN. variance: temporal, DN^2.
-    frames: L. pixels: how many. spatial_variance: measured over the pixels' means, DN^2, None
-    where only sums over the pixels are known.
+    Attributes:
+        light: (levels,) photons per pixel and exposure, 0 in the dark.
+        exposure: (levels,) s.
+        mean: (levels,) DN.
+        variance: (levels,) temporal, DN^2.
+        frames: (levels,) L.
+        pixels: how many.
+        spatial_variance: (levels,) measured over the pixels' means, DN^2; None where only sums over
+            the pixels are known.
     """
 
     light: Float[Array, " levels"]
@@ -39,12 +45,16 @@ class Levels(eqx.Module):
 
 
 class PhotonTransfer(eqx.Module):
-    """A photon transfer measurement, levels in the order of their light.
+    """A photon transfer measurement.
 
-    dark_of: index of the dark that belongs to each bright level. light_step: what the photon counts
-    were rounded to, photons. photons_known: false where `bright.light` is the exposure in seconds,
-    for want of a photon count. full_scale: largest DN, None where unknown. remarks: what the reader
-    of the measurement did with it, in sentences.
+    Attributes:
+        bright: levels in the order of their light.
+        dark: levels without light.
+        dark_of: (levels,) index of the dark that belongs to each bright level.
+        light_step: what the photon counts were rounded to, photons.
+        photons_known: false where `bright.light` is the exposure in s.
+        full_scale: largest DN, None where unknown.
+        remarks: what the reader of the measurement did with it, in sentences.
     """
 
     bright: Levels
@@ -57,8 +67,15 @@ class PhotonTransfer(eqx.Module):
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """The standard's saturation point: the level of largest temporal variance, None where the
-    variance does not fall significantly behind it."""
+    """The standard's saturation point.
+
+    Args:
+        levels: bright ones.
+
+    Returns:
+        Index of the level of largest temporal variance; None where the variance does not fall
+        significantly behind it.
+    """
     variance = np.asarray(levels.variance)
     degrees = np.asarray(levels.pixels * (levels.frames - 1))
     peak = int(np.argmax(variance))
@@ -70,8 +87,15 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Indices of bright levels that neither full well nor ADC has touched: up to 95 % of the
-    saturation signal and four standard deviations below full scale."""
+    """Bright levels that neither full well nor ADC has touched.
+
+    Args:
+        measurement: bright and dark levels.
+
+    Returns:
+        Indices of the levels up to 95 % of the saturation signal and four standard deviations below
+        full scale.
+    """
     bright = measurement.bright
     mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
     usable = variance > 0

@@ -24,8 +24,18 @@ EXPOSURE_UNITS = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6, "
 
 
 def read_table(file: Path, bits: int | None) -> PhotonTransfer:
-    """The measurement in a table; `bits` as declared, None to infer it. `InputError` names the
-    column or row that is missing or wrong."""
+    """A photon transfer measurement from a CSV table.
+
+    Args:
+        file: with the columns that the module names.
+        bits: ADC bits as declared; None to infer them where the table saturates.
+
+    Returns:
+        The measurement.
+
+    Raises:
+        InputError: names the column or row that is missing or wrong.
+    """
     columns = _columns(file)
     units = [name for name in EXPOSURE_UNITS if name in columns]
     if not units:
@@ -79,18 +89,18 @@ def _columns(file: Path) -> dict[str, np.ndarray]:
     for i, row in enumerate(rows[1:]):
         if len(row) != len(heads):
             raise InputError(
-                f"{file}: row {i + 1} has {len(row)} cells under {len(heads)} heads; mend that row."
+                f"{file}: row {i + 1} has {len(row)} cells under {len(heads)} heads; correct it."
             )
         for j, cell in enumerate(row):
             try:
                 numbers[i, j] = float(cell)
             except ValueError as error:
                 raise InputError(
-                    f"{file}: {cell!r} in row {i + 1} of column {heads[j]} is no number; mend it."
+                    f"{file}: {cell!r} in row {i + 1} of column {heads[j]} is not a number."
                 ) from error
     if not np.isfinite(numbers).all():
         i, j = np.argwhere(~np.isfinite(numbers))[0]
-        raise InputError(f"{file}: row {i + 1} of column {heads[j]} is not finite; mend it.")
+        raise InputError(f"{file}: row {i + 1} of column {heads[j]} is not finite; correct it.")
     return dict(zip(heads, numbers.T, strict=True))
 
 

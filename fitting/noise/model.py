@@ -26,10 +26,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
 from .quantised import Window, quantised_moments
-
-ROUNDING = 1 / 12  # DN^2, variance of rounding where other noise exceeds about half a DN
 
 SYSTEM_GAIN = Parameter("system_gain", symbol="K", unit="DN/e⁻", transform="log")
 RESPONSIVITY = Parameter("responsivity", symbol="R", unit="DN/photon", transform="log")
@@ -48,10 +48,21 @@ SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")
 
 
 class NoiseData(eqx.Module):
-    """Bright and dark levels in one row. lit: 1 for bright, 0 for dark. light: photons per pixel,
-    or seconds where no photon count is known. light_step: what the light was rounded to, None where
-    it was not. top_signal: X in DN. window: of the levels that need exact moments, None where none
-    does."""
+    """Bright and dark levels in one row.
+
+    Attributes:
+        light: (levels,) photons per pixel, or s where no photon count is known.
+        lit: (levels,) 1 for bright, 0 for dark.
+        exposure: (levels,) s.
+        mean: (levels,) DN.
+        variance: (levels,) temporal, DN^2.
+        frames: (levels,).
+        pixels: how many.
+        top_signal: X, DN.
+        light_step: what the light was rounded to; None where it was not.
+        window: of the levels that need exact moments; None where none does.
+        photons_known: whether light is counted in photons.
+    """
 
     light: Float[Array, " levels"]
     lit: Float[Array, " levels"]
@@ -67,7 +78,14 @@ class NoiseData(eqx.Module):
 
 
 class Moments(eqx.Module):
-    """Cumulants of one pixel's digital number: mean, variance, third and fourth; DN, DN^2 ..."""
+    """Cumulants of one pixel's digital number.
+
+    Attributes:
+        mean: DN.
+        variance: DN^2.
+        third: DN^3.
+        fourth: DN^4.
+    """
 
     mean: Float[Array, "..."]
     variance: Float[Array, "..."]
@@ -76,14 +94,28 @@ class Moments(eqx.Module):
 
 
 class Residuals(eqx.Module):
-    """Standardised residuals, each standard normal if the model holds."""
+    """Standardised residuals, each standard normal if the model holds.
+
+    Attributes:
+        mean: (levels,) of the means.
+        variance: (levels,) of the temporal variances.
+    """
 
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
-    """h(x) for a signal x in DN."""
+    """h(x), the compression behind the gain.
+
+    Args:
+        values: natural parameters by name; without `compression` h(x) = x.
+        x: signal, DN.
+        top: X, DN.
+
+    Returns:
+        h(x), DN.
+    """
     if "compression" not in values:
         return x
     loss = values["compression"] * x / top
@@ -95,7 +127,18 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
 def level_moments(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Moments:
-    """The model at ONE level, away from the ends of the scale."""
+    """The model at ONE level, away from the ends of the scale.
+
+    Args:
+        values: natural parameters by name.
+        data: for `top_signal` and the unit of light.
+        light: photons per pixel, or s.
+        lit: 1 for bright, 0 for dark.
+        exposure: s.
+
+    Returns:
+        Cumulants of the digital number.
+    """
     gain, read = values["system_gain"], values["read_noise"]
     electrons = expected_electrons(values, data, light, lit, exposure)
     x = gain * electrons
@@ -103,7 +146,7 @@ def level_moments(
     step = slope * gain
     return Moments(
         mean=values["black_level"] + h,
-        variance=step**2 * electrons + (gain * read) ** 2 + ROUNDING,
+        variance=step**2 * electrons + (gain * read) ** 2 + QUANTISATION_VARIANCE,
         third=step**3 * electrons,
         fourth=step**4 * electrons,
     )
@@ -112,7 +155,18 @@ def level_moments(
 def expected_electrons(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Array:
-    """mu at ONE level."""
+    """mu at ONE level.
+
+    Args:
+        values: natural parameters by name.
+        data: for the unit of light.
+        light: photons per pixel, or s.
+        lit: 1 for bright, 0 for dark.
+        exposure: s.
+
+    Returns:
+        Electrons per pixel and exposure.
+    """
     responsivity = values[RESPONSIVITY.name if data.photons_known else SIGNAL_RATE.name]
     if "light_offset" in values:
         light = light + lit * values["light_offset"]
@@ -123,7 +177,16 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """The model at all levels, with `light` (levels,) in place of the recorded one."""
+    """The model at all levels.
+
+    Args:
+        values: natural parameters by name.
+        data: of which means and variances are not used.
+        light: (levels,) in place of the recorded one.
+
+    Returns:
+        Cumulants, (levels,) each.
+    """
     moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
         light, data.lit, data.exposure
     )
@@ -147,7 +210,15 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
 def log_likelihood_terms(
     values: dict[str, Array], data: NoiseData
 ) -> tuple[Float[Array, " levels"], Residuals]:
-    """Log density of each level's (mean, variance), and its standardised residuals."""
+    """Log density of each level's (mean, variance).
+
+    Args:
+        values: natural parameters by name.
+        data: means and variances to explain.
+
+    Returns:
+        (levels,) log densities, and the standardised residuals.
+    """
     n, frames = data.pixels, data.frames
     light_variance = None
     if "light_scatter" in values:
@@ -197,12 +268,18 @@ def log_likelihood_terms(
 def log_density(
     vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
 ) -> Array:
-    """Log posterior density of an unconstrained vector, up to a constant; args = (space, data,
-    weight).
+    """Log posterior density, up to a constant.
 
-    weight: on the log likelihood, the inverse of the factor by which misfit inflates a covariance.
     Scatters have a flat prior themselves, not their logarithms: toward a scatter of 0 the
     likelihood levels off, and a flat prior on the logarithm would leave the posterior improper.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        args: (space, data, weight); weight: on the log likelihood, the inverse of the factor by
+            which misfit inflates a covariance.
+
+    Returns:
+        ().
     """
     space, data, weight = args
     flat = sum(vector[i] for i, name in enumerate(names(space)) if name in SCATTERS)
@@ -210,13 +287,29 @@ def log_density(
 
 
 def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:
-    """Negative log likelihood, up to a constant; args = (space, data)."""
+    """Negative log likelihood, up to a constant.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        args: (space, data).
+
+    Returns:
+        ().
+    """
     space, data = args
     terms, _ = log_likelihood_terms(named(space, vector), data)
     return -jnp.sum(terms)
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:
-    """Natural values by name."""
+    """Natural values by name.
+
+    Args:
+        space: the P parameters.
+        vector: (P,) unconstrained.
+
+    Returns:
+        The values.
+    """
     natural = to_natural(space, vector)
     return {name: natural[i] for i, name in enumerate(names(space))}

@@ -22,8 +22,16 @@ SEEN = 2.0  # standard errors above zero from which a pattern variance is a find
 
 @dataclass(frozen=True)
 class PatternVariance:
-    """s_dark^2 (DN^2) and PRNU^2 with their variances; `level`: the bright level used, None where
-    all were."""
+    """What the spatial variances of levels add up to.
+
+    Attributes:
+        dark: s_dark^2, DN^2.
+        dark_error: its standard error.
+        response: PRNU^2, no unit.
+        response_error: its standard error.
+        chi_square_per_dof: of the fit to all levels; None for the standard's two.
+        level: the bright level used; None where all were.
+    """
 
     dark: float
     dark_error: float
@@ -34,7 +42,14 @@ class PatternVariance:
 
 
 def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """(s^2, its variance by temporal noise) of each level, DN^2 and DN^4."""
+    """Spatial variance that temporal noise does not explain.
+
+    Args:
+        levels: with `spatial_variance`.
+
+    Returns:
+        s^2 (DN^2) of each level, and its variance by temporal noise (DN^4).
+    """
     measured, temporal, frames = (
         np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
     )
@@ -45,7 +60,15 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
-    """The standard's two levels: most frames first, then closest to half of saturation."""
+    """The standard's two levels: most frames first, then closest to half of saturation.
+
+    Args:
+        measurement: bright and dark levels.
+        within: the standard's ranges.
+
+    Returns:
+        The pattern.
+    """
     bright, dark, pixels = measurement.bright, measurement.dark, float(measurement.dark.pixels)
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -71,7 +94,15 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
 def fitted_pattern(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> PatternVariance:
-    """Weighted least squares over all darks and the `usable` bright levels."""
+    """The pattern by weighted least squares over all darks and many bright levels.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The pattern.
+    """
     pattern, by_noise = pattern_variance(measurement.bright)
     dark_pattern, dark_by_noise = pattern_variance(measurement.dark)
     square = np.concatenate([_signal(measurement)[usable] ** 2, np.zeros(len(dark_pattern))])

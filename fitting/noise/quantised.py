@@ -32,9 +32,16 @@ ORDERS = (1, 2, 3, 4)
 
 
 class Window(eqx.Module):
-    """Weights of some levels. levels: their indices. centre: an integer code near each mean, from
-    which phases and moments count. size: M. cosine, sine: real and imaginary part of w_p(k), for
-    k = 0, 1 ... and p = 1 .. 4; conjugate frequencies are folded in."""
+    """Weights of some levels for their exact moments.
+
+    Attributes:
+        centre: (levels,) an integer code near each mean, from which phases and moments count.
+        cosine: (levels, orders, frequencies) real part of w_p(k), for p = 1 .. 4 and k = 0, 1 ...;
+            conjugate frequencies are folded in.
+        sine: the imaginary part.
+        levels: their indices.
+        size: M.
+    """
 
     centre: Float[Array, " levels"]
     cosine: Float[Array, "levels orders frequencies"]
@@ -50,8 +57,17 @@ def window_for(
     deviation: float,
     read_noise: float,
 ) -> Window:
-    """Weights for levels of the given means, whose largest standard deviation is `deviation`, with
-    a read noise of about `read_noise`, all in DN."""
+    """Weights for levels of given means.
+
+    Args:
+        levels: their indices.
+        mean: (levels,) DN.
+        deviation: largest standard deviation among them, DN.
+        read_noise: about as large, DN.
+
+    Returns:
+        The window.
+    """
     size = 2 ** int(np.ceil(np.log2(2 * SPREAD * max(deviation, 0.5) + 2)))
     finest = max(read_noise / 2, FINEST_READ_NOISE)
     k = np.arange(int(np.ceil(size * DECAY / (2 * np.pi * finest))) + 1)
@@ -74,8 +90,18 @@ def quantised_moments(
     offset: Float[Array, ""],
     window: Window,
 ) -> tuple[Array, Array, Array, Array]:
-    """First four cumulants of the digital number (DN, DN^2 ...) at `electrons` (e-) expected,
-    `gain` (DN/e-), `read_noise` (e-) and `offset` (DN), for ONE level of the window (vmap it)."""
+    """First four cumulants of the digital number at ONE level (vmap it over the window).
+
+    Args:
+        electrons: expected, e-.
+        gain: DN/e-.
+        read_noise: e- rms.
+        offset: DN.
+        window: of that level.
+
+    Returns:
+        Mean (DN), variance (DN^2), third and fourth cumulant.
+    """
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
     # cos - 1 as -2 sin^2 of half the angle: nothing cancels where u is small.

@@ -23,10 +23,18 @@ DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a fla
 def read_photon_transfer(
     path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
 ) -> PhotonTransfer:
-    """A rig's `[[flat]]` and `[[dark]]` frames, or a table of sums with the suffix `.csv`.
+    """A photon transfer measurement from a rig's `[[flat]]` and `[[dark]]` frames, or from a table.
 
-    bits: of the camera, for a table (default: inferred where the table saturates). channel: site of
-    a Bayer mosaic to use (default: the first green). `InputError` for what cannot be used.
+    Args:
+        path: a rig folder or file, or a table of sums with the suffix `.csv`.
+        bits: ADC bits of a table's camera; None to infer them where the table saturates.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        The measurement.
+
+    Raises:
+        InputError: for what cannot be used.
     """
     file = Path(path)
     if file.suffix.lower() == ".csv":
@@ -38,7 +46,18 @@ def read_photon_transfer(
 
 
 def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
-    """Reduces all frames of a rig, one frame in memory at a time."""
+    """Reduces all frames of a rig, one frame in memory at a time.
+
+    Args:
+        rig: with `[[flat]]` and `[[dark]]`.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        The measurement, unchecked.
+
+    Raises:
+        InputError: for frames that do not belong together.
+    """
     require(rig, "flat", "dark", purpose="photon transfer")
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
     darks = _pooled(rig.dark)
@@ -144,7 +163,7 @@ def _level(rig: Rig, files: Sequence[str], channel: str) -> tuple[float, ...]:
         )
     average = first + total / count
     temporal = (count * squares - total**2) / (count * (count - 1))
-    # Light that drifts between the frames moves all pixels together: that is no pixel noise.
+    # Light that drifts between the frames moves all pixels together, which is not pixel noise.
     own = float(temporal.mean()) - float(np.var(shifts, ddof=1))
     variance = max(own, 0.0) * pixels / (pixels - 1)
     return float(average.mean()), variance, float(average.var(ddof=1)), float(count), float(pixels)

@@ -9,19 +9,21 @@ from ..inference.parameters import names
 from ..inference.posterior import estimates
 from ..report.section import Section, Table
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
-from .emva1288 import (
-    NEED_PHOTONS,
-    NEED_SATURATION,
-    QUANTITIES,
-    Quantity,
-)
+from .emva1288 import NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .figures import noise_pictures
 from .findings import findings
 from .pattern import SEEN
 
 
 def section(calibration: NoiseCalibration) -> Section:
-    """Estimates, findings, tables and pictures for a report."""
+    """A calibrated camera as its reader sees it.
+
+    Args:
+        calibration: of the camera.
+
+    Returns:
+        Estimates by both methods, findings, tables and pictures.
+    """
     chosen = calibration.chosen
     return Section(
         kind="noise",
@@ -61,9 +63,7 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
         missing = _missing_method(name, name in values, name in by_likelihood)
         if missing is not None:
             reason = _why_missing(calibration, name)
-            listed.append(
-                not_determined(name, quantity.symbol, quantity.unit, reason, method=missing)
-            )
+            listed.append(not_determined(quantity, reason, method=missing))
     own = [replace(found, method=LIKELIHOOD) for found in estimates(calibration.posterior)]
     return (*listed, *(found for found in own if found.name not in by_likelihood))
 
@@ -87,13 +87,13 @@ def _why_missing(calibration: NoiseCalibration, name: str) -> str:
 
 
 def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tuple[Estimate, ...]:
-    name, symbol, unit, _ = quantity
+    name, unit = quantity.name, quantity.unit
     if calibration.patterns is None:
         reason = (
             "a table of temporal sums does not hold the variance from pixel to pixel; give the "
             "frames in a rig folder"
         )
-        return (not_determined(name, symbol, unit, reason),)
+        return (not_determined(quantity, reason),)
     gain = float(calibration.standard.values["system_gain"])
     gain_error = float(calibration.standard.errors["system_gain"]) / gain
     by_fit = {estimate.name: estimate for estimate in calibration.sheet}["system_gain"]
@@ -114,7 +114,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         if square < SEEN * error:
             bound = scale * np.sqrt(max(square, 0) + SEEN * error)
             reason = f"hidden under temporal noise, below {bound:.3g} {unit}; take more frames"
-            found.append(not_determined(name, symbol, unit, reason, method=method))
+            found.append(not_determined(quantity, reason, method=method))
             continue
         value = float(np.sqrt(square))
         spread = np.hypot(error / (2 * value), value * relative)
@@ -123,29 +123,18 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 
 def _models_table(calibration: NoiseCalibration) -> Table:
-    rows = []
-    fits = [("linear camera, pixel noise only", calibration.linear)]
-    if calibration.chosen is not calibration.linear:
-        added = [
-            name.replace("_", " ")
-            for name in names(calibration.chosen.space)
-            if name not in names(calibration.linear.space)
-        ]
-        fits.append(("+ " + ", ".join(added), calibration.chosen))
-    for label, fit in fits:
-        rows.append(
-            (
-                label,
-                len(fit.space),
-                fit.chi_square / fit.degrees,
-                fit.p_value,
-                fit.bic,
-                float(fit.values["system_gain"]),
-            )
-        )
+    linear, chosen = calibration.linear, calibration.chosen
+    fits = {"linear camera, pixel noise only": linear}
+    if chosen is not linear:
+        added = [name for name in names(chosen.space) if name not in names(linear.space)]
+        fits[f"+ {', '.join(added).replace('_', ' ')}"] = chosen
     return Table(
         "Models fitted by likelihood",
         ("model", "parameters", "χ² per degree", "p-value", "BIC", "K at zero signal [DN/e⁻]"),
-        tuple(rows),
+        tuple(
+            (label, len(fit.space), fit.chi_square / fit.degrees, fit.p_value, fit.bic, gain)
+            for label, fit in fits.items()
+            for gain in [float(fit.values["system_gain"])]
+        ),
         "A good model has χ² per degree of freedom near 1; the smaller BIC is preferred.",
     )

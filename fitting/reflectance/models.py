@@ -12,13 +12,13 @@ reflect alike at all angles, as a metal nearly does.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxvision._vector import Vec
+from jaxvision import Vec
 from jaxvision.brdf import evaluate, shading
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
 from jaxvision.brdf.fresnel import Dielectric
@@ -26,33 +26,27 @@ from jaxvision.brdf.gaussian_lobe import GaussianLobe
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong, Phong
 from jaxvision.brdf.torrance_sparrow import Distribution, TorranceSparrow
+from jaxvision.errors import InputError
 from jaxvision.scene import Material
 
 from ..inference.parameters import Parameter
+from .names import Axis, Model
 
-Model = Literal[
-    "lambert",
-    "oren-nayar",
-    "phong",
-    "normalised-phong",
-    "gaussian-lobe",
-    "blinn",
-    "normalised-blinn",
-    "torrance-sparrow",
-    "torrance-sparrow-ggx",
-    "torrance-sparrow-metal",
-]
-Axis = Literal["mirror", "half", "none"]
-
-INDEX = 1.5  # of refraction: glass, varnish, most plastics
 HIGHEST_INDEX = 10.0  # of refraction: beyond any material
 
 
 @dataclass(frozen=True)
 class Reflectance:
-    """One model. axis: what the lobe is centred on. shape, material: its parameter, and the record
-    of a shape and an index of refraction with unit amplitude and no other part; None for Lambert.
-    unit: of k_s in a BRDF."""
+    """One model.
+
+    Attributes:
+        label: its name in reports.
+        axis: what the lobe is centred on.
+        shape: its parameter; None for Lambert.
+        material: the record of a shape and an index of refraction, with unit amplitude and no other
+            part; None for Lambert.
+        unit: of k_s in a BRDF.
+    """
 
     label: str
     axis: Axis
@@ -63,6 +57,11 @@ class Reflectance:
 
 def _shape(name: str, symbol: str, unit: str, *, lower: float, upper: float) -> Parameter:
     return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=lower, upper=upper)
+
+
+def amplitude(name: str, symbol: str, unit: str) -> Parameter:
+    """An amplitude: positive, hence in the logarithm."""
+    return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
 
 
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
@@ -119,15 +118,10 @@ REFLECTANCES: dict[Model, Reflectance] = {
         "Torrance-Sparrow (GGX)", "half", _FACET_ROUGHNESS, _facets("ggx"), "1"
     ),
     "torrance-sparrow-metal": Reflectance(
-        "Torrance-Sparrow (GGX, metal)",
-        "half",
-        _FACET_ROUGHNESS,
-        _facets("ggx", clear=False),
-        "1",
+        "Torrance-Sparrow (GGX, metal)", "half", _FACET_ROUGHNESS, _facets("ggx", clear=False), "1"
     ),
 }
 
-MODELS: tuple[Model, ...] = tuple(REFLECTANCES)
 LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.items()}
 CLEAR: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-ggx")  # with an index
 
@@ -142,6 +136,12 @@ def facet_sentence(index: float) -> str:
     )
 
 
+def check_index(index: float) -> None:
+    """`InputError` for an index of refraction that no clear material has."""
+    if not 1 < index < HIGHEST_INDEX:
+        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+
+
 def has_lobe(model: Model) -> bool:
     """Whether a specular term stands beside the diffuse one."""
     return REFLECTANCES[model].axis != "none"
@@ -154,17 +154,45 @@ def shape_of(model: Model) -> Parameter:
     return shape
 
 
+def log_range(model: Model) -> tuple[float, float]:
+    """Between which logarithms the shape of any model but Lambert's is searched."""
+    shape = shape_of(model)
+    return float(np.log(shape.lower)), float(np.log(shape.upper))
+
+
 def unit_brdf(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """f_r of unit amplitude for pairs of local directions, components (n,): sr^-1 per amplitude."""
+    """f_r of unit amplitude.
+
+    Args:
+        model: any but Lambert's.
+        shape: natural.
+        wi: (n,) components, unit, local, toward the light.
+        wo: (n,) components, unit, local, toward the viewer.
+        index: of refraction, of clear facets.
+
+    Returns:
+        (n,) sr^-1 per amplitude.
+    """
     return _over_pairs(evaluate, model, shape, wi, wo, index)
 
 
 def unit_shading(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """What unit amplitude makes of the irradiance on a surface facing the light: (n,)."""
+    """What unit amplitude makes of the irradiance on a surface that faces the light.
+
+    Args:
+        model: any but Lambert's.
+        shape: natural.
+        wi: (n,) components, unit, local, toward the light.
+        wo: (n,) components, unit, local, toward the viewer.
+        index: of refraction, of clear facets.
+
+    Returns:
+        (n,).
+    """
     return _over_pairs(shading, model, shape, wi, wo, index)
 
 

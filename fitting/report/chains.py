@@ -56,9 +56,15 @@ def trace_figure(posterior: Posterior) -> Figure:
 
 
 def write_chains(path: Path, posteriors: dict[str, Posterior]) -> None:
-    """Draws of every posterior in one NetCDF file, as the groups `posterior` and `sample_stats` of
-    ArviZ' layout (dimensions chain, draw); with several posteriors each variable name is preceded
-    by its own (`red_exponent`)."""
+    """Draws of every posterior in one NetCDF file of ArviZ' layout.
+
+    The groups are `posterior` and `sample_stats`, their dimensions chain and draw; with several
+    posteriors each variable's name is preceded by its own (`red_exponent`).
+
+    Args:
+        path: of the file, replaced once it is complete.
+        posteriors: by name.
+    """
     import xarray
 
     variables, statistics, attributes = {}, {}, {}
@@ -85,28 +91,20 @@ def write_chains(path: Path, posteriors: dict[str, Posterior]) -> None:
             )
 
 
-def chain_pictures(section: Section) -> list[Picture]:
+def chain_pictures(section: Section) -> tuple[Picture, ...]:
     """The corner plot of each posterior of a section, and the paths of a sampled one."""
     pictures = []
     for group, posterior in section.posteriors.items():
         which = f" ({group})" if group else ""
         if len(posterior.space) > 1:
-            pictures.append(
-                Picture(
-                    f"corner_{group}",
-                    f"Joint uncertainty{which}",
-                    f"{posterior.method} posterior: 68 and 95 % regions of every pair of "
-                    "parameters; a slanted ellipse is a pair the data partly confuse.",
-                    partial(corner_figure, posterior),
-                )
+            caption = (
+                f"{posterior.method} posterior: 68 and 95 % regions of every pair of parameters; "
+                "a slanted ellipse is a pair the data partly confuse."
             )
+            draw = partial(corner_figure, posterior)
+            pictures.append(Picture(f"corner_{group}", f"Joint uncertainty{which}", caption, draw))
         if posterior.method == "emcee":
-            pictures.append(
-                Picture(
-                    f"trace_{group}",
-                    f"Walkers{which}",
-                    "Paths of some walkers after burn-in; a settled chain looks like even noise.",
-                    partial(trace_figure, posterior),
-                )
-            )
-    return pictures
+            caption = "Paths of some walkers after burn-in; a settled chain looks like even noise."
+            draw = partial(trace_figure, posterior)
+            pictures.append(Picture(f"trace_{group}", f"Walkers{which}", caption, draw))
+    return tuple(pictures)

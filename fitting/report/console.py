@@ -1,53 +1,21 @@
-"""The terminal: progress on standard error, results as tables or JSON on standard output."""
+"""Results as tables and sentences on standard output."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 from rich.table import Table as RichTable
 
 from ..inference.estimates import Estimate
-from ..inference.posterior import Progress as ProgressCallback
 from .formatting import format_cell, format_interval, format_unit, format_value
 from .section import Section, Table
 
-PLAIN_WIDTH = 170  # columns where the output is no terminal and so has no width of its own
+PLAIN_WIDTH = 170  # columns where the output is not a terminal, which would tell its width
 
 
 def output() -> Console:
     """Standard output, wide enough for whole tables when it is piped."""
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
-
-
-class Reporter:
-    """Progress of a long command: named steps, each with an optional bar."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-
-    @contextmanager
-    def step(self, description: str) -> Iterator[ProgressCallback]:
-        """Shows `description` while the block runs; call what it yields with (done, total)."""
-        task = self._progress.add_task(description, total=None)
-
-        def advance(done: int, total: int) -> None:
-            self._progress.update(task, completed=done, total=total)
-
-        yield advance
-        self._progress.update(task, total=1, completed=1)
-        if not self._progress.console.is_terminal:
-            self._progress.console.print(f"{description}: done")
-
-
-@contextmanager
-def reporting() -> Iterator[Reporter]:
-    """Progress on standard error; plain lines where that is no terminal."""
-    console = Console(stderr=True, highlight=False)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        yield Reporter(progress)
 
 
 def print_section(console: Console, section: Section) -> None:

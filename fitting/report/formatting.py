@@ -10,15 +10,29 @@ DIGITS = 2  # significant digits of an uncertainty
 
 
 def decimals_for(uncertainty: float) -> int | None:
-    """Decimal places that keep two significant digits of `uncertainty`; None where it is zero or
-    not finite."""
+    """Decimal places that keep two significant digits of an uncertainty.
+
+    Args:
+        uncertainty: in any unit.
+
+    Returns:
+        The places, negative for tens and more; None where it is zero or not finite.
+    """
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return None
     return DIGITS - 1 - math.floor(math.log10(uncertainty))
 
 
 def format_number(value: float, decimals: int | None) -> str:
-    """`value` rounded to `decimals` places (negative: tens, hundreds ...; None: six digits)."""
+    """A number rounded to given decimal places.
+
+    Args:
+        value: to print.
+        decimals: places; negative for tens, hundreds ...; None for six digits.
+
+    Returns:
+        The text.
+    """
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
     if decimals > 7 or abs(value) >= 1e7:
@@ -39,7 +53,15 @@ def format_value(estimate: Estimate) -> str:
 
 
 def format_interval(estimate: Estimate, level: int) -> str:
-    """The 68 or 95 % interval as `[low, high]`, empty where there is none."""
+    """The 68 or 95 % interval as `[low, high]`.
+
+    Args:
+        estimate: with or without an interval.
+        level: 68 or 95.
+
+    Returns:
+        The text, empty where there is no interval.
+    """
     interval = estimate.interval_68 if level == 68 else estimate.interval_95
     if interval is None:
         return ""

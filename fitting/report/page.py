@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxvision.io import replaced_on_success
 
+from ..inference.estimates import Estimate
 from .chains import chain_pictures, write_chains
 from .formatting import format_cell, format_interval, format_unit, format_value, split_symbol
 from .section import Picture, Section, Table
@@ -25,35 +26,42 @@ DOTS_PER_INCH = 130
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of those whose numbers enter a result."""
+    """Versions of this package and of the packages that compute a result."""
     return {name: version(name) for name in PACKAGES}
 
 
 def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
-    """Estimates with units and intervals, findings, tables, settings, versions and seed as JSON
-    text; what is not determined is null, with its reason."""
+    """Results as JSON text: estimates with units and intervals, findings, tables, settings.
+
+    Args:
+        sections: of the report.
+        seed: that drew every sample.
+        settings: of the command.
+
+    Returns:
+        The text; what is not determined is null, with its reason.
+    """
+    parts = ("kind", "title", "estimates", "findings", "tables", "settings")
     content = {
         "created": _now(),
         "seed": seed,
         "versions": versions(),
         "settings": settings,
-        "sections": [
-            {
-                "kind": section.kind,
-                "title": section.title,
-                "estimates": [asdict(estimate) for estimate in section.estimates],
-                "findings": section.findings,
-                "tables": [asdict(table) for table in section.tables],
-                "settings": section.settings,
-            }
-            for section in sections
-        ],
+        "sections": [{part: getattr(section, part) for part in parts} for section in sections],
     }
     return json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def as_html(sections: Sequence[Section], *, title: str) -> str:
-    """The report as one HTML page with its pictures inside."""
+    """The report as one HTML page with its pictures inside.
+
+    Args:
+        sections: of the report.
+        title: of the page.
+
+    Returns:
+        The page.
+    """
     import jinja2
 
     environment = jinja2.Environment(
@@ -62,24 +70,31 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
     )
+    environment.filters |= {
+        function.__name__: function
+        for function in (format_cell, format_interval, format_unit, format_value, split_symbol)
+    } | {"as_png": _as_png, "chain_pictures": chain_pictures}
     return environment.get_template("report.html.j2").render(
-        title=title,
-        created=_now(),
-        versions=versions(),
-        sections=[_section_cells(section) for section in sections],
+        title=title, created=_now(), versions=versions(), sections=sections
     )
 
 
 def write_report(
-    folder: Path,
-    sections: Sequence[Section],
-    *,
-    title: str,
-    seed: int,
-    settings: dict[str, Any],
+    folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Writes `report.html`, `results.json` and, for each section with posteriors,
-    `<kind>_chains.nc` into `folder` (made if needed); returns their paths."""
+    """Writes a report, and the draws of its posteriors.
+
+    Args:
+        folder: made if needed.
+        sections: of the report.
+        title: of the page.
+        seed: that drew every sample.
+        settings: of the command.
+
+    Returns:
+        Paths of `report.html`, `results.json` and, for each section with posteriors,
+        `<kind>_chains.nc`.
+    """
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []
@@ -102,6 +117,8 @@ def _now() -> str:
 def _finite(content: Any) -> Any:
     """JSON without NaN: arrays as lists, non-finite numbers as null."""
     match content:
+        case Estimate() | Table():
+            return _finite(asdict(content))
         case dict():
             return {str(key): _finite(value) for key, value in content.items()}
         case list() | tuple():
@@ -119,46 +136,8 @@ def _finite(content: Any) -> Any:
     return str(content)
 
 
-def _section_cells(section: Section) -> dict[str, Any]:
-    return {
-        "kind": section.kind,
-        "title": section.title,
-        "findings": section.findings,
-        "grouped": any(estimate.group for estimate in section.estimates),
-        "estimates": [
-            {
-                "group": estimate.group,
-                "name": estimate.name.replace("_", " "),
-                "symbol": split_symbol(estimate.symbol),
-                "unit": format_unit(estimate.unit),
-                "method": estimate.method,
-                "reason": estimate.reason,
-                "value": format_value(estimate),
-                "interval_68": format_interval(estimate, 68),
-                "interval_95": format_interval(estimate, 95),
-            }
-            for estimate in section.estimates
-        ],
-        "tables": [_table_cells(table) for table in section.tables],
-        "pictures": [_picture_cells(p) for p in (*section.pictures, *chain_pictures(section))],
-        "settings": {name: format_cell(value) for name, value in section.settings.items()},
-    }
-
-
-def _table_cells(table: Table) -> dict[str, Any]:
-    return {
-        "title": table.title,
-        "columns": table.columns,
-        "rows": [[format_cell(cell) for cell in row] for row in table.rows],
-        "caption": table.caption,
-    }
-
-
-def _picture_cells(picture: Picture) -> dict[str, str]:
+def _as_png(picture: Picture) -> str:
+    """The drawn picture, base64-encoded."""
     buffer = io.BytesIO()
     picture.draw().savefig(buffer, format="png", dpi=DOTS_PER_INCH)
-    return {
-        "title": picture.title,
-        "caption": picture.caption,
-        "png": base64.b64encode(buffer.getvalue()).decode(),
-    }
+    return base64.b64encode(buffer.getvalue()).decode()

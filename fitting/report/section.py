@@ -13,7 +13,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or numbers under column heads."""
+    """Rows of text or numbers under column heads.
+
+    Attributes:
+        title: above it.
+        columns: heads.
+        rows: cells; floats are shown to four digits, None as a dash.
+        caption: below it.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -23,7 +30,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure drawn only when a report asks for it."""
+    """A figure, drawn only when a report asks for it.
+
+    Attributes:
+        name: a word.
+        title: above it.
+        caption: what it shows and how to read it.
+        draw: the function that draws it.
+    """
 
     name: str
     title: str
@@ -33,10 +47,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """One calibration as its reader sees it, the first picture being the one to look at first.
+    """One calibration as its reader sees it.
 
-    `findings` are full sentences: misfit, identifiability, what was masked or refused.
-    `posteriors` are keyed by group; `settings` is everything needed to repeat the fit.
+    Attributes:
+        kind: a word; chains are stored under it.
+        title: heading.
+        estimates: rows of the table of results.
+        findings: full sentences: misfit, identifiability, what was masked or refused.
+        pictures: the most telling one first.
+        tables: beside the estimates.
+        posteriors: by group.
+        settings: everything needed to repeat the fit.
     """
 
     kind: str

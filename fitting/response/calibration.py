@@ -1,14 +1,14 @@
 """The camera response from an exposure stack: the whole curve, gamma, and the merged radiance map,
 per colour channel (or Bayer site) and group of images."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxvision.errors import InputError
 
-from ..inference.posterior import SamplingOptions
+from ..inference.emcee_run import SamplingOptions, for_group
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
 from .radiance_map import RadianceMap, merge
@@ -17,7 +17,14 @@ from .read import ExposureStack, Plane
 
 @dataclass(frozen=True)
 class ChannelResponse:
-    """What one plane gave."""
+    """What one plane gave.
+
+    Attributes:
+        plane: its codes and exposures.
+        curve: log exposure of every code.
+        gamma: the best pure gamma.
+        radiance: the merged map.
+    """
 
     plane: Plane
     curve: ResponseCurve
@@ -27,7 +34,15 @@ class ChannelResponse:
 
 @dataclass(frozen=True)
 class ResponseCalibration:
-    """The planes that could be calibrated, and (plane, reason) of those that could not."""
+    """A calibrated stack.
+
+    Attributes:
+        stack: what was calibrated.
+        channels: the planes that could be.
+        skipped: (plane, reason) of those that could not.
+        sampling: how gamma was drawn; None for Laplace.
+        seed: of every draw.
+    """
 
     stack: ExposureStack
     channels: tuple[ChannelResponse, ...]
@@ -39,10 +54,20 @@ class ResponseCalibration:
 def calibrate(
     stack: ExposureStack, *, sampling: SamplingOptions | None = None, seed: int = 0
 ) -> ResponseCalibration:
-    """Calibrates every plane of a stack; with `sampling` gamma's intervals come from emcee.
+    """The response of every plane of a stack.
 
-    A plane that cannot be calibrated (too dark, all clipped) is set aside with its reason;
-    `InputError` when none can.
+    A plane that cannot be calibrated (too dark, all clipped) is set aside with its reason.
+
+    Args:
+        stack: exposures of still scenes.
+        sampling: how to draw gamma by emcee; None for exact integrals and Laplace's draws.
+        seed: of every draw.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: when no plane can be calibrated.
     """
     channels, skipped = [], []
     for plane in stack.planes:
@@ -66,15 +91,21 @@ def _calibrate(
         black=plane.black,
         clip=plane.clip,
     )
-    if sampling is not None and sampling.checkpoint is not None:
-        sampling = replace(sampling, checkpoint=sampling.checkpoint / plane.label.replace("/", "_"))
-    gamma = fit_gamma(curve, label=plane.label, sampling=sampling, seed=seed)
+    own = for_group(sampling, plane.label)
+    gamma = fit_gamma(curve, label=plane.label, sampling=own, seed=seed)
     return ChannelResponse(plane, curve, gamma, merge(plane.codes, plane.exposures, curve))
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:
-    """Radiance maps by group, float32, relative: (h, w, 3) for colour, (h / 2, w / 2, 3) for a
-    mosaic (its greens averaged), (h, w) for grey. A group lacking a colour is left out."""
+    """Radiance maps by group.
+
+    Args:
+        calibration: of a stack.
+
+    Returns:
+        float32, relative: (h, w, 3) for colour, (h / 2, w / 2, 3) for a mosaic (its greens
+        averaged), (h, w) for grey. A group that lacks a colour is left out.
+    """
     images = {}
     for group in dict.fromkeys(channel.plane.group for channel in calibration.channels):
         maps = {

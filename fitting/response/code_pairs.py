@@ -31,7 +31,7 @@ CHUNK = 1 << 16  # pixels held in floating point at a time
 LOOSEST = 0.3  # log standard deviation up to which noise is near enough Gaussian
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
-OUTLIER = 5.0  # standard deviations beyond which a residual is no noise: the pixel is left out
+OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
 MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of clipping
 NOISE_CELLS = 48
 FEWEST_IN_CELL = 10
@@ -40,8 +40,13 @@ WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal
 
 @dataclass(frozen=True)
 class CodeBins:
-    """Intervals of codes. edges: DN, ascending, half-integers; lookup: bin of every code, -1 where
-    the code is at or below black or clipped."""
+    """Intervals of codes.
+
+    Attributes:
+        edges: DN, ascending, half-integers.
+        lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
+        black: DN without light.
+    """
 
     edges: Float[np.ndarray, " edges"]
     lookup: Int[np.ndarray, " codes"]
@@ -58,7 +63,13 @@ class CodeBins:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of ln X at relative exposure X: relative + shot / X + read / X^2."""
+    """Variance of ln X at relative exposure X: relative + shot / X + read / X^2.
+
+    Attributes:
+        relative: of the pixels' own gains.
+        shot: at mid-scale.
+        read: at mid-scale.
+    """
 
     relative: float
     shot: float
@@ -67,9 +78,17 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class WeightRule:
-    """Tables over a uniform grid of log exposure, with an empty cell at either end: the weight, the
-    share of its variance that is noise, and the mean of weight times residual. `by_bin`: the weight
-    to start from, by observed code; `weight` None: the only one."""
+    """How observations are weighted: tables over a uniform grid of log exposure, with an empty cell
+    at either end.
+
+    Attributes:
+        by_bin: (bins,) weight to start from, by observed code.
+        start: log exposure of the first cell.
+        step: between cells.
+        weight: (cells,); None where `by_bin` is the only weight.
+        share: (cells,) share of the variance that is noise.
+        bias: (cells,) mean of weight times residual.
+    """
 
     by_bin: Float[np.ndarray, " bins"]
     start: float = 0.0
@@ -81,8 +100,16 @@ class WeightRule:
 
 @dataclass(frozen=True)
 class Observations:
-    """Linked pixels, those with two weights at least: bins, weights, cells of the rule's tables and
-    residuals (exposures, pixels); sums of weights and log irradiances (pixels,)."""
+    """Linked pixels: those with two weights at least.
+
+    Attributes:
+        binned: (exposures, pixels) bins.
+        weights: (exposures, pixels).
+        cells: (exposures, pixels) of the rule's tables.
+        residuals: (exposures, pixels) in ln X.
+        total: (pixels,) sums of weights.
+        log_irradiance: (pixels,).
+    """
 
     binned: Int[np.ndarray, "exposures pixels"]
     weights: Float[np.ndarray, "exposures pixels"]
@@ -94,8 +121,15 @@ class Observations:
 
 @dataclass(frozen=True)
 class PairStatistics:
-    """A and b over (bins, exposures), the pixels and observations that went in, and the energy at
-    the curve they were weighted by."""
+    """All that the pixels say about a curve: A and b over (bins, exposures).
+
+    Attributes:
+        matrix: A.
+        score: b.
+        pixels: that went in.
+        observations: (exposures,) that went in.
+        chi_square: the energy at the curve they were weighted by.
+    """
 
     matrix: Float[np.ndarray, "unknowns unknowns"]
     score: Float[np.ndarray, " unknowns"]
@@ -103,14 +137,20 @@ class PairStatistics:
     observations: Int[np.ndarray, " exposures"]
     chi_square: float
 
-    @property
-    def degrees_of_freedom(self) -> int:
-        return int(self.observations.sum()) - self.pixels
-
 
 def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) -> CodeBins:
-    """One bin per code up to `count` codes; beyond, bins of equal width in sqrt(DN - black), which
-    follow shot noise."""
+    """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
+    which follow shot noise.
+
+    Args:
+        bits: of the codes.
+        black: DN without light.
+        clip: DN from which a code is saturated.
+        count: most bins.
+
+    Returns:
+        The bins.
+    """
     first, last = int(np.floor(black)) + 1, min(int(np.ceil(clip)), 2**bits - 1) - 1
     if last - first + 1 <= count:
         starts = np.arange(first, last + 2)
@@ -125,7 +165,15 @@ def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) ->
 def noise_variance(
     noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " points"]:
-    """Variance that noise gives the logarithm of an exposure."""
+    """Variance that noise gives the logarithm of an exposure.
+
+    Args:
+        noise: of the pixels.
+        log_exposure: (points,).
+
+    Returns:
+        (points,).
+    """
     inverse = np.exp(-log_exposure)
     return noise.relative + noise.shot * inverse + noise.read * inverse**2
 
@@ -144,7 +192,15 @@ def hat_rule(bins: CodeBins) -> WeightRule:
 
 
 def noise_rule(noise: NoiseModel, means: Float[np.ndarray, " bins"]) -> WeightRule:
-    """Weights by the predicted exposure under a curve (rising bin means) and a noise model."""
+    """Weights by the predicted exposure under a curve and a noise model.
+
+    Args:
+        noise: of the pixels.
+        means: (bins,) of the curve, rising.
+
+    Returns:
+        The rule.
+    """
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     interval = np.interp(grid, means, interval_variance(means))
     variance = noise_variance(noise, grid) + interval
@@ -170,7 +226,19 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Weights and residuals of the linked among these pixels (bin -1: unusable)."""
+    """Weights and residuals of the linked among some pixels.
+
+    Args:
+        binned: (exposures, pixels) bins; -1 is unusable.
+        log_t: (exposures,) log exposure times.
+        means: (bins,) of the curve.
+        rule: of the weights.
+        screened: leave out pixels with a residual beyond five standard deviations, once a curve is
+            known.
+
+    Returns:
+        The observations.
+    """
     by_each = means[binned] - log_t[:, None]
     weights = np.where(binned >= 0, rule.by_bin[binned], 0)
     cells = np.zeros_like(binned)
@@ -197,7 +265,15 @@ def observe(
 def cells_of(
     rule: WeightRule, log_exposure: Float[np.ndarray, "*points"]
 ) -> Int[np.ndarray, "*points"]:
-    """Cells of a rule's tables that hold these log exposures."""
+    """Cells of a rule's tables that hold given log exposures.
+
+    Args:
+        rule: with tables.
+        log_exposure: any shape.
+
+    Returns:
+        Of the same shape.
+    """
     assert rule.weight is not None
     position = (log_exposure - rule.start) / rule.step + 1.5
     return np.clip(position, 0, len(rule.weight) - 1).astype(np.int32)
@@ -206,7 +282,15 @@ def cells_of(
 def weighted_mean(
     weights: Float[np.ndarray, "exposures pixels"], values: Float[np.ndarray, "exposures pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Mean over exposures; 0 where all weights are."""
+    """Mean over exposures.
+
+    Args:
+        weights: (exposures, pixels).
+        values: (exposures, pixels).
+
+    Returns:
+        (pixels,); 0 where all weights are.
+    """
     total = weights.sum(axis=0)
     return (weights * values).sum(axis=0) / np.where(total > 0, total, 1)
 
@@ -218,7 +302,18 @@ def pair_statistics(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> PairStatistics:
-    """A and b from all pixels, a chunk at a time, weighted by `rule` at the curve `means`."""
+    """A and b from all pixels, a chunk at a time.
+
+    Args:
+        codes: (exposures, pixels) DN.
+        log_t: (exposures,) log exposure times.
+        bins: of codes.
+        rule: of the weights.
+        means: (bins,) of the curve at which the rule weighs.
+
+    Returns:
+        The statistics.
+    """
     sums = _Sums(len(means), len(log_t))
     for start in range(0, codes.shape[1], CHUNK):
         binned = bins.lookup[codes[:, start : start + CHUNK]]
@@ -296,13 +391,22 @@ def _pull_of_noise(noisy: np.ndarray, means: np.ndarray) -> np.ndarray:
 
 
 def fit_noise(
-    seen: Observations,
-    log_t: Float[np.ndarray, " exposures"],
-    means: Float[np.ndarray, " bins"],
+    seen: Observations, log_t: Float[np.ndarray, " exposures"], means: Float[np.ndarray, " bins"]
 ) -> NoiseModel:
-    """The three variances, from squared residuals in cells of predicted log exposure (cut at three
-    standard deviations of their cell, robustly), by non-negative least squares. What the interval
-    is wide is known and taken off."""
+    """The three variances of the noise model.
+
+    Squared residuals in cells of predicted log exposure, cut at three standard deviations of their
+    cell, are fitted by non-negative least squares, the known variance of the intervals of codes
+    subtracted.
+
+    Args:
+        seen: observations under a curve.
+        log_t: (exposures,) log exposure times.
+        means: (bins,) of the curve.
+
+    Returns:
+        The model.
+    """
     used = seen.weights > 0
     predicted = (seen.log_irradiance + log_t[:, None])[used]
     free = (1 - seen.weights / seen.total)[used]

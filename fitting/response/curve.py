@@ -64,10 +64,19 @@ SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
 class ResponseCurve:
     """g and its Gaussian posterior, for given smoothness and shutter error.
 
-    codes: DN of the bin centres; log_exposure: g there, 0 at mid-scale; covariance: of g;
-    seen: which bins hold usable observations, the others being extrapolated by the prior.
-    shutter_error: tau, None where the data show none; shutter_offsets: delta_j and their standard
-    errors, beyond what any curve absorbs. exposures: those in use, seconds.
+    Attributes:
+        bins: intervals of codes.
+        log_exposure: (bins,) g at the centres, 0 at mid-scale.
+        covariance: (bins, bins) of g.
+        seen: (bins,), which hold usable observations; the prior extrapolates to the others.
+        bin_means: (bins,) mean of g over each bin.
+        exposures: those in use, s.
+        shutter_offsets: (exposures,) delta_j, beyond what any curve absorbs.
+        shutter_offset_errors: (exposures,) their standard errors.
+        shutter_error: tau; None where the data show none.
+        smoothness: precision of the prior.
+        noise: of the pixels.
+        statistics: of the pairs of codes, all that the pixels say.
     """
 
     bins: CodeBins
@@ -115,10 +124,19 @@ def fit_response_curve(
 ) -> ResponseCurve:
     """The response curve of one channel.
 
-    exposures: seconds, ascending, at least two different. black: DN without light; clip: DN from
-    which a code is saturated (default: full scale). `InputError` when fewer than 100 pixels are
-    neither black nor clipped in two exposures, or when the exposures fall into sets that share no
-    such pixel.
+    Args:
+        codes: (exposures, pixels) DN.
+        exposures: (exposures,) s, ascending, at least two different.
+        bits: of the codes.
+        black: DN without light.
+        clip: DN from which a code is saturated; None for full scale.
+
+    Returns:
+        The curve.
+
+    Raises:
+        InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, or
+            when the exposures fall into sets that share no such pixel.
     """
     clip = 2.0**bits - 1 if clip is None else clip
     bins = code_bins(bits, black, clip)
@@ -154,9 +172,17 @@ def fit_response_curve(
 
 
 def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
-    """R of the prior energy smoothness g^T R g: squared increments of the local exponent
-    dg / d ln(z - black), per tick of a clock that runs as dz / z + sqrt(F) dz / (F - z)^1.5, F
-    being full scale (z counted from black)."""
+    """R of the prior energy smoothness g^T R g.
+
+    It sums squared increments of the local exponent dg / d ln(z - black), per tick of a clock that
+    runs as dz / z + sqrt(F) dz / (F - z)^1.5, F being full scale (z counted from black).
+
+    Args:
+        bins: of codes.
+
+    Returns:
+        (bins, bins).
+    """
     z = bins.centres - bins.black
     full = bins.edges[-1] - bins.black + 0.5
     step = 1 / np.diff(np.log(z))
@@ -172,7 +198,14 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
     """Orthonormal basis of the shutter errors that the data can show: those orthogonal to a common
-    factor and to a common exponent."""
+    factor and to a common exponent.
+
+    Args:
+        log_t: (exposures,) log exposure times.
+
+    Returns:
+        (exposures, exposures - 2).
+    """
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 

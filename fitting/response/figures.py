@@ -21,7 +21,6 @@ COLOURS = {
 }
 MOST_GROUPS = 9
 DOTS = 1500  # pixels drawn per channel
-SHORT_FILE_NAME = 24
 
 
 def curve_figure(calibration: ResponseCalibration) -> Figure:
@@ -117,8 +116,15 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> Figure:
-    """The tone-mapped map of each group, of which `images` names one at least, beside its middle
-    exposure."""
+    """The tone-mapped map of each group beside its middle exposure.
+
+    Args:
+        calibration: of a stack.
+        images: radiance maps by group, one at least.
+
+    Returns:
+        The figure.
+    """
     shown = list(images.items())[:MOST_GROUPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
     figure = Figure(figsize=(8, 4 * tall * len(shown) + 0.6), layout="constrained")
@@ -175,9 +181,7 @@ def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.n
     return np.clip(np.stack([by_name["red"], green, by_name["blue"]], axis=-1), 0, 1), seconds
 
 
-def _groups(
-    calibration: ResponseCalibration,
-) -> list[tuple[str, list[ChannelResponse]]]:
+def _groups(calibration: ResponseCalibration) -> list[tuple[str, list[ChannelResponse]]]:
     groups: dict[str, list[ChannelResponse]] = {}
     for channel in calibration.channels:
         groups.setdefault(channel.plane.group, []).append(channel)

@@ -19,8 +19,17 @@ FEW_FREE = 2  # visible shutter errors below which the prior speaks
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """(|departure| in ln exposure, code) where it is largest, among the codes between 5 and 95 % of
-    the range that are known to 2 % and whose pixels are known to 10 %."""
+    """The largest departure among the codes that are known well.
+
+    Codes count between 5 and 95 % of the range where the curve is known to 2 % and pixels to 10 %.
+
+    Args:
+        curve: measured.
+        departure: (bins,) in ln exposure.
+
+    Returns:
+        (|departure|, code) where it is largest; NaN where no code counts.
+    """
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)

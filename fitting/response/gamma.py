@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.stats import norm
 
-from jaxvision._types import as_float
 from jaxvision.point_ops import srgb_decode
 
 from ..inference.diagnostics import identifiability
-from ..inference.estimates import Estimate
+from ..inference.emcee_run import SamplingOptions
+from ..inference.estimates import QUANTILES, Estimate, quantile_estimate
 from ..inference.parameters import (
     Parameter,
     ParameterSpace,
@@ -37,7 +37,7 @@ from ..inference.parameters import (
     to_natural,
     to_unconstrained,
 )
-from ..inference.posterior import Posterior, SamplingOptions, estimates, laplace, sample
+from ..inference.posterior import Posterior, estimates, laplace, sample
 from .curve import ResponseCurve, shutter_basis, spread_of_times
 
 # Of ln tau, mean and standard deviation: about 1 %, within a factor of 4.5 at one sigma.
@@ -54,12 +54,22 @@ SHUTTER_ERROR = Parameter(
     prior_sd=SHUTTER_PRIOR[1],
 )
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
-ENDS = (0.025, 0.16, 0.84, 0.975)
 
 
 class GammaSums(eqx.Module):
     """What the pixels say about gamma: the energy of (gamma, visible shutter errors d, 1) is
-    gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d."""
+    gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d.
+
+    Attributes:
+        cc: of gamma with itself.
+        ct: of gamma with the log exposure times.
+        cd: (free,) of gamma with d.
+        td: (free,) of the log exposure times with d.
+        dd: (free, free) of d with itself.
+        score_c: of gamma.
+        score_d: (free,) of d.
+        spread: sum of squares of the log exposure times about their mean.
+    """
 
     cc: Float[Array, ""]
     ct: Float[Array, ""]
@@ -72,7 +82,13 @@ class GammaSums(eqx.Module):
 
 
 class GivenShutter(eqx.Module):
-    """Gamma for a known tau: mean and variance, and the log evidence for that tau."""
+    """Gamma for a known tau.
+
+    Attributes:
+        mean: of gamma.
+        variance: of gamma.
+        log_evidence: for that tau.
+    """
 
     mean: Float[Array, ""]
     variance: Float[Array, ""]
@@ -81,9 +97,18 @@ class GivenShutter(eqx.Module):
 
 @dataclass(frozen=True)
 class GammaFit:
-    """gamma and tau with their intervals; posterior: over (gamma, tau). departure: ln X of the
-    measured curve less that of the best gamma, over the bins (NaN where no pixel was seen), and the
-    same for the sRGB curve."""
+    """The best gamma of a response.
+
+    Attributes:
+        gamma: with its intervals.
+        shutter_error: tau, rms of the error of ln t.
+        posterior: over (gamma, tau).
+        departure: (bins,) ln X of the measured curve less that of the best gamma; NaN where no
+            pixel was seen.
+        srgb_departure: (bins,) less that of the sRGB curve.
+        dispersion: misfit of the best gamma over that of the free curve.
+        findings: what the data cannot tell apart.
+    """
 
     gamma: Estimate
     shutter_error: Estimate
@@ -95,16 +120,19 @@ class GammaFit:
 
 
 def fit_gamma(
-    curve: ResponseCurve,
-    *,
-    label: str = "",
-    sampling: SamplingOptions | None = None,
-    seed: int = 0,
+    curve: ResponseCurve, *, label: str = "", sampling: SamplingOptions | None = None, seed: int = 0
 ) -> GammaFit:
     """The gamma that explains the pixels behind a response curve.
 
-    Without `sampling` the intervals integrate over tau exactly and the posterior is Laplace's;
-    with it both come from emcee. label: names the channel in the results.
+    Args:
+        curve: with the sufficient statistics of its pixels.
+        label: of the channel in the results.
+        sampling: draw (gamma, tau) by emcee; None to integrate over tau exactly, the posterior
+            being Laplace's.
+        seed: of every draw.
+
+    Returns:
+        The fit.
     """
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
@@ -115,8 +143,10 @@ def fit_gamma(
     mode = _mode(to_unconstrained(SPACE, start), sums)
     found = laplace(log_density, SPACE, mode, sums, seed=seed)
     if sampling is not None:
-        found = sample(log_density, SPACE, mode, found.covariance, sums, options=sampling)
-        gamma, tau = _from_draws(found, label)
+        found = sample(
+            log_density, SPACE, mode, found.covariance, sums, options=sampling, seed=seed
+        )
+        gamma, tau = estimates(found, group=label)
     else:
         gamma = _mixture(np.asarray(given.mean), np.asarray(given.variance), weights, label)
         tau = _weighted(np.exp(log_tau), weights, label)
@@ -134,14 +164,29 @@ def fit_gamma(
 
 
 def log_code_means(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
-    """Mean of ln(z - black) over each bin, for light log-uniform across it."""
+    """Mean of ln(code - black) over each bin of codes, less that of the middle bin.
+
+    Args:
+        curve: with its bins.
+
+    Returns:
+        (bins,).
+    """
     ends = np.log(np.maximum(curve.bins.edges - curve.bins.black, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
 
 
 def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
-    """gamma and the evidence for one shutter error tau, the visible errors integrated out."""
+    """Gamma for a known shutter error.
+
+    Args:
+        sums: of the pixels.
+        tau: rms of the error of ln t.
+
+    Returns:
+        Mean and variance of gamma, and the log evidence for that tau.
+    """
     free = sums.td.size
     precision = sums.dd + jnp.eye(free, dtype=tau.dtype) / tau**2
     factor = jnp.linalg.cholesky(precision)
@@ -160,7 +205,15 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
-    """Log posterior of (ln gamma, ln tau), flat in gamma, up to a constant."""
+    """Log posterior density of (ln gamma, ln tau), flat in gamma, up to a constant.
+
+    Args:
+        vector: (2,) unconstrained.
+        sums: of the pixels.
+
+    Returns:
+        ().
+    """
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance
@@ -186,7 +239,7 @@ def _mode(start: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, "
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
     """How much the best gamma misfits the pixels beyond their noise: its chi-square over that of
-    the free curve, at least 1. Stretches the intervals of a curve that is no gamma."""
+    the free curve, at least 1. Stretches the intervals of a curve that is not a gamma."""
     matrix, size = curve.statistics.matrix, len(column)
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     gamma = -(column @ matrix[:size, size:] @ log_t) / (column @ matrix[:size, :size] @ column)
@@ -201,14 +254,14 @@ def _gamma_sums(curve: ResponseCurve, column: np.ndarray, dispersion: float) -> 
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
     return GammaSums(
-        cc=as_float(column @ matrix[:size, :size] @ column),
-        ct=as_float(mixed @ log_t),
-        cd=as_float(mixed @ basis),
-        td=as_float(log_t @ times @ basis),
-        dd=as_float(basis.T @ times @ basis),
-        score_c=as_float(score[:size] @ column),
-        score_d=as_float(score[size:] @ basis),
-        spread=as_float(spread_of_times(curve.exposures)),
+        cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
+        ct=jnp.asarray(mixed @ log_t, float),
+        cd=jnp.asarray(mixed @ basis, float),
+        td=jnp.asarray(log_t @ times @ basis, float),
+        dd=jnp.asarray(basis.T @ times @ basis, float),
+        score_c=jnp.asarray(score[:size] @ column, float),
+        score_d=jnp.asarray(score[size:] @ basis, float),
+        spread=jnp.asarray(spread_of_times(curve.exposures), float),
     )
 
 
@@ -234,33 +287,14 @@ def _mixture(mean: np.ndarray, variance: np.ndarray, weights: np.ndarray, label:
     grid = centre + spread * np.linspace(-40, 40, 8001)
     heavy = weights > 1e-10
     z = (grid[:, None] - mean[heavy]) / np.sqrt(variance[heavy])
-    low95, low68, high68, high95 = np.interp(ENDS, norm.cdf(z) @ weights[heavy], grid)
-    return Estimate(
-        "gamma", "γ", "", centre, spread, (low68, high68), (low95, high95), "marginal", label
-    )
+    ends = np.interp(QUANTILES, norm.cdf(z) @ weights[heavy], grid)
+    return quantile_estimate(GAMMA, centre, spread, ends, method="marginal", group=label)
 
 
 def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
-    low95, low68, middle, high68, high95 = np.interp(
-        [*ENDS[:2], 0.5, *ENDS[2:]], np.cumsum(weights), values
-    )
-    spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
-    return Estimate(
-        "shutter_error",
-        "τ",
-        "",
-        float(middle),
-        spread,
-        (low68, high68),
-        (low95, high95),
-        "marginal",
-        label,
-    )
-
-
-def _from_draws(found: Posterior, label: str) -> tuple[Estimate, Estimate]:
-    gamma, tau = estimates(found, group=label)
-    return gamma, tau
+    ends = np.interp(QUANTILES, np.cumsum(weights), values)
+    spread = np.sqrt(weights @ (values - weights @ values) ** 2)
+    return quantile_estimate(SHUTTER_ERROR, ends[2], spread, ends, method="marginal", group=label)
 
 
 def _srgb(curve: ResponseCurve) -> np.ndarray:

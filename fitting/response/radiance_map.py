@@ -1,4 +1,4 @@
-"""One radiance map from an exposure stack whose response is known.
+"""One radiance map from an exposure stack with a known response.
 
 Each observation is an exposure X_ij = exp(g(z_ij)) with the variance of the noise model; the
 maximum-likelihood radiance of a pixel is
@@ -23,8 +23,13 @@ from .curve import ResponseCurve
 
 @dataclass(frozen=True)
 class RadianceMap:
-    """radiance: relative, per second; relative_error: its standard deviation over it; coverage:
-    how many exposures were used (0: a bound, or codes too noisy to weigh)."""
+    """A merged map.
+
+    Attributes:
+        radiance: relative, per second.
+        relative_error: its standard deviation over it.
+        coverage: how many exposures were used (0: a bound, or codes too noisy to weigh).
+    """
 
     radiance: Float[np.ndarray, "*pixels"]
     relative_error: Float[np.ndarray, "*pixels"]
@@ -36,9 +41,18 @@ def merge(
     exposures: Float[np.ndarray, " exposures"],
     curve: ResponseCurve,
 ) -> RadianceMap:
-    """The radiance map of codes taken at `exposures` (seconds, ascending), trusted as given: what
-    looks like an offset of the shutter may be a slight misfit of the curve. float32, a chunk of
-    pixels at a time."""
+    """The radiance map of codes, the exposure times being trusted as given.
+
+    What looks like an offset of the shutter may be a slight misfit of the curve.
+
+    Args:
+        codes: (exposures, ...) DN.
+        exposures: (exposures,) s, ascending.
+        curve: of the response.
+
+    Returns:
+        float32 maps of the pixels' shape.
+    """
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
     radiance, error = np.empty(count, np.float32), np.empty(count, np.float32)

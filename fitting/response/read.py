@@ -25,9 +25,18 @@ Codes = UInt16[np.ndarray, "exposures h w"]
 
 @dataclass(frozen=True)
 class Plane:
-    """One channel of one group. exposures: seconds, ascending, of the `codes` (exposures, h, w);
-    mask: true where the scene may be used; black: DN without light; clip: DN from which a pixel is
-    saturated."""
+    """One channel of one group of images.
+
+    Attributes:
+        group: of the rig.
+        channel: colour or mosaic site.
+        files: names, in the order of `exposures`.
+        exposures: (exposures,) s, ascending.
+        codes: (exposures, h, w) DN.
+        mask: (h, w), true where the scene may be used.
+        black: DN without light.
+        clip: DN from which a pixel is saturated.
+    """
 
     group: str
     channel: str
@@ -45,7 +54,12 @@ class Plane:
 
 @dataclass(frozen=True)
 class ExposureStack:
-    """All planes of a rig."""
+    """All planes of a rig.
+
+    Attributes:
+        planes: group by group.
+        bits: of the camera.
+    """
 
     planes: tuple[Plane, ...]
     bits: int
@@ -56,14 +70,23 @@ class ExposureStack:
 
 
 def read_exposure_stack(rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None) -> ExposureStack:
-    """The rig's `[[exposure]]` images, group by group, taken apart into planes.
+    """A rig's `[[exposure]]` images, group by group, split into planes.
 
     The black level is the camera's, else the mean of the `[[dark]]` frames, else the code of the
     dark pixels that stay alike however long the exposure; the clip level is the camera's
-    saturation, else read off the bright pixels that do. `mask` keeps the pixels where it is true,
-    of full images (a mosaic site keeps its own). `InputError` for a group without two different
-    exposure times, for images of different size, for values that are no integers, and for a mask
-    of another size or with nothing in it.
+    saturation, else read off the bright pixels that do.
+
+    Args:
+        rig: with `[[exposure]]`.
+        mask: (h, w) of full images, true where the scene may be used (a mosaic site keeps its own
+            pixels); None for everywhere.
+
+    Returns:
+        The stack.
+
+    Raises:
+        InputError: for a group without two different exposure times, for images of different size,
+            for values that are not integers, and for a mask of another size or with nothing in it.
     """
     require(rig, "exposure", purpose="a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
@@ -110,8 +133,17 @@ def _planes(
 
 
 def floor_level(codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera) -> float:
-    """Black level (DN) read off the pixels whose code stays within one step while the exposure
-    grows at least eightfold; 0 where there are too few of them."""
+    """Black level read off the pixels whose code stays within one step while the exposure grows at
+    least eightfold.
+
+    Args:
+        codes: (exposures, h, w) DN.
+        exposures: (exposures,) s, ascending.
+        camera: for its clip level.
+
+    Returns:
+        DN; 0 where there are too few such pixels.
+    """
     longer = np.flatnonzero(exposures >= LONGER * exposures[0])
     if not len(longer):
         return 0.0
@@ -123,9 +155,19 @@ def floor_level(codes: Codes, exposures: Float[np.ndarray, " exposures"], camera
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera
 ) -> float:
-    """Clip level (DN) read off the pixels beyond half scale whose code stays within one step while
-    the exposure grows by 1.9 at least: nearly the lowest of them, full scale where there are too
-    few. Sensors saturate at codes that vary from pixel to pixel."""
+    """Clip level read off the pixels beyond half scale whose code stays within one step while the
+    exposure grows by 1.9 at least.
+
+    Sensors saturate at codes that vary from pixel to pixel, so it is nearly the lowest of them.
+
+    Args:
+        codes: (exposures, h, w) DN.
+        exposures: (exposures,) s, ascending.
+        camera: for its full scale.
+
+    Returns:
+        DN; full scale where there are too few such pixels.
+    """
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)

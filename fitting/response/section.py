@@ -11,15 +11,23 @@ from ..report.section import Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .findings import PURE, findings, largest_departure
+from .gamma import GAMMA, SHUTTER_ERROR
 
 
 def section(calibration: ResponseCalibration) -> Section:
-    """The calibration as its reader sees it."""
+    """A calibrated response as its reader sees it.
+
+    Args:
+        calibration: of a stack.
+
+    Returns:
+        Estimates, findings, tables and pictures.
+    """
     estimates: list[Estimate] = []
     for channel in calibration.channels:
         estimates += _gamma_estimates(channel)
     for plane, reason in calibration.skipped:
-        estimates.append(not_determined("gamma", "γ", "", reason, group=plane.label))
+        estimates.append(not_determined(GAMMA, reason, group=plane.label))
     return Section(
         kind="response",
         title="Camera response",
@@ -36,7 +44,7 @@ def section(calibration: ResponseCalibration) -> Section:
 
 
 def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
-    """Gamma and the shutter error; neither where the response is no pure gamma, for the misfit
+    """Gamma and the shutter error; neither where the response is not a pure gamma: the misfit
     would pass for one or the other."""
     size, _ = largest_departure(channel.curve, channel.gamma.departure)
     if not size > PURE:
@@ -47,8 +55,8 @@ def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
     )
     label = channel.plane.label
     return [
-        not_determined("gamma", "γ", "", reason, group=label),
-        not_determined("shutter_error", "τ", "", "it would hold the misfit of gamma", group=label),
+        not_determined(GAMMA, reason, group=label),
+        not_determined(SHUTTER_ERROR, "it would hold the misfit of gamma", group=label),
     ]
 
 

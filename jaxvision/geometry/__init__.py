@@ -5,6 +5,7 @@ distance inf, a zero normal, and gradients of zero. Each shape has a file; `near
 first of many and what lies in between.
 """
 
+from .._numerics import angle_between, log_cos_between
 from ._mesh import intersect_mesh
 from ._size import largest_size, offset_length
 from .box import intersect_box
@@ -29,6 +30,7 @@ __all__ = [
     "Ray",
     "Shapes",
     "Sorted",
+    "angle_between",
     "blocked",
     "hit_shape",
     "intersect",
@@ -39,6 +41,7 @@ __all__ = [
     "intersect_quad",
     "intersect_sphere",
     "largest_size",
+    "log_cos_between",
     "mirror_direction",
     "nearest_shape",
     "occluded",

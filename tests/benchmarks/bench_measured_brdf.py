@@ -16,7 +16,8 @@ import scipy.optimize
 
 from fitting.reflectance.from_files.fit import fit_model
 from fitting.reflectance.from_files.read import from_samples
-from fitting.reflectance.models import INDEX, unit_brdf
+from fitting.reflectance.models import unit_brdf
+from fitting.reflectance.names import INDEX
 from jaxvision.brdf.measured import BRDFSamples
 
 pytestmark = pytest.mark.benchmark

@@ -17,26 +17,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxvision._vector import Vec
-from jaxvision.errors import InputError
+from jaxvision import Vec
 
 from ...inference.clustering import curvature_stretch
 from ...inference.diagnostics import OPEN
-from ...inference.parameters import Parameter, ParameterSpace
-from ...inference.posterior import Posterior, SamplingOptions, for_group, laplace, sample
-from ..models import HIGHEST_INDEX, INDEX, REFLECTANCES, Model, has_lobe, unit_brdf
-from .fit import LobeFit, ModelFit, Objective, compressed, darkness, fit_models, reflected
+from ...inference.emcee_run import SamplingOptions, for_group
+from ...inference.parameters import ParameterSpace
+from ...inference.posterior import Posterior, laplace, laplace_or_emcee
+from ..models import REFLECTANCES, amplitude, check_index, has_lobe, unit_brdf
+from ..names import INDEX, Model, Objective
+from .fit import LobeFit, ModelFit, compressed, darkness, fit_models, reflected
 from .read import MeasuredBRDF
 
-ROUNDING = 1e-9  # of the signal's RMS: errors below it are rounding, counted as this much
+SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 EDGE = 1e-3  # of the logarithm of a shape: this close to an end of its range it lies there
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one prediction. rms: of f_r cos(theta_i), sr^-1; relative: over the RMS of what was
-    measured; cube_root: RMS difference of the cube roots, sr^-1/3. by_incidence: `relative`, the
-    RMS of both being that of each incidence's own samples."""
+    """Errors of one prediction.
+
+    Attributes:
+        rms: of f_r cos(theta_i), sr^-1.
+        relative: over the RMS of what was measured.
+        cube_root: RMS difference of the cube roots, sr^-1/3.
+        by_incidence: (incidences,) `relative`, the RMS of both being that of each incidence's own
+            samples.
+    """
 
     rms: float
     relative: float
@@ -46,7 +53,14 @@ class Errors:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Of every band, with jackknife standard errors."""
+    """Spectra of both amplitudes, with jackknife standard errors.
+
+    Attributes:
+        diffuse: (bands,) k_d.
+        specular: (bands,) k_s.
+        diffuse_error: (bands,).
+        specular_error: (bands,).
+    """
 
     diffuse: Float[np.ndarray, " bands"]
     specular: Float[np.ndarray, " bands"]
@@ -56,10 +70,23 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class BRDFCalibration:
-    """model: the one reported in full. fitted, held_out: errors of every model on the samples of
-    its fit, and of the predictions of incidences that were left out. mean: natural parameters of
-    `space`, amplitudes averaged over bands; covariance: of their logarithms, jackknife, widened.
-    open_parameters: what is not determined, and why; posterior: None where anything is."""
+    """Every model fitted to one material, one of them reported in full.
+
+    Attributes:
+        measured: what was calibrated.
+        objective: of the fits.
+        index: of refraction, of clear facets.
+        model: the one reported.
+        fits: of every model.
+        fitted: errors of every model on the samples of its fit.
+        held_out: errors of the predictions of incidences that were left out.
+        space: the P parameters of `model`.
+        mean: (P,) natural, amplitudes averaged over bands.
+        covariance: (P, P) of their logarithms, by the jackknife, widened.
+        amplitudes: of every band.
+        open_parameters: what is not determined, and why.
+        posterior: None where anything is open.
+    """
 
     measured: MeasuredBRDF
     objective: Objective
@@ -85,13 +112,23 @@ def calibrate(
     sampling: SamplingOptions | None = None,
     seed: int = 0,
 ) -> BRDFCalibration:
-    """Fits every model and reports one in full: `model`, or the one of least held-out error.
+    """Fits every model to a material and reports one in full.
 
-    index: of refraction, of the clear facets of Torrance-Sparrow. sampling: draw from the posterior
-    of the reported model; None for Laplace.
+    Args:
+        measured: samples of one material.
+        model: the one reported; None for that of least held-out error.
+        objective: to minimise.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+        sampling: how to draw the posterior of the reported model by emcee; None for Laplace.
+        seed: of every draw.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: for an index outside its range, and for a chain that stays too short.
     """
-    if not 1 < index < HIGHEST_INDEX:
-        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+    check_index(index)
     fits = fit_models(measured, objective=objective, index=index)
     fitted: dict[Model, Errors] = {
         name: errors(measured, fit.whole.predicted) for name, fit in fits.items()
@@ -129,10 +166,6 @@ def calibrate(
 
 def parameter_space(model: Model) -> ParameterSpace:
     """diffuse; specular; shape: as far as the model has them, amplitudes averaged over bands."""
-
-    def amplitude(name: str, symbol: str, unit: str) -> Parameter:
-        return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
-
     row = REFLECTANCES[model]
     space = [amplitude("diffuse", "k_d", "sr^-1")]
     if has_lobe(model):
@@ -146,8 +179,18 @@ def parameter_space(model: Model) -> ParameterSpace:
 
 
 def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
-    """Both metrics of a prediction of f_r, sr^-1. What rounding alone misses counts as
-    `ROUNDING` of the signal in either, so that no model wins by it."""
+    """Both metrics of a prediction.
+
+    What rounding alone misses counts as a billionth of the signal in either, so that no model wins
+    by it.
+
+    Args:
+        measured: samples of one material.
+        predicted: (n, bands) f_r, sr^-1.
+
+    Returns:
+        The errors.
+    """
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
     roots, root_signal = (
@@ -160,8 +203,8 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
     of_incidence = [measured.incidence == i for i in range(len(measured.incidences))]
     rms, cube_root = np.sqrt(mean_square(missed)), np.sqrt(mean_square(roots - root_signal))
     scale = np.sqrt(mean_square(signal))
-    if rms < ROUNDING * scale:
-        rms, cube_root = ROUNDING * scale, ROUNDING * np.sqrt(mean_square(root_signal))
+    if rms < SMALLEST_ERROR * scale:
+        rms, cube_root = SMALLEST_ERROR * scale, SMALLEST_ERROR * np.sqrt(mean_square(root_signal))
     return Errors(
         rms=rms,
         relative=rms / scale,
@@ -173,7 +216,15 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:
-    """f_r of every sample by the fit that has not seen its incidence, sr^-1."""
+    """f_r of every sample by the fit that has not seen its incidence.
+
+    Args:
+        measured: samples of one material.
+        fit: of one model.
+
+    Returns:
+        (n, bands) sr^-1.
+    """
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i
@@ -182,7 +233,15 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.nd
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """The model of least error in the metric of the objective, of equal ones the first."""
+    """The model of least error in the metric of an objective; of equal ones the first.
+
+    Args:
+        scores: errors by model.
+        objective: whose metric counts.
+
+    Returns:
+        Its name.
+    """
 
     def metric(model: Model) -> float:
         return scores[model].rms if objective == "cosine" else scores[model].cube_root
@@ -258,8 +317,23 @@ def _open_parameters(
 
 
 class Scaled(eqx.Module):
-    """Data of `log_density`: the samples, the spectra that the two mean amplitudes multiply, and
-    the stretch that gives the density the jackknife's curvature."""
+    """Data of `log_density`: samples, the spectra that the two mean amplitudes multiply, and the
+    stretch that gives the density the jackknife's curvature.
+
+    Attributes:
+        model: its name.
+        index: of refraction, of clear facets.
+        cube_root: whether cube roots are compared.
+        wi: (n,) components, unit, local, toward the light.
+        wo: (n,) components, unit, local, toward the viewer.
+        values: (n, bands) f_r, sr^-1.
+        precision: (n,) inverse variances.
+        diffuse: (bands,) k_d over its mean.
+        specular: (bands,) k_s over its mean.
+        darkness: d of the cube-root objective, sr^-1.
+        mode: (P,) unconstrained.
+        stretch: (P, P).
+    """
 
     model: Model = eqx.field(static=True)
     index: float = eqx.field(static=True)
@@ -276,7 +350,15 @@ class Scaled(eqx.Module):
 
 
 def log_density(vector: Float[Array, " parameters"], data: Scaled) -> Float[Array, ""]:
-    """Minus half the weighted squares, the spectra of the amplitudes keeping their form."""
+    """Minus half the weighted squares, the spectra of the amplitudes keeping their form.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: samples and spectra.
+
+    Returns:
+        ().
+    """
     natural = jnp.exp(data.mode + data.stretch @ (vector - data.mode))
     cosine = data.wi.z[:, None]
     predicted = jnp.broadcast_to(natural[0] * data.diffuse[None], data.values.shape)
@@ -325,10 +407,9 @@ def _posterior(
         mode=mode,
         stretch=jnp.eye(len(space)),
     )
-    if sampling is None:
-        return laplace(log_density, space, mode, data, covariance=covariance, seed=seed)
-    curvature = np.linalg.inv(laplace(log_density, space, mode, data).covariance)
-    stretch = jnp.asarray(curvature_stretch(curvature, covariance))
-    stretched = eqx.tree_at(lambda d: d.stretch, data, stretch)
-    options = for_group(sampling, measured.name)
-    return sample(log_density, space, mode, covariance, stretched, options=options)
+    if sampling is not None:
+        curvature = np.linalg.inv(laplace(log_density, space, mode, data).covariance)
+        stretch = jnp.asarray(curvature_stretch(curvature, covariance))
+        data = eqx.tree_at(lambda d: d.stretch, data, stretch)
+    own = for_group(sampling, measured.name)
+    return laplace_or_emcee(log_density, space, mode, covariance, data, sampling=own, seed=seed)

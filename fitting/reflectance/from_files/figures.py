@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from jaxvision._vector import Vec
+from jaxvision import Vec
 
-from ..models import LABELS, MODELS, REFLECTANCES, Axis, Model, has_lobe, unit_brdf
+from ..models import LABELS, REFLECTANCES, has_lobe, unit_brdf
+from ..names import MODELS, Axis, Model
 from .calibration import BRDFCalibration, best
 from .findings import AXES, metric, of_axis
 from .fit import LobeFit
@@ -90,7 +91,17 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
 def predicted(
     fit: LobeFit, theta_i: float, theta_o: Float[np.ndarray, " n"], index: float
 ) -> Float[np.ndarray, " n"]:
-    """f_r, mean of the bands, toward viewers in the plane of incidence, angles as above."""
+    """f_r, mean of the bands, toward viewers in the plane of incidence.
+
+    Args:
+        fit: of one model.
+        theta_i: of the light from the normal, rad.
+        theta_o: (n,) of the viewers, positive away from the light, rad.
+        index: of refraction, of clear facets.
+
+    Returns:
+        (n,) sr^-1.
+    """
     if fit.shape is None:
         return np.full(len(theta_o), fit.diffuse.mean())
     flat, light = np.zeros(len(theta_o)), np.full(len(theta_o), theta_i)
@@ -181,7 +192,7 @@ def _heat_table(
     *,
     style: str = ".0f",
 ) -> Figure:
-    """Numbers on cells whose shade follows their logarithm."""
+    """A table of numbers, each cell shaded by the logarithm of its number."""
     from matplotlib.colors import LogNorm
 
     figure = Figure(

@@ -6,9 +6,9 @@ import numpy as np
 
 from ...inference.diagnostics import listed
 from ...inference.posterior import convergence_in_words
-from ..models import CLEAR, LABELS, REFLECTANCES, Axis, Model, facet_sentence, shape_of
+from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of
+from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration, Errors, best
-from .fit import Objective
 
 ALIKE = 0.03  # relative difference of two errors within which neither wins
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
@@ -17,15 +17,19 @@ PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other
     ("normalised-phong", "normalised-blinn"),
 )
 AXES: tuple[Axis, ...] = ("half", "mirror")
-METRICS: dict[Objective, str] = {
-    "cosine": "cosine-weighted RMS",
-    "cube-root": "cube-root error",
-}
+METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
 
 
 def metric(errors: Errors, objective: Objective) -> float:
-    """The error that belongs to an objective, in the form a reader compares: relative RMS, or
-    sr^-1/3."""
+    """The error that belongs to an objective, in the form a reader compares.
+
+    Args:
+        errors: of one prediction.
+        objective: whose metric counts.
+
+    Returns:
+        Relative RMS, or sr^-1/3.
+    """
     return errors.relative if objective == "cosine" else errors.cube_root
 
 
@@ -36,7 +40,16 @@ def in_words(errors: Errors, objective: Objective) -> str:
 
 
 def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
-    """The best model with a lobe about one axis."""
+    """The best model with a lobe about one axis.
+
+    Args:
+        scores: errors by model.
+        axis: of the lobe.
+        objective: whose metric counts.
+
+    Returns:
+        Its name.
+    """
     own: dict[Model, Errors] = {
         model: e for model, e in scores.items() if REFLECTANCES[model].axis == axis
     }
@@ -49,8 +62,11 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
         _verdict(calibration),
         _pairs(calibration),
         *_generalisation(calibration),
-        *_facets(calibration),
-        *_open(calibration),
+        *([facet_sentence(calibration.index)] if calibration.model in CLEAR else []),
+        *(
+            f"{name} of {LABELS[calibration.model]} is not determined: {why}."
+            for name, why in calibration.open_parameters.items()
+        ),
         *_ends(calibration),
         _intervals(calibration),
         *calibration.measured.findings,
@@ -114,19 +130,8 @@ def _generalisation(calibration: BRDFCalibration) -> list[str]:
     ]
 
 
-def _facets(calibration: BRDFCalibration) -> list[str]:
-    return [facet_sentence(calibration.index)] if calibration.model in CLEAR else []
-
-
-def _open(calibration: BRDFCalibration) -> list[str]:
-    return [
-        f"{name} of {LABELS[calibration.model]} is not determined: {why}."
-        for name, why in calibration.open_parameters.items()
-    ]
-
-
 def _ends(calibration: BRDFCalibration) -> list[str]:
-    """Other models whose shape ran to an end of its range."""
+    """Other models with a shape at an end of its range."""
     stuck = []
     for model, fit in calibration.fits.items():
         if fit.whole.shape is None or model == calibration.model:

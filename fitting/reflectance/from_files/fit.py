@@ -15,7 +15,6 @@ about the last prediction (Gauss-Newton), which ends at a minimum of the true ob
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import equinox as eqx
 import jax
@@ -23,14 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxvision._vector import Vec
+from jaxvision import Vec
 
-from ...inference.shared_shape import SharedShapeFit, first_knots, fit_amplitudes, fit_shared_shape
-from ..models import MODELS, Model, has_lobe, shape_of, unit_brdf
+from ...inference.separable import SeparableFit, first_knots, fit_amplitudes, fit_separable
+from ..models import has_lobe, log_range, unit_brdf
+from ..names import MODELS, Model, Objective
 from .read import MeasuredBRDF
-
-Objective = Literal["cosine", "cube-root"]
-OBJECTIVES: tuple[Objective, ...] = ("cosine", "cube-root")
 
 DARK = 1e-3  # of the RMS of f_r cos(theta_i): d of the cube-root objective
 MOST_STEPS = 60
@@ -39,8 +36,15 @@ SETTLED = 1e-9  # relative fall of the cost from which a fit stands
 
 @dataclass(frozen=True)
 class LobeFit:
-    """A model's best parameters on one choice of samples. diffuse, specular: (bands,) in the
-    record's units; shape: natural, None for Lambert. predicted: f_r of ALL samples, in sr^-1."""
+    """A model's best parameters on one choice of samples.
+
+    Attributes:
+        model: its name.
+        diffuse: (bands,) k_d, sr^-1.
+        specular: (bands,) k_s, in the record's unit.
+        shape: natural; None for Lambert.
+        predicted: (n, bands) f_r of ALL samples, sr^-1.
+    """
 
     model: Model
     diffuse: Float[np.ndarray, " bands"]
@@ -51,7 +55,14 @@ class LobeFit:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A model on all samples, and on all but those of each incidence in turn."""
+    """A model on all samples, and on all but those of each incidence in turn.
+
+    Attributes:
+        model: its name.
+        objective: of the fits.
+        whole: to all samples.
+        without: one fit an incidence.
+    """
 
     model: Model
     objective: Objective
@@ -71,31 +82,37 @@ def fit_model(
 ) -> ModelFit:
     """Fits one model to all samples and, for testing, with each incidence left out.
 
-    `index`: of refraction, of the facets of Torrance-Sparrow.
+    Args:
+        measured: samples of one material.
+        model: to fit.
+        objective: to minimise.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+
+    Returns:
+        The fits.
     """
-    columns, coarse, interval = None, None, (0.0, 0.0)
+    columns = coarse = None
+    low = high = 0.0
     if model != "lambert":
-        shape = shape_of(model)
-        interval = (float(np.log(shape.lower)), float(np.log(shape.upper)))
+        low, high = log_range(model)
         columns = partial(_columns, model, measured.wi, measured.wo, index)
-        coarse = columns(jnp.asarray(first_knots(*interval)))
+        coarse = columns(jnp.asarray(first_knots(low, high)))
 
     # A rough diffuse surface is a single term: its amplitude is the searched column's.
     body = np.zeros_like if columns is not None and not has_lobe(model) else np.ones_like
-    fixed = jnp.asarray(body(measured.cosine))
+    fixed = jnp.asarray(body(measured.cosine))[None]
 
-    def separable(values: np.ndarray, weights: np.ndarray) -> SharedShapeFit:
+    def separable(values: np.ndarray, weights: np.ndarray) -> SeparableFit:
         y, w = jnp.asarray(values), jnp.asarray(weights)
         if columns is None:
             return fit_amplitudes(fixed, y, w)
-        low, high = interval
-        return fit_shared_shape(columns, fixed, y, w, lower=low, upper=high, coarse=coarse)
+        return fit_separable(columns, fixed, y, w, lower=low, upper=high, coarse=coarse)
 
-    def prediction(found: SharedShapeFit) -> np.ndarray:
+    def prediction(found: SeparableFit) -> np.ndarray:
         amplitudes = np.asarray(found.amplitudes)
-        predicted = np.asarray(fixed)[:, None] * amplitudes[:, 0]
+        predicted = np.asarray(fixed).T * amplitudes[:, 0]
         if columns is not None:
-            lobe = np.asarray(columns(jnp.full(1, found.shape)))[0]
+            lobe = np.asarray(columns(jnp.full(1, found.nonlinear)))[0]
             predicted = predicted + lobe[:, None] * amplitudes[:, 1]
         return predicted
 
@@ -104,7 +121,7 @@ def fit_model(
         diffuse, specular = np.asarray(found.amplitudes, np.float64).T
         if not has_lobe(model) and columns is not None:
             diffuse, specular = specular, diffuse
-        natural = None if columns is None else float(np.exp(found.shape))
+        natural = None if columns is None else float(np.exp(found.nonlinear))
         return LobeFit(model, diffuse, specular, natural, prediction(found))
 
     everything = np.ones(len(measured.weights))
@@ -117,7 +134,16 @@ def fit_model(
 def fit_models(
     measured: MeasuredBRDF, *, objective: Objective = "cosine", index: float
 ) -> dict[Model, ModelFit]:
-    """Every model of the table."""
+    """Every model, fitted as `fit_model` does.
+
+    Args:
+        measured: samples of one material.
+        objective: to minimise.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+
+    Returns:
+        The fits.
+    """
     return {model: fit_model(measured, model, objective=objective, index=index) for model in MODELS}
 
 
@@ -125,7 +151,15 @@ def fit_models(
 
 
 def reflected(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
-    """f_r cos(theta_i), sr^-1."""
+    """f_r cos(theta_i).
+
+    Args:
+        measured: samples of one material.
+        values: (n, bands) f_r, sr^-1.
+
+    Returns:
+        (n, bands) sr^-1.
+    """
     return measured.cosine[:, None] * values
 
 
@@ -136,11 +170,19 @@ def darkness(measured: MeasuredBRDF) -> float:
 
 
 def compressed(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
-    """c(f_r cos(theta_i)); negative values count as 0."""
+    """c(f_r cos(theta_i)); negative values count as 0.
+
+    Args:
+        measured: samples of one material.
+        values: (n, bands) f_r, sr^-1.
+
+    Returns:
+        (n, bands) sr^-1/3.
+    """
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
 
 
-def _minimise(measured, kept, objective, separable, prediction) -> SharedShapeFit:
+def _minimise(measured, kept, objective, separable, prediction) -> SeparableFit:
     """The best fit to the samples of weight `kept` times their own."""
     cosine = measured.cosine[:, None]
     weights = np.broadcast_to((kept * measured.weights)[:, None], measured.values.shape)
@@ -172,9 +214,9 @@ def _minimise(measured, kept, objective, separable, prediction) -> SharedShapeFi
     return best
 
 
-def _between(a: SharedShapeFit, b: SharedShapeFit, share: float) -> SharedShapeFit:
-    return SharedShapeFit(
+def _between(a: SeparableFit, b: SeparableFit, share: float) -> SeparableFit:
+    return SeparableFit(
         a.amplitudes + share * (b.amplitudes - a.amplitudes),
-        a.shape + share * (b.shape - a.shape),
+        a.nonlinear + share * (b.nonlinear - a.nonlinear),
         float("nan"),
     )

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxvision._vector import Vec, as_vec
+from jaxvision import Vec, as_vec
 from jaxvision.brdf import evaluate
 from jaxvision.brdf.measured import BRDFSamples, sample_directions
 from jaxvision.brdf.rgl import RGL
@@ -25,7 +25,6 @@ from jaxvision.errors import InputError
 from jaxvision.measured_files import read_measured
 from jaxvision.scene import Material
 
-SUFFIXES = (".brdf", ".bsdf", ".binary")
 NANOMETRES = 1e9
 LIGHT_ELEVATIONS = np.radians(np.arange(10, 90, 10.0))
 LIGHT_AZIMUTHS = np.radians([0.0, 45.0, 90.0, 135.0])  # of anisotropic materials
@@ -45,10 +44,19 @@ LARGEST, SMALLEST = 1e6, 1e-9
 class MeasuredBRDF:
     """Samples of one material.
 
-    wi, wo: (n,) components, unit, local. values: f_r in sr^-1. weights: what a sample counts,
-    their mean being 1. incidence: of each sample, the index into `incidences`, the elevations of
-    the light in rad. azimuth: of the viewer from the light's, rad in [0, pi]. bands: names.
-    wavelengths: nm, or None for RGB. findings: what a reader must know of these data.
+    Attributes:
+        name: of the file.
+        wi: (n,) components, unit, local, toward the light.
+        wo: (n,) components, unit, local, toward the viewer.
+        values: (n, bands) f_r, sr^-1.
+        weights: (n,) what a sample counts, their mean being 1.
+        incidence: (n,) index into `incidences`.
+        incidences: elevations of the light, rad.
+        elevation: (n,) of the viewer, rad.
+        azimuth: (n,) of the viewer from the light's, rad in [0, pi].
+        bands: names.
+        wavelengths: (bands,) nm; None for RGB.
+        findings: what a reader must know of these data.
     """
 
     name: str
@@ -69,13 +77,18 @@ class MeasuredBRDF:
         return np.asarray(self.wi.z)
 
 
-def is_measured_brdf(path: Path) -> bool:
-    """Whether a path is a file of measured reflectance, by its suffix."""
-    return path.suffix.lower() in SUFFIXES
-
-
 def read_measured_brdf(path: Path) -> MeasuredBRDF:
-    """Reads a Cornell, RGL or MERL file; `InputError` for what cannot be fitted."""
+    """Samples of a Cornell, RGL or MERL file.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The samples.
+
+    Raises:
+        InputError: for what cannot be fitted.
+    """
     measured = read_measured(path)
     findings: tuple[str, ...] = ()
     if isinstance(measured, BRDFSamples):
@@ -145,8 +158,23 @@ def from_samples(
     findings: tuple[str, ...] = (),
     source: str = "samples",
 ) -> MeasuredBRDF:
-    """Checks samples and sorts them by incidence; those with a direction in the horizon are left
-    out, and negative values are kept as measured, being noise about zero."""
+    """Checks samples and sorts them by incidence.
+
+    Those with a direction in the horizon are left out; negative values, noise about zero, are kept.
+
+    Args:
+        name: of the material.
+        samples: of f_r.
+        weights: (n,) what a sample counts, up to a factor.
+        findings: what a reader must know already.
+        source: of the samples, named in errors.
+
+    Returns:
+        The samples.
+
+    Raises:
+        InputError: for too few samples or incidences, and for values that no BRDF has.
+    """
     theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
     values = np.asarray(samples.values, np.float64)
     seen = (theta_i < HORIZON) & (theta_o < HORIZON) & np.isfinite(values).all(axis=1)
@@ -210,7 +238,7 @@ def _check_signal(
     incidence: Int[np.ndarray, " n"],
     incidences: Float[np.ndarray, " incidences"],
 ) -> None:
-    """`InputError` for negative values that are no noise, and for light of which nothing comes
+    """`InputError` for negative values beyond noise, and for an incidence from which nothing comes
     back."""
     lowest = values.min()
     if -lowest > values.max():

@@ -10,17 +10,24 @@ from ...inference.estimates import Estimate, gaussian_estimate, not_determined
 from ...inference.posterior import estimates
 from ...report.formatting import decimals_for, format_number, format_unit
 from ...report.section import Picture, Section, Table
-from ..models import LABELS, MODELS, REFLECTANCES, Model, has_lobe, shape_of
+from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
+from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
 from .calibration import BRDFCalibration, best
 from .findings import METRICS, findings, metric, readable, which_axis_wins
-from .fit import OBJECTIVES, Objective
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 
 
 def section(calibration: BRDFCalibration) -> Section:
-    """Estimates, findings, tables and pictures of one material."""
+    """One material as its reader sees it.
+
+    Args:
+        calibration: of the material.
+
+    Returns:
+        Estimates, findings, tables and pictures.
+    """
     measured = calibration.measured
     posterior = calibration.posterior
     return Section(
@@ -44,7 +51,14 @@ def section(calibration: BRDFCalibration) -> Section:
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
-    """Held-out errors of every model on every material, and which kind of lobe wins."""
+    """Several materials compared: held-out errors of every model, and which kind of lobe wins.
+
+    Args:
+        calibrations: one a material.
+
+    Returns:
+        Findings, tables and a picture.
+    """
 
     objective = calibrations[0].objective
     return Section(
@@ -66,7 +80,15 @@ def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
 
 
 def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -> Table:
-    """One metric of the held-out predictions: models down, materials across."""
+    """One metric of the held-out predictions: models down, materials across.
+
+    Args:
+        calibrations: one a material.
+        which: whose metric counts.
+
+    Returns:
+        The table.
+    """
     factor, digits, unit = (
         (100, 1, "% of the signal's RMS") if which == "cosine" else (1, 4, "sr⁻¹ᐟ³")
     )
@@ -169,14 +191,13 @@ def _estimates(calibration: BRDFCalibration) -> tuple[Estimate, ...]:
         return estimates(calibration.posterior)
     rows = []
     for i, parameter in enumerate(calibration.space):
-        name, symbol, unit = parameter.name, parameter.symbol, parameter.unit
-        if name in calibration.open_parameters:
-            rows.append(not_determined(name, symbol, unit, calibration.open_parameters[name]))
+        if parameter.name in calibration.open_parameters:
+            rows.append(not_determined(parameter, calibration.open_parameters[parameter.name]))
             continue
         value, deviation = calibration.mean[i], np.sqrt(calibration.covariance[i, i])
         rows.append(
             gaussian_estimate(
-                name, symbol, unit, value, value * deviation, method="jackknife", log_scale=True
+                parameter, value, value * deviation, method="jackknife", log_scale=True
             )
         )
     return tuple(rows)

@@ -9,8 +9,10 @@ from scipy.stats import norm
 from jaxvision.errors import InputError
 
 from ...inference.diagnostics import OPEN
-from ...inference.posterior import Posterior, SamplingOptions
-from ..models import HIGHEST_INDEX, INDEX, MODELS, Model, shape_of
+from ...inference.emcee_run import SamplingOptions
+from ...inference.posterior import Posterior
+from ..models import check_index, shape_of
+from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
 from .fit import ChannelFit, fit_channel, predicted_image
 from .geometry_cells import group
@@ -25,9 +27,19 @@ USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe")
 
 @dataclass(frozen=True)
 class ReflectanceCalibration:
-    """fits: of every model, by channel. open_parameters: of `model`, by channel, what is not
-    determined, with the reason; posteriors: of the channels where nothing is open.
-    fitted, held_out: the samples that the fits saw and those they are tested on."""
+    """Fits of several models to the lights of a rig, one of them reported in full.
+
+    Attributes:
+        observation: what was calibrated.
+        model: the one reported.
+        fits: of every model, by channel.
+        scores: of every model in every channel.
+        open_parameters: by channel, what `model` does not determine, with the reason.
+        posteriors: of the channels where nothing is open.
+        fitted: samples that the fits saw.
+        held_out: samples that they are tested on.
+        minimum_cosine: n.l below which samples were left out.
+    """
 
     observation: ReflectanceObservation
     model: Model
@@ -51,23 +63,34 @@ def calibrate(
     compare_all: bool = False,
     index: float = INDEX,
     sampling: SamplingOptions | None = None,
+    seed: int = 0,
     ambient: bool = False,
     fit_gamma: bool = False,
     minimum_cosine: float = 0.0,
 ) -> ReflectanceCalibration:
-    """Fits `model` and its usual rivals, or every model (`compare_all`), to the lights that are
-    not held out.
+    """Fits a model and its rivals to the lights that are not held out.
 
-    index: of refraction, of the clear facets of Torrance-Sparrow.
-    sampling: draw from the posterior of `model`; None for Laplace. ambient: a constant per channel
-    is added to the light, read off the attached shadows too. fit_gamma: the encoding exponent is
-    free (a known `camera.gamma` is then ignored). minimum_cosine: samples at a smaller n.l are left
-    out, for shapes whose grazing light is uncertain. `InputError` where too few samples are left.
+    Args:
+        observation: of a known shape under known lights.
+        model: the one reported in full.
+        compare_all: fit every model instead of the usual rivals.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+        sampling: how to draw the posterior of `model` by emcee; None for Laplace.
+        seed: of every draw.
+        ambient: add a constant per channel to the light, read off the attached shadows too.
+        fit_gamma: free the encoding exponent (a known `camera.gamma` is then ignored).
+        minimum_cosine: leave out samples at a smaller n.l, for shapes whose grazing light is
+            uncertain.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: where too few samples are left, and for numbers outside their range.
     """
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
-    if not 1 < index < HIGHEST_INDEX:
-        raise InputError(f"index = {index:g}: give an index of refraction above 1 and below 10.")
+    check_index(index)
     forms: dict[Model, Form] = {
         name: Form(name, ambient, fit_gamma, index)
         for name in MODELS
@@ -105,7 +128,7 @@ def calibrate(
         scores=compare(observation, fits, fitted, held_out),
         open_parameters=reasons,
         posteriors={
-            fit.channel: channel_posterior(fit, cells, sampling=sampling)
+            fit.channel: channel_posterior(fit, cells, sampling=sampling, seed=seed)
             for fit in fits[model]
             if not reasons[fit.channel]
         },
@@ -118,9 +141,15 @@ def calibrate(
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
     """Parameters of the requested form that the data do not determine, and why.
 
-    A lobe counts as seen when BIC prefers the fit to Lambert's, `without_lobe`: the best of many
-    lobes always fits a little better, whatever its own curvature claims (Davies, Biometrika 64,
-    1977).
+    A lobe counts as seen when BIC prefers the fit to Lambert's: the best of many lobes always fits
+    a little better, whatever its own curvature claims (Davies, Biometrika 64, 1977).
+
+    Args:
+        fit: of one channel.
+        without_lobe: Lambert's fit of the same channel.
+
+    Returns:
+        Reasons by name.
     """
     wanted = [parameter.name for parameter in parameter_space(fit.requested)]
     present = [parameter.name for parameter in fit.space]
@@ -152,8 +181,15 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 
 
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
-    """(measured - predicted) / predicted, summed over the lights and channels that a pixel is lit
-    and unsaturated in; NaN where there is none."""
+    """(measured - predicted) / predicted, summed over the lights and channels in which a pixel is
+    lit and unsaturated.
+
+    Args:
+        calibration: of the object.
+
+    Returns:
+        (pixels,); NaN where there is none.
+    """
     observation = calibration.observation
     difference, total = np.zeros((2, observation.cosine.shape[1]))
     lit = observation.cosine > calibration.minimum_cosine

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...report.section import Table
-from ..models import LABELS, Model
+from ..models import LABELS
+from ..names import Model
 from .fit import ChannelFit
 from .model import predicted_dn
 from .read import ReflectanceObservation
@@ -26,9 +27,18 @@ DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """How one model does in one channel. fitted_error, predicted_error: relative RMS on the lights
-    of the fit and on the held-out ones (None without any). aic, bic: less the best model's.
-    effective_size: samples that the fit's samples are worth."""
+    """How one model does in one channel.
+
+    Attributes:
+        model: its name.
+        channel: name.
+        fitted_error: relative RMS on the lights of the fit.
+        predicted_error: on the held-out ones; None without any.
+        parameters: how many.
+        aic: less the best model's.
+        bic: less the best model's.
+        effective_size: independent samples that the fit's samples are worth.
+    """
 
     model: Model
     channel: str
@@ -44,7 +54,16 @@ def relative_error(
     observation: ReflectanceObservation, fit: ChannelFit, selection: Selection
 ) -> float | None:
     """RMS of predicted - measured over the RMS of the measured signal above black, on unsaturated
-    samples; None without samples."""
+    samples.
+
+    Args:
+        observation: of the object.
+        fit: of one channel.
+        selection: of the samples.
+
+    Returns:
+        The ratio; None without samples.
+    """
     if not len(selection.light):
         return None
     channel = observation.channels.index(fit.channel)
@@ -63,30 +82,33 @@ def compare(
     fitted: Selection,
     held_out: Selection,
 ) -> tuple[ModelScore, ...]:
-    """Scores of every model in every channel."""
+    """Scores of every model in every channel.
+
+    Args:
+        observation: of the object.
+        fits: of each model, by channel.
+        fitted: samples that the fits have seen.
+        held_out: samples that they have not.
+
+    Returns:
+        The scores.
+    """
     scores = []
-    for i in range(len(observation.channels)):
-        channel: dict[Model, ChannelFit] = {model: fits[model][i] for model in fits}
-        best = max(channel.values(), key=lambda fit: fit.log_likelihood)
+    for of_models in zip(*fits.values(), strict=True):
+        best = max(of_models, key=lambda fit: fit.log_likelihood)
         size = best.samples.dn.size / best.design_effect
-        deviance = {
-            model: -2 * fit.log_likelihood / best.design_effect for model, fit in channel.items()
-        }
-        aic = {model: deviance[model] + 2 * len(fit.space) for model, fit in channel.items()}
-        bic = {m: deviance[m] + np.log(size) * len(fit.space) for m, fit in channel.items()}
-        for model, fit in channel.items():
-            fitted_error = relative_error(observation, fit, fitted)
-            assert fitted_error is not None
+        counts = np.array([len(fit.space) for fit in of_models])
+        deviance = -2 * np.array([fit.log_likelihood for fit in of_models]) / best.design_effect
+        criteria = deviance + np.array([[2.0], [np.log(size)]]) * counts
+        for model, fit, (aic, bic) in zip(
+            fits, of_models, (criteria - criteria.min(axis=1, keepdims=True)).T, strict=True
+        ):
+            errors = [relative_error(observation, fit, seen) for seen in (fitted, held_out)]
+            assert errors[0] is not None
             scores.append(
                 ModelScore(
-                    model=model,
-                    channel=fit.channel,
-                    fitted_error=fitted_error,
-                    predicted_error=relative_error(observation, fit, held_out),
-                    parameters=len(fit.space),
-                    aic=float(aic[model] - min(aic.values())),
-                    bic=float(bic[model] - min(bic.values())),
-                    effective_size=size,
+                    *(model, fit.channel, errors[0], errors[1], len(fit.space)),
+                    *(float(aic), float(bic), size),
                 )
             )
     return tuple(scores)
@@ -126,7 +148,15 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
 
 
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
-    """The winner and by how much, as one sentence."""
+    """The winner and by how much, as one sentence.
+
+    Args:
+        scores: of every model in every channel.
+        held_out: how many lights no fit has seen.
+
+    Returns:
+        The sentence.
+    """
     channels = tuple(dict.fromkeys(score.channel for score in scores))
     by_model: dict[Model, list[ModelScore]] = {}
     for score in scores:

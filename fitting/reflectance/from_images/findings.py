@@ -19,10 +19,11 @@ COLOURED = 3.0  # standard errors between channels from which a highlight is cal
 
 def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     """Misfit, identifiability, saturation, convergence and structure in the residuals."""
+    requested = calibration.reported[0].requested
     return (
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
-        *_facet_finding(calibration),
+        *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
@@ -102,12 +103,6 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider."
         )
     return found
-
-
-def _facet_finding(calibration: ReflectanceCalibration) -> list[str]:
-    if calibration.model not in CLEAR:
-        return []
-    return [facet_sentence(calibration.reported[0].requested.index)]
 
 
 def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:

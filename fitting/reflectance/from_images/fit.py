@@ -7,15 +7,14 @@ pixels are saturated, the likelihood counts them as "at least this bright"; leav
 trusting them, would bias the highlight.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-
-from jaxvision._types import as_float
 
 from ...inference.bounded import minimise_in_box
 from ...inference.clustering import Robustness, cluster_robust
@@ -23,8 +22,8 @@ from ...inference.diagnostics import Identifiability, identifiability
 from ...inference.least_squares import minimise_residuals
 from ...inference.newton import minimise
 from ...inference.parameters import ParameterSpace, to_natural
-from ...inference.separable import fit_separable, non_negative_amplitudes
-from ..models import has_lobe, shape_of
+from ...inference.separable import SeparableFit, fit_amplitudes, fit_separable
+from ..models import has_lobe, log_range
 from .geometry_cells import Grouping, average
 from .model import (
     Form,
@@ -46,18 +45,29 @@ from .samples import Selection, make_samples
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread, variance
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
-GRID = 64  # shapes tried; a valley of the cost is several of these wide
 REACH = 1.0  # half width of the bounded search, in log parameters
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """A fitted channel. Its form lacks the terms whose best amplitude is zero. vector: on the
-    unconstrained scale of `space`; information: there, as if all samples were independent.
-    robustness: covariance that does not assume so, None where the data leave a direction open.
-    chi_square: per degree of freedom, with the spread of the weights; sensor_chi_square: with the
-    sensor's noise alone, None if unknown. log_likelihood: with the spread of the final residuals.
+    """A fitted channel. Its form lacks the terms whose best amplitude is zero.
+
+    Attributes:
+        channel: name.
+        requested: the form asked for.
+        samples: with the form and the deviations of the fit.
+        selection: of the samples.
+        space: the P parameters.
+        vector: (P,) unconstrained.
+        information: (P, P) on that scale, as if all samples were independent.
+        robustness: covariance that does not assume so; None where the data leave a direction open.
+        identifiability: of the information.
+        spread: of the weights.
+        chi_square: per degree of freedom, with the spread of the weights.
+        sensor_chi_square: with the sensor's noise alone; None if unknown.
+        log_likelihood: with the spread of the final residuals.
+        converged: whether the optimum was reached.
     """
 
     channel: str
@@ -96,8 +106,18 @@ def fit_channel(
     selection: Selection,
     grouping: Grouping,
 ) -> ChannelFit:
-    """Best fit of one channel, with everything needed to judge it. `grouping`: cells of the
-    selection, on which all but the last digits are found."""
+    """Best fit of one channel, with everything needed to judge it.
+
+    Args:
+        observation: of the object.
+        channel: index.
+        form: terms of the fit.
+        selection: of the samples.
+        grouping: cells of the selection, on which all but the last digits are found.
+
+    Returns:
+        The fit.
+    """
     samples = make_samples(observation, channel, form, selection)
     sensor = None
     if observation.gain is not None and observation.read_noise is not None:
@@ -143,8 +163,17 @@ def fit_channel(
 def predicted_image(
     observation: ReflectanceObservation, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, " pixels"]:
-    """Digital numbers that the fit predicts for all pixels of the object under one light, without
-    noise and not above the clip level."""
+    """Digital numbers that a fit predicts under one light, without noise and not above the clip
+    level.
+
+    Args:
+        observation: of the object.
+        fit: of one channel.
+        light: index.
+
+    Returns:
+        (pixels,) DN of all pixels of the object.
+    """
     pixels = np.arange(observation.cosine.shape[1])
     selection = Selection(np.full_like(pixels, light), pixels)
     channel = observation.channels.index(fit.channel)
@@ -155,18 +184,36 @@ def predicted_image(
 
 def project(samples: Samples) -> tuple[Samples, Float[Array, " parameters"]]:
     """The global optimum of the weighted squares of the unsaturated samples, for linearised
-    deviations, and the samples with a form that has lost every term whose amplitude is zero."""
+    deviations.
+
+    Args:
+        samples: of one channel; saturated ones are left out.
+
+    Returns:
+        The samples, with a form that has lost every term of amplitude zero, and the vector of that
+        form, (parameters,).
+    """
     if not samples.form.free_gamma:
-        _, *terms = _projected(samples, samples.gamma)
-        return _present_terms(samples, terms, None)
-    tried = [(gamma, _projected(samples, as_float(gamma))) for gamma in GAMMAS]
-    gamma, (_, *terms) = min(tried, key=lambda attempt: float(attempt[1][0]))
-    return _present_terms(samples, terms, gamma)
+        return _present_terms(samples, _projected(samples, samples.gamma), None)
+    tried = [(gamma, _projected(samples, jnp.asarray(gamma, float))) for gamma in GAMMAS]
+    gamma, found = min(tried, key=lambda attempt: attempt[1].cost)
+    return _present_terms(samples, found, gamma)
+
+
+def _projected(samples: Samples, gamma: Array | None) -> SeparableFit:
+    """Amplitudes of [diffuse, ambient, lobe] and the log shape at a given encoding."""
+    model = samples.form.model
+    fixed, linear, weights = _linearised(samples, gamma)
+    if model == "lambert":
+        return fit_amplitudes(fixed, linear, weights)
+    lower, upper = log_range(model)
+    columns = partial(_lobe_columns, samples)
+    return fit_separable(columns, fixed, linear, weights, lower=lower, upper=upper)
 
 
 @eqx.filter_jit
-def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
-    """(cost, amplitudes of [diffuse, ambient, lobe], log shape) at a given encoding."""
+def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
+    """Fixed columns, decoded values and weights, the latter two as one band."""
     form = samples.form
     linear = decoded(samples.dn, samples.black, samples.white, gamma)
     slope = encoding_slope(linear, samples.white, gamma)
@@ -176,39 +223,22 @@ def _projected(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Arr
     constant = jnp.ones_like(linear) if form.ambient else jnp.zeros_like(linear)
     # A rough diffuse surface is a single term: its amplitude is the searched column's.
     body = samples.cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
-    fixed = jnp.stack([samples.irradiance * body, constant])
-    if form.model == "lambert":
-        gram, moment = (weights[None] * fixed) @ fixed.T, fixed @ (weights * linear)
-        amplitudes, reduction = non_negative_amplitudes(gram, moment)
-        return (
-            linear @ (weights * linear) + reduction,
-            jnp.append(amplitudes, jnp.zeros((), linear.dtype)),
-            jnp.zeros((), linear.dtype),
-        )
-    shape = shape_of(form.model)
-    found = fit_separable(
-        fixed,
-        _lobe_column,
-        linear,
-        samples,
-        lower=float(np.log(shape.lower)),
-        upper=float(np.log(shape.upper)),
-        weights=weights,
-        grid=GRID,
-    )
-    return found.cost, found.amplitudes, found.nonlinear
+    return jnp.stack([samples.irradiance * body, constant]), linear[:, None], weights[:, None]
 
 
-def _lobe_column(log_shape: Array, samples: Samples) -> Array:
-    assert samples.geometry is not None
-    unit = lobe(samples.form, samples.geometry, jnp.exp(log_shape))
-    return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
+@eqx.filter_jit
+def _lobe_columns(samples: Samples, log_shapes: Array) -> Array:
+    def column(log_shape: Array) -> Array:
+        unit = lobe(samples.form, samples.geometry, jnp.exp(log_shape))
+        return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
+
+    return jax.lax.map(column, log_shapes)
 
 
 def _present_terms(
-    samples: Samples, terms: Sequence[Array], gamma: float | None
+    samples: Samples, found: SeparableFit, gamma: float | None
 ) -> tuple[Samples, Array]:
-    (diffuse, ambient, specular), log_shape = np.asarray(terms[0]), terms[1]
+    diffuse, ambient, specular = np.asarray(found.amplitudes[0])
     rough = samples.form.model != "lambert" and not has_lobe(samples.form.model)
     if rough:
         diffuse, specular = specular, 0.0
@@ -220,7 +250,7 @@ def _present_terms(
     smallest = SMALLEST_SHARE * max(diffuse, specular)
     vector = [np.log(max(diffuse, smallest))]
     vector += [np.log(specular)] if has_lobe(form.model) else []
-    vector += [float(log_shape)] if form.model != "lambert" else []
+    vector += [found.nonlinear] if form.model != "lambert" else []
     vector += [np.log(ambient)] if form.ambient else []
     vector += [np.log(gamma)] if gamma is not None else []
     return samples, jnp.asarray(vector, samples.dn.dtype)

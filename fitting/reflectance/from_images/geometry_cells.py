@@ -20,7 +20,12 @@ FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror dire
 
 @dataclass(frozen=True)
 class Grouping:
-    """Which samples share a cell: its index for each, and the number of cells."""
+    """Which samples share a cell.
+
+    Attributes:
+        cell: (samples,) its index for each.
+        count: of cells.
+    """
 
     cell: Int[np.ndarray, " samples"]
     count: int
@@ -31,7 +36,16 @@ def group(
     cosine: Float[np.ndarray, " samples"],
     mirror_angle: Float[np.ndarray, " samples"],
 ) -> Grouping:
-    """Cells of (light, n.l, mirror angle), finest where a highlight may be."""
+    """Cells of (light, n.l, mirror angle), finest where a highlight may be.
+
+    Args:
+        light: (samples,) indices.
+        cosine: (samples,) n.l.
+        mirror_angle: (samples,) rad.
+
+    Returns:
+        The cells.
+    """
     row = np.floor(cosine / COSINE_STEP).astype(np.int64)
     column = np.floor(np.log1p(mirror_angle / FINE_ANGLE) / np.log(ANGLE_RATIO)).astype(np.int64)
     row, column = row - row.min(), column - column.min()
@@ -41,15 +55,21 @@ def group(
 
 
 def average(
-    samples: Samples,
-    grouping: Grouping,
-    *,
-    exact_at: Float[Array, " parameters"] | None = None,
+    samples: Samples, grouping: Grouping, *, exact_at: Float[Array, " parameters"] | None = None
 ) -> Samples:
     """The cells of the unsaturated samples, each weighted by its inverse variance.
 
     A cell without any gets an enormous deviation, so that the number of cells stays the same for
-    all channels. With `exact_at` a cell predicts there what its pixels do on average.
+    all channels.
+
+    Args:
+        samples: of one channel.
+        grouping: of the samples.
+        exact_at: (parameters,) where a cell is to predict what its pixels do on average; None for
+            no correction.
+
+    Returns:
+        One sample a cell.
     """
     trusted = _trusted(samples)
     weight = np.where(trusted, 1 / np.asarray(samples.deviation, np.float64) ** 2, 0)

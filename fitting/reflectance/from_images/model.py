@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxvision._numerics import safe_sqrt
-from jaxvision._vector import Vec
+from jaxvision import Vec
 from jaxvision.brdf.gaussian_lobe import gaussian_lobe
 from jaxvision.brdf.phong import phong_lobe
 from jaxvision.point_ops import gamma_decode, gamma_encode
 
 from ...inference.parameters import Parameter, ParameterSpace, to_natural
-from ..models import INDEX, REFLECTANCES, Model, has_lobe, shape_of, unit_shading
+from ..models import REFLECTANCES, amplitude, has_lobe, shape_of, unit_shading
+from ..names import INDEX, Model
 
 COEFFICIENT_UNIT = "DN per unit light"
 DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
@@ -36,8 +36,14 @@ DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a varia
 
 @dataclass(frozen=True)
 class Form:
-    """Which terms a fit has: the model, and whether an ambient term and gamma are free. index: of
-    refraction, of clear facets."""
+    """Which terms a fit has.
+
+    Attributes:
+        model: one of `reflectance.models`.
+        ambient: whether an ambient term is free.
+        free_gamma: whether the encoding exponent is.
+        index: of refraction, of clear facets.
+    """
 
     model: Model
     ambient: bool = False
@@ -48,10 +54,6 @@ class Form:
 def parameter_space(form: Form) -> ParameterSpace:
     """diffuse; specular; the lobe's shape; ambient; gamma: as far as the form has them. All
     positive, hence in logarithms."""
-
-    def amplitude(name: str, symbol: str, unit: str) -> Parameter:
-        return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
-
     space = [amplitude("diffuse", "k_d", COEFFICIENT_UNIT)]
     if has_lobe(form.model):
         space.append(amplitude("specular", "k_s", COEFFICIENT_UNIT))
@@ -67,9 +69,16 @@ def parameter_space(form: Form) -> ParameterSpace:
 
 
 class Invariants(eqx.Module):
-    """The three numbers that an isotropic BRDF depends on, (samples,) each: the cosines of light
-    and viewer to the normal, and the log cosine of the lobe's own angle, to the mirror direction or
-    between normal and half vector. Unlike directions they may be averaged over like pixels."""
+    """The three numbers that an isotropic BRDF depends on.
+
+    Unlike directions they may be averaged over like pixels.
+
+    Attributes:
+        cos_i: (samples,) cosine of the light to the normal.
+        cos_o: (samples,) cosine of the viewer to the normal.
+        log_cos: (samples,) log cosine of the lobe's own angle: to the mirror direction, or between
+            normal and half vector.
+    """
 
     cos_i: Float[Array, " samples"]
     cos_o: Float[Array, " samples"]
@@ -79,12 +88,22 @@ class Invariants(eqx.Module):
 class Samples(eqx.Module):
     """Lit pixels of one channel, or cells of like pixels.
 
-    cosine: [n.l]+. geometry: what the lobe takes, the log cosine of the angle to the mirror
-    direction (Phong) or between normal and half vector (Blinn), the mirror angle in rad (Gaussian),
-    all that matters for the others; None for Lambert. irradiance: E. dn, deviation: DN; a cell of
-    equal pixels is one sample of smaller deviation. saturated: None where nothing clips. gamma:
-    known encoding, None for linear files or where it is free. offset: DN added to a cell's
-    prediction, what its pixels' mean differs from their mean geometry's.
+    Attributes:
+        form: of the fit.
+        cosine: (samples,) [n.l]+.
+        geometry: what the lobe takes: the log cosine of the angle to the mirror direction (Phong)
+            or between normal and half vector (Blinn), the mirror angle in rad (Gaussian lobe), all
+            invariants (the others); None for Lambert.
+        irradiance: (samples,) E on a surface that faces the light.
+        dn: (samples,) DN.
+        deviation: (samples,) DN; a cell of equal pixels is one sample of smaller deviation.
+        saturated: (samples,); None where nothing clips.
+        black: DN without light.
+        white: DN of full scale above black.
+        clip: DN from which a pixel is saturated.
+        gamma: known encoding; None for linear files or where it is free.
+        offset: (samples,) DN added to a cell's prediction: by how much the mean over its pixels
+            differs from the value at their mean geometry.
     """
 
     form: Form = eqx.field(static=True)
@@ -104,7 +123,16 @@ class Samples(eqx.Module):
 def lobe(
     form: Form, geometry: Float[Array, " samples"] | Invariants, shape: Float[Array, ""]
 ) -> Float[Array, " samples"]:
-    """The shading of unit amplitude: (samples,)."""
+    """The shading of unit amplitude.
+
+    Args:
+        form: of the fit.
+        geometry: what the lobe takes, (samples,).
+        shape: natural.
+
+    Returns:
+        (samples,).
+    """
     if isinstance(geometry, Invariants):
         return unit_shading(form.model, shape, *_directions(form.model, geometry), form.index)
     if form.model == "gaussian-lobe":
@@ -123,17 +151,25 @@ def _directions(model: Model, seen: Invariants) -> tuple[Vec, Vec]:
         across = cos_i * cos_o - cos
     else:
         across = jnp.square((cos_i + cos_o) / cos) / 2 - 1 - cos_i * cos_o
-    sin_i, sin_o = (safe_sqrt((1 - c) * (1 + c)) for c in (cos_i, cos_o))
+    sin_i, sin_o = (jnp.sqrt(jnp.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
     tilted = sin_i * sin_o > 0
     cos_phi = jnp.where(tilted, across / jnp.where(tilted, sin_i * sin_o, 1), 1)
     cos_phi = jnp.clip(cos_phi, -1, 1)
-    sin_phi = safe_sqrt((1 - cos_phi) * (1 + cos_phi))
+    sin_phi = jnp.sqrt(jnp.maximum((1 - cos_phi) * (1 + cos_phi), 0))
     wi = Vec(sin_i * cos_phi, sin_i * sin_phi, cos_i)
     return wi, Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
 
 
 def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """X, DN above black as a linear camera would give them: (samples,)."""
+    """X, as a linear camera would give it.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        (samples,) DN above black.
+    """
     form, natural = samples.form, iter(to_natural(parameter_space(samples.form), vector))
     diffuse = next(natural)
     if form.model == "lambert":
@@ -152,12 +188,28 @@ def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Arra
 
 
 def encoding_gamma(vector: Float[Array, " parameters"], samples: Samples) -> Array | None:
-    """The free gamma, the known one, or None for linear files."""
+    """The free gamma, the known one, or None for linear files.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        No unit.
+    """
     return jnp.exp(vector[-1]) if samples.form.free_gamma else samples.gamma
 
 
 def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Digital numbers before clipping: (samples,)."""
+    """Digital numbers before clipping.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        (samples,) DN.
+    """
     signal, gamma = linear_signal(vector, samples), encoding_gamma(vector, samples)
     if gamma is not None:
         signal = samples.white * gamma_encode(signal / samples.white, gamma)
@@ -166,14 +218,33 @@ def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array
 
 
 def decoded(dn: Array, black: Array, white: Array, gamma: Array | None) -> Array:
-    """X of stored digital numbers; values below black give 0 where a gamma is undone."""
+    """X of stored digital numbers.
+
+    Args:
+        dn: (samples,) DN.
+        black: DN without light.
+        white: DN of full scale above black.
+        gamma: encoding exponent; None for linear files.
+
+    Returns:
+        (samples,) DN; values below black give 0 where a gamma is undone.
+    """
     if gamma is None:
         return dn - black
     return white * gamma_decode(jnp.maximum(dn - black, 0) / white, gamma)
 
 
 def encoding_slope(signal: Array, white: Array, gamma: Array | None) -> Array:
-    """d DN / d X at a linear signal, which counts as `DARKEST` at least."""
+    """d DN / d X at a linear signal.
+
+    Args:
+        signal: (samples,) X, DN; it counts as 1 DN at least.
+        white: DN of full scale above black.
+        gamma: encoding exponent; None for linear files.
+
+    Returns:
+        (samples,), no unit.
+    """
     if gamma is None:
         return jnp.ones_like(signal)
     ratio = jnp.maximum(signal, DARKEST) / white
@@ -181,13 +252,32 @@ def encoding_slope(signal: Array, white: Array, gamma: Array | None) -> Array:
 
 
 def residuals(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """(predicted - measured) / deviation, 0 for saturated pixels: (samples,)."""
+    """(predicted - measured) / deviation, 0 for saturated pixels.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        (samples,).
+    """
     z = (predicted_dn(vector, samples) - samples.dn) / samples.deviation
     return z if samples.saturated is None else jnp.where(samples.saturated, 0, z)
 
 
 def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Log density of each measured value, log probability of each saturated one: (samples,)."""
+    """Log density of each measured value, log probability of each saturated one.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        (samples,).
+
+    Source:
+        Tobin, Econometrica 26, 1958.
+    """
     predicted = predicted_dn(vector, samples)
     z = (predicted - samples.dn) / samples.deviation
     gaussian = -z * z / 2 - jnp.log(samples.deviation) - float(np.log(2 * np.pi)) / 2
@@ -198,7 +288,15 @@ def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Ar
 
 
 def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """What a fit with saturated pixels minimises: ()."""
+    """What a fit with saturated pixels minimises.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        ().
+    """
     return -jnp.sum(log_likelihoods(vector, samples))
 
 
@@ -206,6 +304,14 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
 def scores(
     vector: Float[Array, " parameters"], samples: Samples
 ) -> Float[Array, "parameters samples"]:
-    """Gradient of each sample's log likelihood."""
+    """Gradient of each sample's log likelihood.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        (parameters, samples).
+    """
     _, along = jax.linearize(lambda v: log_likelihoods(v, samples), vector)
     return jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))

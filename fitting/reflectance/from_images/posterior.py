@@ -14,14 +14,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...inference.clustering import curvature_stretch
-from ...inference.posterior import Posterior, SamplingOptions, for_group, laplace, sample
+from ...inference.emcee_run import SamplingOptions, for_group
+from ...inference.posterior import Posterior, laplace_or_emcee
 from .fit import ChannelFit
 from .geometry_cells import Grouping, average, saturated_only
 from .model import Samples, log_likelihoods
 
 
 class Composite(eqx.Module):
-    """Data of `composite_log_density`. stretch: the matrix C of mode + C (vector - mode)."""
+    """Data of `composite_log_density`.
+
+    Attributes:
+        cells: of the unsaturated samples.
+        saturated: the others; None if there are none.
+        mode: (P,) unconstrained.
+        stretch: (P, P), the matrix C of mode + C (vector - mode).
+    """
 
     cells: Samples
     saturated: Samples | None
@@ -30,7 +38,18 @@ class Composite(eqx.Module):
 
 
 def composite_log_density(vector: Float[Array, " parameters"], data: Composite) -> Array:
-    """Log density of all pixels with its curvature adjusted, up to a constant: ()."""
+    """Log density of all pixels with its curvature adjusted, up to a constant.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: cells, saturated samples and stretch.
+
+    Returns:
+        ().
+
+    Source:
+        Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.
+    """
     stretched = data.mode + data.stretch @ (vector - data.mode)
     total = jnp.sum(log_likelihoods(stretched, data.cells))
     if data.saturated is not None:
@@ -39,7 +58,15 @@ def composite_log_density(vector: Float[Array, " parameters"], data: Composite) 
 
 
 def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
-    """The calibrated likelihood of a fit whose covariance is known."""
+    """The calibrated likelihood of a fit with a known covariance.
+
+    Args:
+        fit: of one channel.
+        grouping: of its samples.
+
+    Returns:
+        Data of `composite_log_density`.
+    """
     assert fit.robustness is not None
     mode = jnp.asarray(fit.vector, fit.samples.dn.dtype)
     return Composite(
@@ -53,14 +80,27 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 
 
 def channel_posterior(
-    fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int = 0
+    fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int
 ) -> Posterior:
-    """Laplace with the robust covariance, or with `sampling` emcee's draws."""
+    """Draws of one channel: Laplace with the robust covariance, or emcee's.
+
+    Args:
+        fit: with a known covariance.
+        grouping: of its samples.
+        sampling: how to run emcee; None for Laplace.
+        seed: of every draw.
+
+    Returns:
+        The posterior.
+    """
     assert fit.robustness is not None
-    data, covariance = composite(fit, grouping), fit.robustness.covariance
-    if sampling is None:
-        return laplace(
-            composite_log_density, fit.space, data.mode, data, covariance=covariance, seed=seed
-        )
-    options = for_group(sampling, fit.channel)
-    return sample(composite_log_density, fit.space, data.mode, covariance, data, options=options)
+    data = composite(fit, grouping)
+    return laplace_or_emcee(
+        composite_log_density,
+        fit.space,
+        data.mode,
+        fit.robustness.covariance,
+        data,
+        sampling=for_group(sampling, fit.channel),
+        seed=seed,
+    )

@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxvision._numerics import angle_between, dot, log_cos_between, norm, normalize
 from jaxvision.errors import InputError
-from jaxvision.geometry import mirror_direction
+from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
-from ...observation import read_frame, read_mask
+from ...observation import read_mask, read_stack
 from ...rig import Geometry, Light, Rig, SphereGeometry, require
 
 VIEW = (0.0, 0.0, 1.0)
@@ -25,20 +24,38 @@ PURPOSE = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
-NOT_UNIT = 1e-2  # deviation of a normal's length from 1 that is no rounding
+NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
 
 
 @dataclass(frozen=True)
 class ReflectanceObservation:
     """What was measured, for the pixels of the object.
 
-    dn: stored digital numbers. intensity: of each light as the rig gives it; falloff: what the
-    distance leaves of it at a pixel (1 for distant lights; m^-2 for point lights), so that
-    intensity x falloff is the irradiance on a surface facing the light. wi: unit, toward the
-    light. cosine: n.l, negative in
-    attached shadows. mirror_angle: between view and mirror direction, rad; log_cos_mirror: log of
-    its cosine. black, clip: DN. white: DN of full scale above black. gamma, gain (DN per electron),
-    read_noise (electrons): None where unknown. rows, columns: of the pixels in images of `shape`.
+    intensity x falloff is the irradiance on a surface that faces the light.
+
+    Attributes:
+        channels: names.
+        files: names, one a light.
+        dn: (channels, lights, pixels) stored digital numbers.
+        intensity: (channels, lights) as the rig gives it.
+        falloff: (lights, pixels) what distance leaves of it: 1 for distant lights, m^-2 for point
+            lights.
+        wi: (lights, pixels, 3) unit, toward the light.
+        cosine: (lights, pixels) n.l, negative in attached shadows.
+        mirror_angle: (lights, pixels) between view and mirror direction, rad.
+        log_cos_mirror: (lights, pixels) log of its cosine.
+        normals: (pixels, 3) unit.
+        held_out: (lights,), which are kept for testing.
+        rows: (pixels,) in images of `shape`.
+        columns: (pixels,) in images of `shape`.
+        shape: (h, w).
+        black: DN without light.
+        white: DN of full scale above black.
+        clip: DN from which a pixel is saturated.
+        gamma: encoding exponent; None where linear or unknown.
+        gain: DN per electron; None where unknown.
+        read_noise: e- rms; None where unknown.
+        findings: what was assumed, in sentences.
     """
 
     channels: tuple[str, ...]
@@ -69,11 +86,20 @@ class ReflectanceObservation:
 
 
 def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
-    """Reads and checks all that the rig's `[[light]]` and `[geometry]` entries name.
+    """Reads and checks all that a rig's `[[light]]` and `[geometry]` entries name.
 
     Lights marked `held_out` are kept for testing; if none is and there are at least four, every
-    fourth is. Normals are scaled to unit length. `InputError` for images that are missing, of
-    unequal size, dark or clipped throughout, for shapes that do not fit and for too few pixels.
+    fourth is. Normals are scaled to unit length.
+
+    Args:
+        rig: with `[[light]]` and `[geometry]`.
+
+    Returns:
+        The observation.
+
+    Raises:
+        InputError: for images that are missing, of unequal size, dark or clipped throughout, for
+            shapes that do not fit and for too few pixels.
     """
     require(rig, "light", "geometry", purpose=PURPOSE)
     assert rig.geometry is not None
@@ -117,14 +143,7 @@ def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
 
 
 def _read_frames(rig: Rig) -> Float[np.ndarray, "channels lights h w"]:
-    frames = [read_frame(rig.path(light.file), rig.camera) for light in rig.light]
-    for light, frame in zip(rig.light, frames, strict=True):
-        if frame.shape != frames[0].shape:
-            raise InputError(
-                f"{rig.path(light.file)}: is {frame.shape}, but {rig.light[0].file} is "
-                f"{frames[0].shape}; all images under the lights need the same size."
-            )
-    stack = np.stack(frames)
+    stack = read_stack(rig, [light.file for light in rig.light])
     if stack.ndim == 3:
         return stack[None]
     if stack.shape[3] != 3:
@@ -199,12 +218,12 @@ def _light_field(
     directions, falloffs = [], []
     for light in rig.light:
         if light.direction is not None:
-            unit = np.asarray(normalize(jnp.asarray(light.direction)))
+            unit = np.asarray(light.direction) / np.linalg.norm(light.direction)
             directions.append(np.broadcast_to(unit, normals.shape))
             falloffs.append(np.ones(len(normals)))
             continue
         toward = np.asarray(light.position) - _radius_in_metres(rig, light) * normals
-        distance = np.asarray(norm(jnp.asarray(toward)))
+        distance = np.linalg.norm(toward, axis=-1)
         directions.append(toward / distance[:, None])
         falloffs.append(distance**-2.0)
     return np.stack(directions), np.stack(falloffs)
@@ -230,7 +249,8 @@ def _radius_in_metres(rig: Rig, light: Light) -> float:
 def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, ...]:
     mirrored = mirror_direction(normals, wi)
     view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
-    return dot(normals, wi), log_cos_between(mirrored, view), angle_between(mirrored, view)
+    cosine = jnp.sum(normals * wi, axis=-1)
+    return cosine, log_cos_between(mirrored, view), angle_between(mirrored, view)
 
 
 def _angles(normals: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxvision._types import as_float, as_optional_float
-from jaxvision._vector import Vec, as_vec
+from jaxvision import Vec, as_vec
 from jaxvision.brdf.blinn import log_cos_half
 from jaxvision.hemisphere import local_frame, to_local
 
-from ..models import REFLECTANCES, Model
+from ..models import REFLECTANCES
+from ..names import Model
 from .model import Form, Invariants, Samples
 from .read import VIEW, ReflectanceObservation
 
@@ -23,7 +23,18 @@ def lobe_geometry(
     light: Int[np.ndarray, " samples"],
     pixel: Int[np.ndarray, " samples"],
 ) -> Array | Invariants | None:
-    """What the lobe of a model takes, for chosen lights and pixels."""
+    """What the lobe of a model takes.
+
+    Args:
+        observation: of the object.
+        model: whose lobe it is.
+        light: (samples,) indices.
+        pixel: (samples,) indices.
+
+    Returns:
+        The log cosine of the lobe's own angle (Phong, Blinn), the mirror angle in rad (Gaussian
+        lobe), all invariants (the others); None for Lambert.
+    """
     match model:
         case "lambert":
             return None
@@ -55,23 +66,33 @@ def _log_cos_half(normals: jax.Array, wi: jax.Array) -> jax.Array:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which samples a fit sees: indices of light and pixel, lights in order."""
+    """Which samples a fit sees.
+
+    Attributes:
+        light: (samples,) indices, lights in order.
+        pixel: (samples,) indices.
+    """
 
     light: Int[np.ndarray, " samples"]
     pixel: Int[np.ndarray, " samples"]
 
 
 def select(
-    observation: ReflectanceObservation,
-    *,
-    held_out: bool,
-    form: Form,
-    minimum_cosine: float = 0.0,
+    observation: ReflectanceObservation, *, held_out: bool, form: Form, minimum_cosine: float = 0.0
 ) -> Selection:
-    """Samples of the lights kept for testing, or of the others, with n.l > `minimum_cosine`.
+    """Samples of the lights kept for testing, or of the others.
 
-    Attached shadows (n.l <= 0) are predicted to be black and say nothing about the surface, so
-    they are left out, unless an ambient term is to be read off them.
+    Attached shadows (n.l <= 0) are predicted to be black and say nothing about the surface, so they
+    are left out, unless an ambient term is to be read off them.
+
+    Args:
+        observation: of the object.
+        held_out: whether to take the lights kept for testing.
+        form: whose ambient term counts.
+        minimum_cosine: n.l must be above it.
+
+    Returns:
+        Their indices.
     """
     seen = observation.cosine > minimum_cosine
     if form.ambient:
@@ -83,7 +104,17 @@ def select(
 def make_samples(
     observation: ReflectanceObservation, channel: int, form: Form, selection: Selection
 ) -> Samples:
-    """The selected samples of one channel, their deviation still 1 DN."""
+    """The selected samples of one channel, their deviation still 1 DN.
+
+    Args:
+        observation: of the object.
+        channel: index.
+        form: of the fit.
+        selection: indices of light and pixel.
+
+    Returns:
+        The samples.
+    """
     light, pixel = selection.light, selection.pixel
     dn = observation.dn[channel, light, pixel]
     clips = bool(observation.saturated[:, light, pixel].any())
@@ -97,8 +128,8 @@ def make_samples(
         dn=jnp.asarray(dn),
         deviation=jnp.ones(len(dn)),
         saturated=jnp.asarray(dn >= observation.clip) if clips else None,
-        black=as_float(observation.black),
-        white=as_float(observation.white),
-        clip=as_float(observation.clip),
-        gamma=as_optional_float(gamma),
+        black=jnp.asarray(observation.black, float),
+        white=jnp.asarray(observation.white, float),
+        clip=jnp.asarray(observation.clip, float),
+        gamma=None if gamma is None else jnp.asarray(gamma, float),
     )

@@ -23,17 +23,21 @@ from .model import parameter_space, scores
 
 
 def section(calibration: ReflectanceCalibration) -> Section:
-    """Estimates, findings, tables and pictures of a calibration."""
+    """A calibrated reflectance as its reader sees it.
+
+    Args:
+        calibration: of a known shape.
+
+    Returns:
+        Estimates, findings, tables and pictures.
+    """
     observation = calibration.observation
     held_out = int(observation.held_out.sum())
     return Section(
         kind="brdf",
         title=f"Reflectance: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
-        findings=(
-            verdict(calibration.scores, held_out),
-            *findings(calibration),
-        ),
+        findings=(verdict(calibration.scores, held_out), *findings(calibration)),
         pictures=_pictures(calibration),
         tables=(comparison_table(calibration.scores, held_out), misfit_table(calibration)),
         posteriors=calibration.posteriors,
@@ -79,9 +83,7 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
         errors[known] = np.sqrt(np.diagonal(robust.covariance))
     rows = [
         gaussian_estimate(
-            fit.space[i].name,
-            fit.space[i].symbol,
-            fit.space[i].unit,
+            fit.space[i],
             fit.natural[i],
             fit.natural[i] * errors[i],
             method="Laplace",
@@ -90,11 +92,8 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
         )
         for i in known
     ]
-    units = {parameter.name: parameter for parameter in parameter_space(fit.requested)}
-    rows += [
-        not_determined(name, units[name].symbol, units[name].unit, why, group=fit.channel)
-        for name, why in reasons.items()
-    ]
+    wanted = {parameter.name: parameter for parameter in parameter_space(fit.requested)}
+    rows += [not_determined(wanted[x], why, group=fit.channel) for x, why in reasons.items()]
     return rows
 
 

@@ -14,15 +14,21 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-QUANTISATION = 1 / 12  # DN^2: rounding to integers
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
 BINS = 64
 EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectation
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Variance of the linear signal. floor: DN^2; shot: DN (the system gain, DN per electron);
-    relative: fraction of the signal, None where the data do not ask for it."""
+    """Variance of the linear signal X: floor + shot X + (relative X)^2.
+
+    Attributes:
+        floor: DN^2.
+        shot: DN; the system gain, DN per electron.
+        relative: fraction of the signal; None where the data do not ask for it.
+    """
 
     floor: float
     shot: float
@@ -35,22 +41,50 @@ def variance(
     *,
     slope: Float[np.ndarray, " samples"] | float = 1.0,
 ) -> Float[np.ndarray, " samples"]:
-    """Variance of the stored digital number (DN^2), rounding included; `slope`: d DN / d X."""
+    """Variance of the stored digital number, rounding included.
+
+    Args:
+        spread: of the linear signal.
+        signal: (samples,) X, DN.
+        slope: d DN / d X.
+
+    Returns:
+        (samples,) DN^2.
+    """
     linear = spread.floor + spread.shot * np.maximum(signal, 0)
     if spread.relative is not None:
         linear = linear + (spread.relative * signal) ** 2
-    return slope**2 * linear + QUANTISATION
+    return slope**2 * linear + QUANTISATION_VARIANCE
 
 
 def sensor_spread(gain: float, read_noise: float) -> Spread:
-    """The spread of a known sensor: gain in DN per electron, read noise in electrons."""
+    """The spread of a known sensor.
+
+    Args:
+        gain: DN per electron.
+        read_noise: e- rms.
+
+    Returns:
+        The spread, without a relative term.
+    """
     return Spread((gain * read_noise) ** 2, gain, None)
 
 
 def chi_square_per_dof(
     residual: np.ndarray, signal: np.ndarray, slope: np.ndarray | float, spread: Spread, dof: int
 ) -> float:
-    """Mean squared residual (DN) in units of its variance, `dof` being what is counted."""
+    """Mean squared residual in units of its variance.
+
+    Args:
+        residual: (samples,) DN.
+        signal: (samples,) X, DN.
+        slope: d DN / d X.
+        spread: of the linear signal.
+        dof: what is counted.
+
+    Returns:
+        No unit.
+    """
     return float(np.sum(residual**2 / variance(spread, signal, slope=slope)) / dof)
 
 
@@ -61,11 +95,19 @@ def fit_spread(
     *,
     sensor: Spread | None,
 ) -> Spread:
-    """The spread that makes residuals (DN) likeliest, from their mean squares in bins of signal.
+    """The spread that makes residuals likeliest, from their mean squares in bins of signal.
 
-    With a known `sensor` only the relative term is fitted, and only where chi-square exceeds what
-    the sensor explains by three standard deviations; without one, a constant and a relative term
-    are.
+    With a known sensor only the relative term is fitted, and only where chi-square exceeds what the
+    sensor explains by three standard deviations; without one, a constant and a relative term are.
+
+    Args:
+        residual: (samples,) DN.
+        signal: (samples,) X, DN.
+        slope: (samples,) d DN / d X.
+        sensor: its spread; None where unknown.
+
+    Returns:
+        The spread.
     """
     counts, squares, x, d = _binned(residual, signal, slope)
     total = counts.sum()

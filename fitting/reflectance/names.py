@@ -1,0 +1,29 @@
+"""Names of what can be fitted, and of the files that can: without the libraries that compute."""
+
+from pathlib import Path
+from typing import Literal, get_args
+
+Model = Literal[
+    "lambert",
+    "oren-nayar",
+    "phong",
+    "normalised-phong",
+    "gaussian-lobe",
+    "blinn",
+    "normalised-blinn",
+    "torrance-sparrow",
+    "torrance-sparrow-ggx",
+    "torrance-sparrow-metal",
+]
+MODELS: tuple[Model, ...] = get_args(Model)
+Axis = Literal["mirror", "half", "none"]  # what a lobe is centred on
+Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance minimises
+OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
+
+INDEX = 1.5  # of refraction: glass, varnish, most plastics
+SUFFIXES = (".brdf", ".bsdf", ".binary")
+
+
+def is_measured_brdf(path: Path) -> bool:
+    """Whether a path is a file of measured reflectance, by its suffix."""
+    return path.suffix.lower() in SUFFIXES

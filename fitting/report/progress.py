@@ -1,0 +1,43 @@
+"""Progress of a long command on standard error."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich import progress
+from rich.console import Console
+
+Progress = Callable[[int, int], None]  # called with (done, total)
+
+
+class Reporter:
+    """Progress of a long command: named steps, each with an optional bar."""
+
+    def __init__(self, bars: progress.Progress) -> None:
+        self._progress = bars
+
+    @contextmanager
+    def step(self, description: str) -> Iterator[Progress]:
+        """Shows `description` while the block runs; call what it yields with (done, total)."""
+        task = self._progress.add_task(description, total=None)
+
+        def advance(done: int, total: int) -> None:
+            self._progress.update(task, completed=done, total=total)
+
+        yield advance
+        self._progress.update(task, total=1, completed=1)
+        if not self._progress.console.is_terminal:
+            self._progress.console.print(f"{description}: done")
+
+
+@contextmanager
+def reporting() -> Iterator[Reporter]:
+    """Progress on standard error; plain lines where that is not a terminal."""
+    console = Console(stderr=True, highlight=False)
+    columns = (
+        progress.SpinnerColumn(),
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+    )
+    with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        yield Reporter(bars)

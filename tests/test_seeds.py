@@ -1,0 +1,109 @@
+"""The seed of a command reaches every draw of every calibration, and is the one recorded."""
+
+import json
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+from typer.testing import CliRunner
+
+from fitting.cli import app
+from fitting.demo.compare import calibrate_lab
+from fitting.inference import posterior
+from fitting.inference.emcee_run import Chain, SamplingOptions
+from fitting.noise import calibration as noise
+from fitting.noise.read import read_photon_transfer
+from fitting.reflectance.from_files import calibration as from_files
+from fitting.reflectance.from_files.fit import fit_model
+from fitting.reflectance.from_files.read import from_samples
+from fitting.reflectance.from_images import calibration as from_images
+from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.report.progress import reporting
+from fitting.response import calibration as response
+from fitting.response.read import read_exposure_stack
+from fitting.rig import load_rig
+from jaxvision.brdf.measured import BRDFSamples
+
+
+def material():
+    """A Lambertian sheet with noise: one parameter, so one short draw."""
+    rng = np.random.default_rng(0)
+    theta_i = np.repeat(np.radians([15.0, 30.0, 45.0, 60.0, 75.0]), 8)
+    theta_o = np.tile(np.radians(np.linspace(0, 70, 8)), 5)
+    values = 0.2 + 0.01 * rng.standard_normal((40, 1))
+    columns = (theta_i, 0 * theta_i, theta_o, 0 * theta_o, values)
+    samples = BRDFSamples(*(jnp.asarray(column) for column in columns), None)
+    return from_samples("sheet", samples, weights=np.ones(40))
+
+
+@pytest.fixture(scope="module")
+def calibrations(lab):
+    """By name: a calibration of (sampling, seed), and the posteriors it ends with."""
+    folder, _ = lab
+    stack = read_exposure_stack(load_rig(folder / "response"))
+    images = read_reflectance_observation(load_rig(folder / "brdf"))
+    measurement = read_photon_transfer(folder / "noise")
+    return {
+        "noise": (partial(noise.calibrate, measurement), lambda c: [c.posterior]),
+        "response": (
+            partial(response.calibrate, stack),
+            lambda c: [channel.gamma.posterior for channel in c.channels],
+        ),
+        "from images": (
+            partial(from_images.calibrate, images, model="phong"),
+            lambda c: [*c.posteriors.values()],
+        ),
+        "from files": (
+            partial(from_files.calibrate, material(), model="lambert"),
+            lambda c: [c.posterior],
+        ),
+    }
+
+
+@pytest.fixture(autouse=True)
+def one_model_of_files(monkeypatch):
+    def fit(measured, *, objective, index):
+        return {"lambert": fit_model(measured, "lambert", objective=objective, index=index)}
+
+    monkeypatch.setattr(from_files, "fit_models", fit)
+
+
+@pytest.mark.parametrize("name", ["noise", "response", "from images", "from files"])
+def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
+    calibrate, posteriors = calibrations[name]
+    first, again, other = (posteriors(calibrate(seed=seed)) for seed in (7, 7, 8))
+    assert first
+    for a, b, c in zip(first, again, other, strict=True):
+        np.testing.assert_array_equal(a.draws, b.draws)
+        assert (a.draws != c.draws).all()
+        assert (a.seed, c.seed) == (7, 8)
+
+    seeds = []
+
+    def ensemble(log_density, mode, covariance, *, options, seed, fingerprint):
+        seeds.append(seed)
+        drawn = np.random.default_rng(seed).multivariate_normal(mode, covariance, (60, 8))
+        return Chain(drawn, np.zeros((60, 8)), np.ones(len(mode)), 0.5, 60)
+
+    monkeypatch.setattr(posterior, "run_ensemble", ensemble)
+    sampled = posteriors(calibrate(sampling=SamplingOptions(walkers=8), seed=9))
+    assert seeds == [9] * len(first)
+    assert {one.seed for one in sampled} == {9}
+
+
+def test_the_demo_draws_by_its_seed(lab):
+    with reporting() as reporter:
+        sections = calibrate_lab(lab[0], reporter.step, lambda kind, progress: None, seed=3)
+    seeds = [one.seed for section in sections for one in section.posteriors.values()]
+    assert len(seeds) == 7
+    assert set(seeds) == {3}
+
+
+def test_the_recorded_seed_is_the_one_that_drew(lab, tmp_path):
+    arguments = ["brdf", str(lab[0] / "brdf"), "--out", str(tmp_path), "--seed", "7"]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert json.loads((tmp_path / "results.json").read_text())["seed"] == 7
+    with xarray.open_dataset(tmp_path / "brdf_chains.nc", group="posterior") as chains:
+        assert [int(chains.attrs[f"{x}_seed"]) for x in ("red", "green", "blue")] == [7, 7, 7]
