@@ -22,9 +22,19 @@ from ._bilinear import correlate_stack
 from ._methods import Anchor, Kernel, Stack
 
 Fill = Float[Array | np.ndarray, "..."] | float  # () or (bands,)
-print_by_name(globals(), "Fill")
-# The passes of each term: (kh, kw, bands) or (kh, kw, 1) for all bands alike.
-Terms = tuple[tuple[Shaped[Array | np.ndarray, "_ _ _"], ...], ...]
+AnyKernel = Shaped[Array | np.ndarray, "..."]  # (kh, kw) or (kh, kw, bands)
+AnyTaps = Shaped[Array | np.ndarray, "..."]  # (taps,) or (taps, bands)
+print_by_name(globals(), "Fill", "AnyKernel", "AnyTaps")
+
+
+class Separable(NamedTuple):
+    """The kernel column[i] row[j]."""
+
+    column: AnyTaps
+    row: AnyTaps
+
+
+Terms = tuple[AnyKernel | Separable, ...]
 
 
 class Settings(NamedTuple):
@@ -41,15 +51,17 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     """The picture correlated with the sum of the terms, with the contribution of the border."""
     anchor, border, method = settings
     image, restore = as_planes(picture)
-    terms = tuple(tuple(jnp.asarray(k, image.dtype) for k in term) for term in terms)
-    kernels = tuple(reduce(mul, term) for term in terms)
+    passes = tuple(_passes(term, image.dtype) for term in terms)
+    kernels = tuple(reduce(mul, kernels) for kernels in passes)
     if method == "separable":
         method = "direct" if jax.default_backend() == "cpu" else "conv"
     else:
-        terms = tuple((kernel,) for kernel in kernels)
-    outer = "zero" if border in ("constant", "normalised_zero") else border
-    total = reduce(add, (_after(image, term, Settings(anchor, outer, method)) for term in terms))
-    if border == outer:
+        passes = tuple((kernel,) for kernel in kernels)
+    outer = Settings(
+        anchor, "zero" if border in ("constant", "normalised_zero") else border, method
+    )
+    total = reduce(add, (_after(image, kernels, outer) for kernels in passes))
+    if border == outer.border:
         return restore(total)
     kernel = reduce(add, kernels)
     inside, outside = _shares(kernel, image.shape[1:3], anchor)
@@ -62,10 +74,18 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     return restore(divide(total, inside, held))
 
 
-def _after(image: Stack, term: tuple[Kernel, ...], settings: Settings) -> Stack:
-    """The image after each pass of a term."""
+def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:
+    """The kernels of a term, one after the other: (kh, kw, bands) or (kh, kw, 1)."""
+    if isinstance(term, Separable):
+        column, row = (jnp.asarray(taps, dtype) for taps in term)
+        return column.reshape(len(column), 1, -1), row.reshape(1, len(row), -1)
+    return (jnp.asarray(term, dtype).reshape(*term.shape[:2], -1),)
+
+
+def _after(image: Stack, kernels: tuple[Kernel, ...], settings: Settings) -> Stack:
+    """The image after each pass."""
     (row, column), border, method = settings
-    for kernel in term:
+    for kernel in kernels:
         own = (row * (kernel.shape[0] > 1), column * (kernel.shape[1] > 1))
         image = correlate_stack(image, kernel, anchor=own, border=border, method=method)
     return image

@@ -36,17 +36,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Shaped
 
-from .._types import check_choice, print_by_name
+from .._types import check_choice
 from ..padding import Filtered, Picture, check_border, check_picture
 from ._methods import METHODS, Anchor
-from ._terms import Fill, Settings, Terms, filtered
+from ._terms import AnyKernel, AnyTaps, Fill, Separable, Settings, Terms, filtered
 
-# (kh, kw) or (kh, kw, bands); (taps,) or (taps, bands)
-AnyKernel = Shaped[Array | np.ndarray, "..."]
-AnyTaps = Shaped[Array | np.ndarray, "..."]
-print_by_name(globals(), "AnyKernel", "AnyTaps")
 Numbers = Sequence[Any]
 
 CHOICES = ("auto", "separable", *METHODS)
@@ -99,8 +94,7 @@ def correlate(
         _check_bands(weights.shape[2], picture)
     check_border(border)
     method = _method(method, weights, picture)
-    separable = method == "separable"
-    terms = _factored(weights, picture) if separable else ((weights.reshape(*size, -1),),)
+    terms = _factored(weights, picture) if method == "separable" else (weights,)
     return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, method))
 
 
@@ -180,10 +174,9 @@ def correlate_separable(
             _check_bands(taps.shape[1], picture)
     check_border(border)
     check_choice("method", method, CHOICES)
-    size = len(down), len(along)
-    passes = down.reshape(size[0], 1, -1), along.reshape(1, size[1], -1)
-    method = "separable" if method == "auto" else method
-    return filtered(picture, (passes,), fill, Settings(_anchor(anchor, size), border, method))
+    anchor = _anchor(anchor, (len(down), len(along)))
+    settings = Settings(anchor, border, "separable" if method == "auto" else method)
+    return filtered(picture, (Separable(down, along),), fill, settings)
 
 
 # ---------------------------------------------------------------- choices
@@ -228,10 +221,7 @@ def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarr
 def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
     u, s, v = _singular(kernel, picture)
     down, along = u * np.sqrt(s)[:, None], v * np.sqrt(s)[:, :, None]
-    return tuple(
-        (down[:, :, k].T[:, None], along[:, k].T[None])  # bands last
-        for k in range(s.shape[1])
-    )
+    return tuple(Separable(down[:, :, k].T, along[:, k].T) for k in range(s.shape[1]))
 
 
 def _size(kernel: AnyKernel) -> tuple[int, int]:

@@ -83,8 +83,7 @@ def gaussian(
         if isinstance(sigma, Tracer):
             raise ValueError("a traced sigma needs a size: pass size=gaussian_size(largest sigma).")
         size = gaussian_size(float(np.max(np.asarray(sigma))), truncate=truncate)
-    column, row = _kernels(sigma, size, order, sampling)
-    return correlate_separable(picture, column, row, border=border, fill=fill, method=method)
+    return _gaussian(picture, sigma, fill, (size, order, sampling), border, method)
 
 
 def laplacian_of_gaussian(
@@ -157,16 +156,22 @@ def gaussian_kernel(
     return jax.nn.softmax(-0.5 * (x / sigma) ** 2) * _hermite(x / sigma, order) / sigma**order
 
 
-@partial(jax.jit, static_argnames=("size", "order", "sampling"))
-def _kernels(
-    sigma: Sigma, size: int, order: tuple[int, int], sampling: str
-) -> tuple[Float[Array, " taps"], Float[Array, " taps"]]:
-    """The kernels down and across."""
-    down, across = jnp.broadcast_to(as_float(sigma), (2,))
-    return (
-        gaussian_kernel(down, size=size, order=order[0], sampling=sampling),
-        gaussian_kernel(across, size=size, order=order[1], sampling=sampling),
+@partial(jax.jit, static_argnames=("weights", "border", "method"))
+def _gaussian(
+    picture: Picture,
+    sigma: Sigma,
+    fill: Fill,
+    weights: tuple[int, tuple[int, int], str],
+    border: str,
+    method: str,
+) -> Filtered:
+    """One program for the kernels and the filter. `weights`: size, order and sampling."""
+    size, order, sampling = weights
+    column, row = (
+        gaussian_kernel(s, size=size, order=n, sampling=sampling)
+        for s, n in zip(jnp.broadcast_to(as_float(sigma), (2,)), order, strict=True)
     )
+    return correlate_separable(picture, column, row, border=border, fill=fill, method=method)
 
 
 def _hermite(x: Float[Array, "..."], order: int) -> Float[Array, "..."]:

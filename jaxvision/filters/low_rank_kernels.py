@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from .._types import as_float
 from ..padding import Filtered, Picture, check_border, check_picture
-from ._terms import Fill, Settings, filtered
+from ._terms import Fill, Separable, Settings, filtered
 from .convolution import _anchor
 
 
@@ -93,8 +93,5 @@ def correlate_low_rank(
     check_picture(picture)
     check_border(border)
     size = kernel.columns.shape[1], kernel.rows.shape[1]
-    terms = tuple(
-        (column[:, None, None], row[None, :, None])
-        for column, row in zip(kernel.columns, kernel.rows, strict=True)
-    )
+    terms = tuple(map(Separable, kernel.columns, kernel.rows))
     return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, "separable"))

@@ -82,8 +82,7 @@ def filter_matrix(
         return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
     if border == "constant":
         nothing = jnp.zeros(shape, kernel.dtype)
-        whole = ((kernel[:, :, None],),)
-        offset = filtered(nothing, whole, fill, Settings(anchor, border, "direct"))
+        offset = filtered(nothing, (kernel,), fill, Settings(anchor, border, "direct"))
         return MatrixForm(form.matrix, offset.ravel())
     return form
 
