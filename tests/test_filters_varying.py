@@ -243,7 +243,7 @@ def test_bad_input_is_named():
         for anchor in ((4, 0), (0, -1), (1,)):
             with pytest.raises(ValueError, match="anchor must lie in the kernel"):
                 call(anchor=anchor)
-    with pytest.raises(ValueError, match="takes a fill"):
+    with pytest.raises(ValueError, match="needs a fill"):
         filters.per_pixel_matrix(stack, border="constant")
     with pytest.raises(ValueError, match="increasing"):
         filters.gaussian_varying(PLANE, jnp.ones((H, W)), sigmas=(1.0, 1.0))
