@@ -102,7 +102,7 @@ def test_gradient_is_the_transpose():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: reduce_by_two(GREY, border="constant"), "takes a fill"),
+        (lambda: reduce_by_two(GREY, border="constant"), "needs a fill"),
         (lambda: gaussian_pyramid(np.zeros(4), 1), r"\(4,\)"),
         (lambda: gaussian_pyramid(GREY, 0), "at least 1 level, got 0"),
         (lambda: laplacian_pyramid(GREY, -1), "got -1"),
