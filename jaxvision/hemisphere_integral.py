@@ -18,8 +18,7 @@ from ._directions import arriving_from, balanced, in_frame, in_world
 from ._numerics import reciprocal, safe_sqrt
 from ._types import Colour, Key, check_count
 from ._vector import Vec, Vector, as_vec
-from .brdf.mirror import Mirror
-from .geometry import Shapes, mirror_direction, sorted_shapes
+from .geometry import Shapes, sorted_shapes
 from .hemisphere import product_nodes
 from .scene import Light, Material
 from .shadows import Leaving, Place
@@ -87,9 +86,10 @@ def sampled_radiance(
     """
     check_count("samples", samples, 2)
     frame, viewer = in_frame(normal, wo, tangent)
-    if isinstance(material, Mirror):
-        arriving = incident_radiance(mirror_direction(normal, wo))
-        return Estimate(brdf.albedo(material, viewer) * arriving, jnp.zeros_like(arriving))
+    if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
+        toward, reflectance = mirror
+        arriving = incident_radiance(in_world(frame, toward, wo))
+        return Estimate(reflectance * arriving, jnp.zeros_like(arriving))
 
     def draw(u: Float[Array, "3"]) -> Colour:
         wi = as_vec(brdf.sample(material, viewer, u))
@@ -126,9 +126,10 @@ def lit_radiance(
     check_count("samples", samples, 2)
     frame, viewer = in_frame(normal, wo, tangent)
     place = None if occluders is None else Place(point, Leaving(normal), sorted_shapes(occluders))
-    if isinstance(material, Mirror):
-        arriving = arriving_from(light, point, mirror_direction(normal, wo), place)
-        return Estimate(brdf.albedo(material, viewer) * arriving, jnp.zeros_like(arriving))
+    if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
+        toward, reflectance = mirror
+        arriving = arriving_from(light, point, in_world(frame, toward, point), place)
+        return Estimate(reflectance * arriving, jnp.zeros_like(arriving))
 
     def draw(u: Float[Array, "5"]) -> Colour:
         return balanced(material, light, point, frame, viewer, u[:2], u[2:], place)

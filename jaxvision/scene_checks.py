@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from .brdf.glass import Glass
+from .brdf import is_body
 from .geometry import problems
 from .lights import DirectionalLight, PointLight, RectangleLight
 from .scene import (
@@ -60,7 +60,7 @@ def scene_problems(
     hiding = [
         (name, surface)
         for name, surface in zip(surfaces, scene.surfaces, strict=True)
-        if not surface.two_sided and not isinstance(surface.material, Glass)
+        if not surface.two_sided and not is_body(surface.material)
     ]
     for name, surface in hiding:
         if _is_inside_out(surface.shape):

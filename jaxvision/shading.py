@@ -18,13 +18,12 @@ from jaxtyping import Array, Bool, Float
 
 from . import brdf
 from ._bands import FEW, Bands, apart, plus
-from ._directions import balanced, in_frame, where_clear
+from ._directions import balanced, in_frame, in_world, where_clear
 from ._groups import group_by_structure
 from ._staging import together
 from ._types import Colour, Scalar, common_dtype
 from ._vector import Vec, Vector, as_vec
-from .brdf.mirror import Mirror
-from .geometry import Ray, Shapes, mirror_direction, sorted_shapes
+from .geometry import Ray, Shapes, sorted_shapes
 from .hemisphere import to_local
 from .lights import (
     Balanced,
@@ -187,11 +186,12 @@ def outgoing_radiance(
                     radiance = plus(radiance, part)
                 else:
                     seen_anyhow = plus(seen_anyhow, part)
-    if isinstance(material, Mirror):  # a delta function: no sample meets it, but its ray is known
-        direction = mirror_direction(as_vec(normal), as_vec(wo))
+    if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
+        toward, reflectance = mirror
+        direction = as_vec(in_world(frame, toward, wo))
         ahead = nearest_seen(lights, Ray(point, direction))
         passes = None if place is None else clear(place, direction, ahead.distance)
-        image = where_clear(passes, brdf.albedo(material, viewer) * ahead.radiance)
+        image = where_clear(passes, reflectance * ahead.radiance)
         radiance = plus(radiance, apart(image, bands))
     # angles say themselves where the surface is seen from behind
     radiance = tuple(jnp.where(viewer.z > 0, band, 0) for band in radiance)

@@ -12,7 +12,8 @@ the caller vmaps. A spectrum is (bands,), or (1,) where it is neutral and broadc
     albedo     integral of f_r cos(theta_i) over wi
     shading    what multiplies the irradiance of a surface that FACES the light, f_r cos(theta_i)
 
-Mirrors and glass are delta functions, which no density describes: see `brdf.mirror`, `brdf.glass`.
+Mirrors and glass are delta functions, which no density describes: `register_delta` enters their
+families, whose `Specular` says where a ray goes on.
 """
 
 import jax.numpy as jnp
@@ -36,9 +37,22 @@ from . import (
     rgl,
     torrance_sparrow,
 )
-from ._registry import family, register
+from ._registry import (
+    absorption,
+    family,
+    is_body,
+    is_delta,
+    register,
+    register_delta,
+    seen_in_mirror,
+    specular,
+)
+from ._specular import Carries, Specular, one_way, passing
 
 __all__ = [
+    "Carries",
+    "Specular",
+    "absorption",
     "albedo",
     "blinn",
     "dichromatic",
@@ -46,17 +60,24 @@ __all__ = [
     "gaussian_lobe",
     "glass",
     "half_difference",
+    "is_body",
+    "is_delta",
     "lambert",
     "measured",
     "mirror",
+    "one_way",
     "oren_nayar",
+    "passing",
     "pdf",
     "phong",
     "reflect",
     "register",
+    "register_delta",
     "rgl",
     "sample",
+    "seen_in_mirror",
     "shading",
+    "specular",
     "torrance_sparrow",
 ]
 

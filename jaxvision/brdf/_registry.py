@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from .._types import Colour, Scalar
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
+from ._specular import Specular, one_way
 
 POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
 
@@ -23,6 +24,9 @@ class Family(NamedTuple):
     `angles(wi, wo)`: what shading needs of the directions, the same for every material of the
     family, a tree of () numbers; where either lies below the surface, those whose shading is 0.
     `at_angles(material, angles)`: the shading of it. Both are None for a family that parts nothing.
+    `specular(material, w)`: where a ray that came from `w` goes on, of a family of delta functions,
+    else None. `absorption(material)`: (bands,) m^-1 or None, of the body behind the surface; None
+    for a family that bounds no body.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]
@@ -32,6 +36,8 @@ class Family(NamedTuple):
     shading: Callable[[Any, Vector, Vector], Colour]
     angles: Callable[[Vec, Vec], Any] | None = None
     at_angles: Callable[[Any, Any], Colour] | None = None
+    specular: Callable[[Any, Vec], Specular] | None = None
+    absorption: Callable[[Any], Colour | None] | None = None
 
 
 _FAMILIES: dict[type, Family] = {}
@@ -85,6 +91,46 @@ def register(
     )
 
 
+def register_delta(
+    record: type,
+    *,
+    specular: Callable[[Any, Vec], Specular],
+    absorption: Callable[[Any], Colour | None] | None = None,
+) -> None:
+    """Makes a record of mirror-like or clear material known to everything that reflects light.
+
+    Its `evaluate`, `shading` and `pdf` are 0, since no point light and no node of a quadrature lies
+    exactly in one of its directions; `sample` returns one of them.
+
+    Args:
+        record: the class of the material.
+        specular: `specular(material, w)`, where a ray that came from the unit local direction `w`,
+            a `Vec`, goes on. It is asked from below the surface too, w.z < 0, where a mirror with
+            an opaque back reflects 0.
+        absorption: `absorption(material)`, (bands,) m^-1 of the body behind the surface, or None
+            where that is clear; not given for a material that bounds no body.
+    """
+
+    def evaluate(material: Any, wi: Vector, wo: Vector) -> Colour:
+        del wi
+        return jnp.zeros_like(specular(material, as_vec(wo)).reflectance)
+
+    def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+        return one_way(specular(material, as_vec(wo)), u[2], carries="light")[0]
+
+    def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+        del material, wi
+        return jnp.zeros_like(as_vec(wo).z)
+
+    def albedo(material: Any, wo: Vector) -> Colour:
+        viewer = as_vec(wo)
+        return jnp.where(viewer.z > 0, specular(material, viewer).reflectance, 0)
+
+    _FAMILIES[record] = Family(
+        evaluate, sample, pdf, albedo, evaluate, specular=specular, absorption=absorption
+    )
+
+
 def _in_two_steps(
     angles: Callable[[Vec, Vec], Any], at_angles: Callable[[Any, Any], Colour]
 ) -> Callable[[Any, Vector, Vector], Colour]:
@@ -99,6 +145,42 @@ def family(material: Any) -> Family:
             f"{kind.__name__} is no known material: call jaxvision.brdf.register for it first."
         )
     return _FAMILIES[kind]
+
+
+def is_delta(material: Any) -> bool:
+    """Whether a material sends light into one or two directions only, as mirrors and glass do."""
+    return family(material).specular is not None
+
+
+def is_body(material: Any) -> bool:
+    """Whether a material fills the shape that it covers, as glass does: light goes on inside."""
+    return family(material).absorption is not None
+
+
+def absorption(material: Any) -> Colour | None:
+    """What a material that fills its shape absorbs, (bands,) m^-1; None where it is clear or fills
+    nothing."""
+    of_body = family(material).absorption
+    return None if of_body is None else of_body(material)
+
+
+def specular(material: Any, w: Vector) -> Specular:
+    """Where a ray that came from `w`, (3,) unit, local, goes on from a mirror or a clear surface;
+    `ValueError` for a material with a density."""
+    of_family = family(material).specular
+    if of_family is None:
+        raise ValueError(f"specular needs a mirror or glass, got {type(material).__name__}.")
+    return of_family(material, as_vec(w))
+
+
+def seen_in_mirror(material: Any, wo: Vector) -> tuple[Vec, Colour] | None:
+    """The local direction that a viewer at `wo`, (3,) unit, local, sees in an opaque mirror, and
+    its reflectance there, (bands,), no unit. None for all other materials, glass among them: what
+    it mirrors is only a part of what it shows."""
+    if not is_delta(material):
+        return None
+    ways = specular(material, wo)
+    return (ways.mirrored, ways.reflectance) if ways.refracted is None else None
 
 
 def sample_cosine(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:

@@ -4,8 +4,8 @@
 
 The body term is light that entered the material and took its colour, the interface term light
 that did not. The geometry factors are any two neutral materials (one band) with a BRDF in sr^-1:
-Lambert and a microfacet lobe, say; `Mirror`, a delta function, is none. `dichromatic_separation`
-goes the other way, from a picture to the two terms.
+Lambert and a microfacet lobe, say, but no mirror or glass, whose BRDF is a delta function.
+`dichromatic_separation` goes the other way, from a picture to the two terms.
 Local frame, normal = +z; f_r in sr^-1. Source: Shafer, "Using Color to Separate Reflection
 Components", Color Research and Application 10(4) (1985).
 """
@@ -19,8 +19,7 @@ from .._types import Colour, Scalar, as_float, check_shape, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import diffuse_share
-from ._registry import family, register
-from .mirror import Mirror
+from ._registry import family, is_delta, register
 
 Body = Float[Array, " body"]
 Interface = Float[Array, " interface"]
@@ -29,7 +28,7 @@ print_by_name(globals(), "Body", "Interface")
 
 class Dichromatic(Material):
     """`body`, `interface`: materials of one band, the geometry factors m_b and m_i in sr^-1; a
-    `Mirror` is a `ValueError`, for `pdf` would be blind to the samples it gives.
+    mirror or glass is a `ValueError`, for `pdf` would be blind to the samples it gives.
     `body_spectrum`, `interface_spectrum`: (bands,) or neutral (1,), c_b and c_i, no unit."""
 
     body: Material
@@ -39,10 +38,10 @@ class Dichromatic(Material):
 
     def __check_init__(self) -> None:
         for name, part in (("body", self.body), ("interface", self.interface)):
-            if isinstance(part, Mirror):
+            if is_delta(part):
                 raise ValueError(
-                    f"Dichromatic.{name} must have a BRDF in sr^-1, got Mirror, a delta function: "
-                    "a polished TorranceSparrow (roughness 1e-3) has one."
+                    f"Dichromatic.{name} must have a BRDF in sr^-1, got {type(part).__name__}, a "
+                    "delta function: a polished TorranceSparrow (roughness 1e-3) has one."
                 )
         check_shape("Dichromatic.body_spectrum", self.body_spectrum, ("bands",))
         check_shape(

@@ -1,29 +1,24 @@
 """A smooth interface of a clear body: part of the light is mirrored, the rest goes through, bent.
 
-Two delta functions, which no number in sr^-1 describes, so that `evaluate`, `shading` and `pdf` are
-0, as a mirror's. What a ray does here is `interface`: the mirrored direction with the reflectance F
-of Fresnel's exact equations, and the refracted one with 1 - F, by Snell's law
+The mirrored direction has the reflectance F of Fresnel's exact equations, the refracted one 1 - F,
+by Snell's law
 
     sin(theta_t) = sin(theta_i) / eta
 
 with eta the index behind the surface over that before it; where no theta_t exists, F = 1 (total
-internal reflection). Flux is shared as F and 1 - F. Radiance that comes through is besides
-squeezed into another solid angle: L / n^2 is what stays along a ray (Veach, "Robust Monte Carlo
-Methods for Light Transport Simulation", 1997, section 5.2), so that who follows radiance from the
-eye multiplies by 1 / eta^2, and who follows light does not. In at one side and out at the other it
-cancels. Local frame; the body is below the normal, +z.
+internal reflection). Local frame; the body is below the normal, +z.
 """
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._numerics import safe_sqrt
 from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
-from .._vector import Vec, Vector, as_vec, where
+from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import mirrored
-from ._registry import register
+from ._registry import register_delta
+from ._specular import Specular
 from .fresnel import fresnel_dielectric
 
 
@@ -41,17 +36,6 @@ class Glass(Material):
     def __check_init__(self) -> None:
         check_shape("Glass.index", self.index, ())
         check_shape("Glass.absorption", self.absorption, ("bands",))
-
-
-class Split(eqx.Module):
-    """What becomes of a ray at an interface. `mirrored`, `refracted`: unit, local, away from the
-    surface. `reflectance`: () part of the flux that is mirrored, no unit; 1 in total reflection,
-    where `refracted` is the direction along the surface. `eta`: () index behind over before."""
-
-    mirrored: Vec
-    refracted: Vec
-    reflectance: Scalar
-    eta: Scalar
 
 
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
@@ -72,36 +56,13 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     return Vec(-v.x * scale, -v.y * scale, jnp.where(v.z > 0, -below, below))
 
 
-def interface(material: Glass, w: Vector) -> Split:
-    """Where a ray against `w`, (3,) unit, local, goes on: `w` above the surface comes from
-    outside, below from inside; no unit."""
-    v = as_vec(w)
-    eta = jnp.where(v.z > 0, material.index, 1 / material.index)
-    reflectance = fresnel_dielectric(jnp.abs(v.z), eta[None])[0]
-    return Split(mirrored(v), refracted_direction(v, eta), reflectance, eta)
+def specular(material: Glass, w: Vec) -> Specular:
+    """Where a ray that came from `w`, unit, local, goes on: `w` above the surface is outside the
+    body, below it inside; shares and `eta` have no unit. In total reflection the reflectance is 1
+    and `refracted` is the direction along the surface."""
+    eta = jnp.where(w.z > 0, material.index, 1 / material.index)
+    reflectance = fresnel_dielectric(jnp.abs(w.z), eta[None])
+    return Specular(mirrored(w), reflectance, refracted_direction(w, eta), 1 - reflectance, eta)
 
 
-def evaluate(material: Glass, wi: Vector, wo: Vector) -> Colour:
-    """0 everywhere: (1,) in sr^-1."""
-    del wi, wo
-    return jnp.zeros_like(material.index)[None]
-
-
-def sample(material: Glass, wo: Vector, u: Float[Array, "3"]) -> Vec:
-    """The mirrored direction with probability F, else the refracted one; by u_2."""
-    split = interface(material, wo)
-    return where(u[2] < split.reflectance, split.mirrored, split.refracted)
-
-
-def pdf(material: Glass, wi: Vector, wo: Vector) -> Scalar:
-    """0: a delta function has no density in sr^-1."""
-    del material, wi
-    return jnp.zeros_like(as_vec(wo).z)
-
-
-def albedo(material: Glass, wo: Vector) -> Colour:
-    """The mirrored part, (1,), no unit; 0 from below: what goes through is not reflected."""
-    return jnp.where(as_vec(wo).z > 0, interface(material, wo).reflectance, 0)[None]
-
-
-register(Glass, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+register_delta(Glass, specular=specular, absorption=lambda material: material.absorption)

@@ -14,8 +14,6 @@ it, and mirrors and glass turn rays about its own normal. Lengths in m, densitie
 ray; the caller vmaps.
 """
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,8 +27,7 @@ from .._numerics import divide, dot, reciprocal, select, smallest_divisor
 from .._staging import searched, together
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec, where
-from ..brdf.glass import Glass, Split, interface
-from ..brdf.mirror import Mirror
+from ..brdf import Carries, Specular, is_body, is_delta, one_way, passing
 from ..geometry import (
     Hit,
     Ray,
@@ -45,24 +42,25 @@ from ..hemisphere import Frame, local_frame, to_local, to_world
 from ..scene import Material, Scene
 from ._emitters import LARGEST
 
-Carries = Literal["radiance", "light"]
 SEARCHED = "searched"  # what a search among all shapes found: a gradient keeps it, see `paths`
 
 
 class Surfaces(eqx.Module):
     """The surfaces of a scene, sorted once. `materials`: stacked by structure; `members`: static,
-    their numbers. `turns`: (surfaces,) whether the normal turns to who looks. `glass`: (surfaces,)
-    whether it bounds a glass. `absorption`: (surfaces, bands) m^-1 of the glass behind each, or
-    None where all are clear; `bodies`: else, every glass alone, and their numbers."""
+    their numbers. `turns`: (surfaces,) whether the normal turns to the viewer. `filled`:
+    (surfaces,) whether it bounds a body, as glass does. `absorption`: (surfaces, bands) m^-1 of the
+    body behind each, or None where all are clear; `bodies`: else, every body alone, and their
+    numbers. `splits`: static, whether a ray goes on in two from some surface."""
 
     shapes: Sorted
     materials: tuple[Material, ...]
     turns: Bool[Array, " surfaces"]
-    glass: Bool[Array, " surfaces"]
+    filled: Bool[Array, " surfaces"]
     absorption: Float[Array, "surfaces bands"] | None
     bodies: tuple[Sorted, ...]
     body_numbers: tuple[int, ...] = eqx.field(static=True)
     members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    splits: bool = eqx.field(static=True)
 
 
 class Met(eqx.Module):
@@ -93,31 +91,34 @@ class Vertex(eqx.Module):
 def surfaces_of(scene: Scene) -> Surfaces:
     """The surfaces of a scene; lengths in m."""
     materials = [surface.material for surface in scene.surfaces]
-    glass = [isinstance(material, Glass) for material in materials]
-    absorptions = [
-        getattr(m, "absorption", None) if isinstance(m, Glass) else None for m in materials
-    ]
+    filled = [is_body(material) for material in materials]
+    absorptions = [brdf.absorption(material) for material in materials]
     absorption = None
     if given := [x for x in absorptions if x is not None]:
         clear = jnp.zeros_like(given[0])
         absorption = jnp.stack([clear if x is None else x for x in absorptions])
-    numbers = tuple(i for i, bounds in enumerate(glass) if bounds and given)
+    numbers = tuple(i for i, bounds in enumerate(filled) if bounds and given)
     groups = group_by_structure(materials, largest=LARGEST)
     return Surfaces(
         sorted_shapes([surface.shape for surface in scene.surfaces]),
         tuple(group for _, group in groups),
-        jnp.asarray([s.two_sided for s in scene.surfaces]) & ~jnp.asarray(glass),
-        jnp.asarray(glass),
+        jnp.asarray([s.two_sided for s in scene.surfaces]) & ~jnp.asarray(filled),
+        jnp.asarray(filled),
         absorption,
         tuple(sorted_shapes([scene.surfaces[i].shape]) for i in numbers),
         numbers,
         tuple(members for members, _ in groups),
+        any(map(_splits, materials)),
     )
 
 
-def is_delta(material: Material) -> bool:
-    """Whether the material sends a ray into one direction or two, which no light is met in."""
-    return isinstance(material, Mirror | Glass)
+def _splits(material: Material) -> bool:
+    """Whether a ray goes on in two from the material."""
+    if not is_delta(material):
+        return False
+    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    ways = jax.eval_shape(brdf.specular, material, Vec(number, number, number))
+    return ways.refracted is not None
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
@@ -194,18 +195,13 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
     up = down = viewer
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
-        match material:
-            case Mirror():
-                reflected, albedo = _reflected(material, viewer, flat)
-                mirrored = jnp.where(among, albedo, mirrored)
-                up = where(among, reflected, up)
-            case Glass():
-                split = _split(material, viewer, flat)
-                passing = (1 - split.reflectance) / (split.eta * split.eta)
-                mirrored = jnp.where(among, split.reflectance, mirrored)
-                refracted = jnp.where(among, passing, refracted)
-                up = where(among, split.mirrored, up)
-                down = where(among, split.refracted, down)
+        if is_delta(material):
+            ways = _specular(material, viewer, flat)
+            mirrored = jnp.where(among, ways.reflectance, mirrored)
+            up = where(among, ways.mirrored, up)
+            if ways.refracted is not None:
+                refracted = jnp.where(among, passing(ways, "radiance"), refracted)
+                down = where(among, ways.refracted, down)
     return Branches(as_vec(to_world(frame, up)), as_vec(to_world(frame, down)), mirrored, refracted)
 
 
@@ -240,13 +236,9 @@ def _vertex(
 ) -> Vertex:
     """`vertex` in the local frame, of one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
-    match material:
-        case Glass():
-            onward, weight = _through(material, back, u, flat, carries)
-            return Vertex((zero,) * bands, zero, Onward(onward, (weight,) * bands, everywhere))
-        case Mirror():
-            onward, weight = _reflected(material, back, flat)
-            return Vertex((zero,) * bands, zero, Onward(onward, apart(weight, bands), everywhere))
+    if is_delta(material):
+        onward, weight = one_way(_specular(material, back, flat), u[2], carries=carries)
+        return Vertex((zero,) * bands, zero, Onward(onward, apart(weight, bands), everywhere))
     onward, density = together(jax.lax.stop_gradient(_drawn(material, back, u)))
     weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
@@ -278,53 +270,23 @@ def _transfer(
     return brdf.shading(material, back, onward) * slant
 
 
-def _through(
-    material: Glass, back: Vec, u: Float[Array, "3"], flat: Vec | None, carries: Carries
-) -> tuple[Vec, Scalar]:
-    """One of the two ways, by u_2, as likely as its part of the flux, which is divided by that
-    probability and so keeps its gradient in the index; and what it counts."""
-    split = _split(material, back, flat)
-    likely = jax.lax.stop_gradient(split.reflectance)
-    mirrored = u[2] < likely
-    squeezed = 1 if carries == "light" else 1 / (split.eta * split.eta)
-    weight = jnp.where(
-        mirrored,
-        split.reflectance * reciprocal(likely),
-        (1 - split.reflectance) * squeezed * reciprocal(1 - likely),
-    )
-    return where(mirrored, split.mirrored, split.refracted), weight
-
-
-def _split(material: Glass, back: Vec, flat: Vec | None) -> Split:
-    """Both ways on, local; about the surface's own normal where that which shades would put one of
-    them on the wrong side."""
-    split = interface(material, back)
+def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
+    """The ways on from a mirror or glass, local; about the surface's own normal where that which
+    shades would put one of them on the wrong side."""
+    ways = brdf.specular(material, back)
     if flat is None:
-        return split
+        return ways
     side = dot(back, flat)
-    refracts = (dot(split.refracted, flat) * side < 0) | (split.reflectance >= 1)
-    right = (back.z * side > 0) & (dot(split.mirrored, flat) * side > 0) & refracts
+    right = (back.z * side > 0) & (dot(ways.mirrored, flat) * side > 0)
+    if ways.refracted is not None and ways.transmittance is not None:
+        right &= (dot(ways.refracted, flat) * side < 0) | (ways.transmittance.max() <= 0)
     frame = local_frame(flat)
-    plain = interface(material, as_vec(to_local(frame, back)))
-    plain = Split(
-        as_vec(to_world(frame, plain.mirrored)),
-        as_vec(to_world(frame, plain.refracted)),
-        plain.reflectance,
-        plain.eta,
+    plain = jax.tree.map(
+        lambda x: as_vec(to_world(frame, x)) if isinstance(x, Vec) else x,
+        brdf.specular(material, as_vec(to_local(frame, back))),
+        is_leaf=lambda x: isinstance(x, Vec),
     )
-    return select(right, split, plain)
-
-
-def _reflected(material: Mirror, back: Vec, flat: Vec | None) -> tuple[Vec, Colour]:
-    """The way on from a mirror, local, and what it counts; about a normal as in `_split`."""
-    up, albedo = Vec(-back.x, -back.y, back.z), brdf.albedo(material, back)
-    if flat is None:
-        return up, albedo
-    side = dot(back, flat)
-    right = (back.z > 0) & (dot(up, flat) > 0)
-    plain = brdf.albedo(material, as_vec(to_local(local_frame(flat), back)))
-    mirrored = 2 * side * flat - back
-    return where(right, up, mirrored), jnp.where(side > 0, jnp.where(right, albedo, plain), 0)
+    return select(right, ways, plain)
 
 
 def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
@@ -364,4 +326,4 @@ def absorption_after(
     around = absorption_around(surfaces, onward, bands=len(before))
     outside = before if around is None else jnp.where(left, around, before)
     after = jnp.where(inside, surfaces.absorption[surface], outside)
-    return jnp.where(surfaces.glass[surface], after, before)
+    return jnp.where(surfaces.filled[surface], after, before)

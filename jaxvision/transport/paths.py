@@ -30,6 +30,7 @@ from .._numerics import divide, dot, safe_sqrt
 from .._random import Stream, seed_of, uniforms
 from .._staging import LANES, stored
 from .._types import Colour, Key, Scalar, Scalars, Spectrum
+from ..brdf import is_delta
 from ..geometry import Ray
 from ..optics import view_ray
 from ..scene import Scene, View
@@ -46,7 +47,6 @@ from ._vertices import (
     absorption_after,
     absorption_around,
     hidden,
-    is_delta,
     leave,
     meet,
     vertex,

@@ -23,7 +23,7 @@ from .._numerics import dot
 from .._staging import TILE
 from .._types import Colour, Image
 from .._vector import Vec, as_array
-from ..brdf.glass import Glass
+from ..brdf import is_delta
 from ..geometry import Ray
 from ..lights import Quadrature
 from ..optics import pixel_grid, view_ray
@@ -35,7 +35,6 @@ from ._vertices import (
     absorption_around,
     branches,
     hidden,
-    is_delta,
     leave,
     meet,
     shaded_toward,
@@ -143,7 +142,7 @@ def _followed(world: World, rays: int) -> int:
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
     """A tree of one ray, with slots enough for those to come."""
-    slots = rays + 1 if any(isinstance(m, Glass) for m in world.surfaces.materials) else 1
+    slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype
     dark = jnp.zeros((slots, world.bands), dtype)
     around = absorption_around(world.surfaces, ray, bands=world.bands)

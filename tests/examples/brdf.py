@@ -67,7 +67,7 @@ EXAMPLES = {
     "brdf.albedo": ((PHONG, WO), {}),
     "brdf.lambert.lambert_shading": ((N, WI, KD), {}),
     **family("lambert", Lambert(KD), "evaluate", "albedo"),
-    **family("mirror", Mirror(KD), *SAMPLED),
+    "brdf.mirror.specular": ((Mirror(KD), as_vec(WO)), {}),
     "brdf.phong.phong_lobe": ((-X, TWO), {}),
     "brdf.phong.phong_shading": ((N, WI, WO, KD, KS, TWO), {}),
     "brdf.phong.power_direction": ((N, TWO, U[:2]), {}),

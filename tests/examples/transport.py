@@ -7,6 +7,7 @@ import numpy as np
 from jaxvision import Lambert, Mirror, PointLight, RectangleLight
 from jaxvision import scene as s
 from jaxvision._random import Stream
+from jaxvision._vector import as_vec
 from jaxvision.brdf.glass import Glass
 from jaxvision.geometry import Ray
 from jaxvision.rendering import PixelSamples
@@ -48,11 +49,7 @@ EXAMPLES = {
         {},
     ),
     "brdf.glass.refracted_direction": ((W, jnp.asarray(1.4)), {}),
-    "brdf.glass.interface": ((GLASS, W), {}),
-    "brdf.glass.evaluate": ((GLASS, W, W), {}),
-    "brdf.glass.sample": ((GLASS, W, U), {}),
-    "brdf.glass.pdf": ((GLASS, W, W), {}),
-    "brdf.glass.albedo": ((GLASS, W), {}),
+    "brdf.glass.specular": ((GLASS, as_vec(W)), {}),
     "transport.paths.path_sample": ((DIFFUSE, RAY, STREAM), METHOD),
     "transport.paths.path_radiance": ((KEY, DIFFUSE, RAY), METHOD),
     "transport.paths.path_traced_pixels": ((KEY, DIFFUSE, VIEW, ROW, COLUMN), METHOD),

@@ -1,0 +1,73 @@
+"""Mirrors and clear interfaces: what a perfectly smooth surface makes of a ray. Local frame.
+
+Such a surface sends light from one direction into one or two others: its BRDF is a sum of delta
+functions, which no number in sr^-1 describes. Its family therefore says, as a `Specular`, where a
+ray goes on and what share of the flux goes there.
+
+Flux is shared as `reflectance` and `transmittance`. Radiance that goes through is also squeezed
+into another solid angle: L / n^2 is constant along a ray (Veach, "Robust Monte Carlo Methods for
+Light Transport Simulation", 1997, section 5.2), so that radiance followed from the eye is
+multiplied by 1 / eta^2, and light followed from a source is not. On the way into a body and out of
+it again the two factors cancel.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._numerics import reciprocal
+from .._types import Colour, Scalar
+from .._vector import Vec, where
+from ._lobe import diffuse_share
+
+Carries = Literal["radiance", "light"]
+
+
+class Specular(eqx.Module):
+    """The directions in which a ray goes on from a smooth surface, and their shares of the flux.
+
+    Attributes:
+        mirrored: unit, local, on the side from which the ray came.
+        reflectance: (bands,) or neutral (1,), share of the flux that is mirrored, no unit.
+        refracted: unit, local, on the other side; None where no light goes through.
+        transmittance: (bands,) or (1,), share of the flux that goes through, no unit; None
+            together with `refracted`.
+        eta: () refractive index behind the surface over that before it, no unit; None where the
+            two are equal.
+    """
+
+    mirrored: Vec
+    reflectance: Colour
+    refracted: Vec | None = None
+    transmittance: Colour | None = None
+    eta: Scalar | None = None
+
+    def __check_init__(self) -> None:
+        if (self.refracted is None) != (self.transmittance is None):
+            raise ValueError("Specular.refracted and Specular.transmittance come together.")
+
+
+def passing(ways: Specular, carries: Carries) -> Colour:
+    """The share that goes through: of the flux for "light", of the radiance behind the surface,
+    transmittance / eta^2, for "radiance"; (bands,) or (1,), no unit."""
+    assert ways.transmittance is not None  # the caller has asked whether light goes through
+    if carries == "light" or ways.eta is None:
+        return ways.transmittance
+    return ways.transmittance / (ways.eta * ways.eta)
+
+
+def one_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
+    """One of the directions by a uniform number, as likely as its share of the flux, and what it
+    counts: the share over the likelihood, which is a constant to gradients."""
+    if ways.refracted is None or ways.transmittance is None:
+        return ways.mirrored, ways.reflectance
+    likely = jax.lax.stop_gradient(diffuse_share(ways.reflectance, ways.transmittance))
+    mirrors = u < likely
+    weight = jnp.where(
+        mirrors,
+        ways.reflectance * reciprocal(likely),
+        passing(ways, carries) * reciprocal(1 - likely),
+    )
+    return where(mirrors, ways.mirrored, ways.refracted), weight
