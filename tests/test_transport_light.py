@@ -19,7 +19,7 @@ from jaxvision import (
 )
 from jaxvision._vector import as_array
 from jaxvision.brdf.glass import Glass
-from jaxvision.geometry import Ray
+from jaxvision.geometry import Ray, ball_around
 from jaxvision.lights import LightFieldLight, Window
 from jaxvision.scene import Box, Disc, Distortion, Plane, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import (
@@ -30,7 +30,7 @@ from jaxvision.transport import (
     ray_tree_radiance,
     ray_tree_radiances,
 )
-from jaxvision.transport._emission import ball_around, emitted
+from jaxvision.transport._emission import emitted
 from jaxvision.transport._emitters import emitters_of
 
 KEY = jax.random.key(2)

@@ -22,6 +22,7 @@ class PowerLobe(Material):
     unit. `ambient`: (bands,) k_a, no unit, or None.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     specular: Colour = eqx.field(converter=as_float)
     exponent: Scalar = eqx.field(converter=as_float)

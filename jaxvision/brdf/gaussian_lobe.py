@@ -44,6 +44,7 @@ class GaussianLobe(Material):
     itself where both share one.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     specular: Colour = eqx.field(converter=as_float)
     concentration: Scalar = eqx.field(converter=as_float)
@@ -60,6 +61,7 @@ class GaussianLobeBRDF(Material):
     `concentration`: () c_s in rad^-1. `ambient`: (bands,) k_a, no unit, or None.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     specular: Colour = eqx.field(converter=as_float)
     concentration: Scalar = eqx.field(converter=as_float)

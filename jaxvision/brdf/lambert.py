@@ -19,6 +19,7 @@ class Lambert(Material):
     the same surface is rho; the textbook's habit is one number for k_a and k_d.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 

@@ -22,6 +22,7 @@ class Mirror(Material):
         reflectance: (bands,) or neutral (1,), no unit, 1 for a mirror without loss.
     """
 
+    neutral_spectra = ("reflectance",)
     reflectance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:

@@ -33,6 +33,7 @@ class OrenNayar(Material):
     (bands,) k_a, no unit, or None.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     sigma: Scalar = eqx.field(converter=as_float)
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)

@@ -49,6 +49,7 @@ class TorranceSparrow(Material):
     the interface has neither one band nor as many as the others.
     """
 
+    spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
     specular: Colour = eqx.field(converter=as_float)
     roughness: Scalar | Alpha = eqx.field(converter=as_float)

@@ -6,8 +6,10 @@ first of many and what lies in between.
 """
 
 from .._numerics import angle_between, log_cos_between
+from ._bounds import Ball, ball_around
 from ._mesh import intersect_mesh
-from ._size import largest_size, offset_length
+from ._places import SurfacePoint, has_area, point_on, surface_area
+from ._size import largest_size, offset_length, reach_of
 from .box import intersect_box
 from .checks import problems
 from .flat import intersect_disc, intersect_plane, intersect_quad
@@ -25,13 +27,17 @@ from .rays import Encounter, Hit, Ray, mirror_direction, offset_origin
 from .sphere import intersect_sphere
 
 __all__ = [
+    "Ball",
     "Encounter",
     "Hit",
     "Ray",
     "Shapes",
     "Sorted",
     "angle_between",
+    "SurfacePoint",
+    "ball_around",
     "blocked",
+    "has_area",
     "hit_shape",
     "intersect",
     "intersect_box",
@@ -47,6 +53,9 @@ __all__ = [
     "occluded",
     "offset_length",
     "offset_origin",
+    "point_on",
     "problems",
+    "reach_of",
     "sorted_shapes",
+    "surface_area",
 ]

@@ -17,8 +17,10 @@ from .._types import Colour, Scalar, common_dtype
 from .._vector import Vector
 from ..geometry import Ray
 from ..scene import Light
+from ._emission import emitted, emitted_from_point, emitted_from_surface
 from ._nodes import gauss_legendre, shifted_lattice, square_nodes
 from ._registry import (
+    Emitted,
     Extended,
     Incident,
     Seen,
@@ -41,6 +43,7 @@ from .window import Window
 __all__ = [
     "Balanced",
     "DirectionalLight",
+    "Emitted",
     "EnvironmentMap",
     "Incident",
     "LightFieldLight",
@@ -54,6 +57,9 @@ __all__ = [
     "can_be_seen",
     "direction_pdf",
     "direction_sample",
+    "emitted",
+    "emitted_from_point",
+    "emitted_from_surface",
     "environment_map",
     "gauss_legendre",
     "incident",

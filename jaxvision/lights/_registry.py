@@ -1,7 +1,7 @@
 """The table of lights: what each kind can say about itself.
 
-A light at one place only (a point, a direction) registers `incident`. An extended one registers
-how it looks along a ray and maps of the unit square onto its directions.
+A light at one place (a point, a direction) registers `incident`. An extended one registers how it
+looks along a ray, and maps of the unit square onto its directions.
 """
 
 from collections.abc import Callable
@@ -11,15 +11,21 @@ import equinox as eqx
 import numpy as np
 
 from .._types import Colour, Scalar
-from .._vector import Vector
+from .._vector import Vec, Vector
+from ..geometry import Ray
 from ..scene import Light
 from ._nodes import square_nodes
 
 
 class Incident(eqx.Module):
-    """`direction`: (3,) unit, from the point toward the light. `irradiance`: (bands,) W m^-2 on a
-    surface facing it; the receiver applies its own cosine. `distance`: () m to the light, or None:
-    it is infinitely far."""
+    """Light that arrives at a point from one direction.
+
+    Attributes:
+        direction: (3,) unit, from the point toward the light.
+        irradiance: (bands,) W m^-2 on a surface that faces the light; the receiver applies its own
+            cosine.
+        distance: () m to the light, or None where the light is infinitely far away.
+    """
 
     direction: Vector
     irradiance: Colour
@@ -27,39 +33,72 @@ class Incident(eqx.Module):
 
 
 class Seen(eqx.Module):
-    """`distance`: () m along the ray to the light, inf where it is infinitely far or missed.
-    `radiance`: (bands,) W m^-2 sr^-1 against the ray, 0 where missed; () where nothing shines."""
+    """What a ray sees of an extended light.
+
+    Attributes:
+        distance: () m along the ray to the light; inf where the light is infinitely far away or
+            the ray misses it.
+        radiance: (bands,) W m^-2 sr^-1 against the ray, 0 where the ray misses the light; () where
+            there is no light.
+    """
 
     distance: Scalar
     radiance: Colour | Scalar
 
 
+class Emitted(eqx.Module):
+    """A ray that leaves a light.
+
+    Attributes:
+        ray: the ray, away from the light; its origin in m.
+        flux: (bands,) W that the ray stands for.
+        normal: unit, of the surface that the ray leaves; the zero vector where it leaves none.
+    """
+
+    ray: Ray
+    flux: Colour
+    normal: Vec
+
+
 class Discrete(NamedTuple):
-    """`incident(light, point) -> Incident`."""
+    """What a light at one place has registered; `register` describes the functions."""
 
     incident: Callable[..., Incident]
+    emitted: Callable[..., Emitted] | None
 
 
 class Extended(NamedTuple):
-    """`seen(light, ray) -> Seen`. `sample(light, point, u) -> Incident`: a map of the unit square
-    whose irradiance is per unit of the square's area, so that its mean over the square is the
-    light's. `pdf(light, point, wi) -> ()`: the density of its directions in sr^-1. `node`, `nodes`:
-    the map, smooth in u, and the static (n, 2) nodes and (n,) weights of an order, for
-    quadrature."""
+    """What an extended light has registered; `register_extended` describes the functions."""
 
     seen: Callable[..., Seen]
     sample: Callable[..., Incident]
     pdf: Callable[..., Scalar]
     node: Callable[..., Incident]
     nodes: Callable[[int], tuple[np.ndarray, np.ndarray]]
+    emitted: Callable[..., Emitted] | None
 
 
 _KINDS: dict[type, Discrete | Extended] = {}
 
 
-def register(light: type[Light], *, incident: Callable[..., Incident]) -> None:
-    """Enters a kind of light that reaches a point from one direction."""
-    _KINDS[light] = Discrete(incident)
+def register(
+    light: type[Light],
+    *,
+    incident: Callable[..., Incident],
+    emitted: Callable[..., Emitted] | None = None,
+) -> None:
+    """Makes a light that reaches a point from one direction known to every integrator.
+
+    Args:
+        light: the class of the light.
+        incident: `incident(light, point) -> Incident`; at the light itself the distance is 0.
+        emitted: `emitted(light, u) -> Emitted`, for light tracing: a ray that leaves the light, by
+            `u`, (4,) uniform in [0, 1); the mean over `u` of what rays carry is what the light
+            emits. Without it rays leave a light at a finite distance in all directions alike,
+            with the flux that `incident` implies, and a light that is infinitely far away sends
+            parallel rays through the whole scene.
+    """
+    _KINDS[light] = Discrete(incident, emitted)
 
 
 def register_extended(
@@ -70,14 +109,27 @@ def register_extended(
     pdf: Callable[..., Scalar],
     node: Callable[..., Incident] | None = None,
     nodes: Callable[[int], tuple[np.ndarray, np.ndarray]] = square_nodes,
+    emitted: Callable[..., Emitted] | None = None,
 ) -> None:
-    """Enters a kind of light that reaches a point from many directions; see `Extended`. Without
-    `node` the map that samples also serves quadrature."""
-    _KINDS[light] = Extended(seen, sample, pdf, sample if node is None else node, nodes)
+    """Makes a light that reaches a point from many directions known to every integrator.
+
+    Args:
+        light: the class of the light.
+        seen: `seen(light, ray) -> Seen`.
+        sample: `sample(light, point, u) -> Incident`, a map of the unit square, `u` (2,), onto
+            directions toward the light; its irradiance is that per unit of the square's area,
+            radiance over density, so that its mean over the square is the light's.
+        pdf: `pdf(light, point, wi)`, () in sr^-1, the density of the directions of `sample`.
+        node: as `sample`, smooth in `u`, for quadrature; without it `sample` serves.
+        nodes: the static nodes, (n, 2), and weights, (n,), of an order of quadrature.
+        emitted: as in `register`. Without it a light at a finite distance cannot be traced from.
+    """
+    smooth = sample if node is None else node
+    _KINDS[light] = Extended(seen, sample, pdf, smooth, nodes, emitted)
 
 
 def kind_of(light: Light) -> Discrete | Extended:
-    """What a light has registered, else `ValueError`."""
+    """What a light has registered; `ValueError` for an unknown light."""
     kind = _KINDS.get(type(light))
     if kind is None:
         known = ", ".join(sorted(known.__name__ for known in _KINDS))

@@ -17,6 +17,7 @@ class DirectionalLight(Light):
     `irradiance`: (bands,) W m^-2 on a surface facing it.
     """
 
+    spectra = ("irradiance",)
     direction: Float[Array, "3"] = eqx.field(converter=as_float)
     irradiance: Colour = eqx.field(converter=as_float)
 

@@ -29,6 +29,7 @@ class EnvironmentMap(Light):
     of the columns within each row. `density`: (h, w) probability per solid angle, sr^-1.
     """
 
+    spectra = ("radiance",)
     radiance: Float[Array, "h w bands"] = eqx.field(converter=as_float)
     rotation: Float[Array, "3 3"] = eqx.field(converter=as_float)
     rows: Float[Array, " h_1"] = eqx.field(converter=as_float)

@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import dot, normalize
+from .._numerics import dot, norm, normalize, reciprocal
 from .._types import Colour, Scalar, as_float, check_kind, check_shape, is_known
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..hemisphere import cross
 from ..scene import Light
 from ._nodes import square_nodes
-from ._registry import Incident, Seen, register_extended
+from ._registry import Emitted, Incident, Seen, register_extended
 from .window import Window, crossing, hit_window, window_pdf, window_sample
 
 
@@ -34,6 +34,7 @@ class LightFieldLight(Light):
     to the aperture to 1 mrad and not in its plane, else `ValueError`; so is a window of no area.
     """
 
+    spectra = ("radiance",)
     radiance: Float[Array, "s t u v bands"] = eqx.field(converter=as_float)
     aperture: Window
     focal: Window
@@ -165,6 +166,27 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
     return total
 
 
+def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
+    """A ray from a place of the aperture by u_0 and u_1, on the line through a place of the focal
+    window by u_2 and u_3, away from the scene behind; `u`: (4,) uniform in [0, 1). Its flux is the
+    radiance on that line times aperture, cosine and solid angle, (bands,) W."""
+    start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
+    span = cross(light.aperture.edge_u, light.aperture.edge_v)
+    normal, whole = as_vec(normalize(span)), norm(span)
+    line = start - target
+    inverse = reciprocal(norm(line))
+    away = line * (inverse * jnp.where(dot(normal, line) < 0, -1, 1).astype(u.dtype))
+    cosine = dot(normal, away)
+    focal = norm(cross(light.focal.edge_u, light.focal.edge_v))
+    solid_angle = focal * cosine * inverse * inverse
+    radiance = light_field_radiance(light, Ray(start + away, -away))
+    return Emitted(Ray(start, away), radiance * (whole * cosine * solid_angle), normal)
+
+
 register_extended(
-    LightFieldLight, seen=light_field_seen, sample=light_field_sample, pdf=light_field_pdf
+    LightFieldLight,
+    seen=light_field_seen,
+    sample=light_field_sample,
+    pdf=light_field_pdf,
+    emitted=_emitted,
 )

@@ -8,9 +8,11 @@ from jaxtyping import Array, Float
 from .._bands import by_band
 from .._numerics import dot, smallest_divisor
 from .._types import Colour, as_float, check_shape
-from .._vector import Vector
+from .._vector import Vector, as_vec
+from ..hemisphere import direction_at
 from ..scene import Light
-from ._registry import Incident, register
+from ._emission import emitted_from_point
+from ._registry import Emitted, Incident, register
 
 
 class PointLight(Light):
@@ -19,6 +21,7 @@ class PointLight(Light):
     `position`: (3,) m. `intensity`: (bands,) W sr^-1.
     """
 
+    spectra = ("intensity",)
     position: Float[Array, "3"] = eqx.field(converter=as_float)
     intensity: Colour = eqx.field(converter=as_float)
 
@@ -41,4 +44,11 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     return Incident(toward * nearness, irradiance, square * nearness)
 
 
-register(PointLight, incident=from_point_light)
+def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
+    """A ray in a direction uniform over the sphere, by u_2 and u_3 of `u`, (4,) uniform in [0, 1);
+    its flux is 4 pi I, (bands,) W."""
+    direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
+    return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
+
+
+register(PointLight, incident=from_point_light, emitted=_emitted)

@@ -20,7 +20,7 @@ from .._numerics import dot, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked, where
-from ..geometry._size import reach_of
+from ..geometry import reach_of
 from ..hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 from .._types import Colour, Scalar, as_float, check_shape
 from .._vector import Vector, as_array
 from ..geometry import Ray
-from ..scene import Light
-from ._registry import Incident, Seen, register_extended
+from ..scene import Light, Quad
+from ._emission import emitted_from_surface
+from ._registry import Emitted, Incident, Seen, register_extended
 from .window import Window, hit_window, window_pdf, window_sample
 
 
@@ -25,6 +26,7 @@ class RectangleLight(Light):
     `radiance`: (bands,) W m^-2 sr^-1.
     """
 
+    spectra = ("radiance",)
     corner: Float[Array, "3"] = eqx.field(converter=as_float)
     edge_u: Float[Array, "3"] = eqx.field(converter=as_float)
     edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -59,4 +61,17 @@ def rectangle_pdf(light: RectangleLight, point: Vector, wi: Vector) -> Scalar:
     return window_pdf(window_of(light), point, wi)
 
 
-register_extended(RectangleLight, seen=rectangle_seen, sample=rectangle_sample, pdf=rectangle_pdf)
+def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
+    """A ray from a place of the front, uniform by area, by the cosine about its normal; `u`: (4,)
+    uniform in [0, 1). Its flux is pi A L, (bands,) W."""
+    quad = Quad(light.corner, light.edge_u, light.edge_v)
+    return emitted_from_surface(quad, light.radiance, u)
+
+
+register_extended(
+    RectangleLight,
+    seen=rectangle_seen,
+    sample=rectangle_sample,
+    pdf=rectangle_pdf,
+    emitted=_emitted,
+)

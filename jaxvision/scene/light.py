@@ -1,5 +1,7 @@
 """The base of all lights, and the ambient term."""
 
+from typing import ClassVar
+
 import equinox as eqx
 
 from .._types import Colour, as_float, check_shape
@@ -8,7 +10,13 @@ from .._types import Colour, as_float, check_shape
 class Light(eqx.Module):
     """Base of every kind of light; the record and the equations of a kind share a file in
     `lights/`.
+
+    Attributes:
+        spectra: names of the fields whose last axis is a spectrum, one number a band. A class sets
+            it, and a `Scene` then checks that all of them have the same number of bands.
     """
+
+    spectra: ClassVar[tuple[str, ...]] = ()
 
 
 class AmbientLight(eqx.Module):

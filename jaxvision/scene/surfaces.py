@@ -1,7 +1,7 @@
 """Surfaces made of a shape and a material, and the scene they form with lights."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 
@@ -13,7 +13,15 @@ from .shapes import Shape
 class Material(eqx.Module):
     """Base of every family of BRDFs; the record and the equations of a family share a file in
     `brdf/`.
+
+    Attributes:
+        spectra: names of the fields that are spectra, one number a band. A class sets it, and a
+            `Scene` then checks that all of them have the same number of bands.
+        neutral_spectra: the same for fields that may be neutral, of one band, in any scene.
     """
+
+    spectra: ClassVar[tuple[str, ...]] = ()
+    neutral_spectra: ClassVar[tuple[str, ...]] = ()
 
 
 class Surface(eqx.Module):
@@ -66,25 +74,36 @@ class Scene(eqx.Module):
         for i, light in enumerate(self.lights):
             check_kind(f"Scene.lights[{i}]", light, Light)
         check_kind("Scene.ambient", self.ambient, AmbientLight)
-        spectra = {
-            f"Scene.surfaces[{i}].material.diffuse": getattr(surface.material, "diffuse", None)
-            for i, surface in enumerate(self.surfaces)
-        }
-        for i, surface in enumerate(self.surfaces):
-            spectra[f"Scene.surfaces[{i}].emission"] = surface.emission
-        for i, light in enumerate(self.lights):
-            for field in ("intensity", "irradiance", "radiance"):
-                spectra[f"Scene.lights[{i}].{field}: its spectrum"] = getattr(light, field, None)
-        spectra["Scene.ambient.radiance"] = getattr(self.ambient, "radiance", None)
-        bands = {name: x.shape[-1:] for name, x in spectra.items() if x is not None}
-        first = next(iter(bands.values()), (1,))
-        for name, got in bands.items():
-            if got != first:
-                raise ValueError(f"{name} must have {first[0]} bands, got {got[0]}.")
-        for i, surface in enumerate(self.surfaces):
-            reflectance = getattr(surface.material, "reflectance", None)
-            if bands and reflectance is not None and reflectance.shape[-1] not in (1, first[0]):
-                raise ValueError(
-                    f"Scene.surfaces[{i}].material.reflectance must have 1 or {first[0]} bands, "
-                    f"got {reflectance.shape[-1]}."
-                )
+        _check_bands(self)
+
+
+def _check_bands(scene: Scene) -> None:
+    """`ValueError` unless all spectra of a scene have one number of bands."""
+    spectra, neutral = [], []
+    for i, surface in enumerate(scene.surfaces):
+        place, material = f"Scene.surfaces[{i}]", surface.material
+        spectra += [
+            (f"{place}.material.{name}", getattr(material, name)) for name in material.spectra
+        ]
+        neutral += [
+            (f"{place}.material.{name}", getattr(material, name))
+            for name in material.neutral_spectra
+        ]
+        if surface.emission is not None:
+            spectra.append((f"{place}.emission", surface.emission))
+    for i, light in enumerate(scene.lights):
+        spectra += [
+            (f"Scene.lights[{i}].{name}: its spectrum", getattr(light, name))
+            for name in light.spectra
+        ]
+    if scene.ambient is not None:
+        spectra.append(("Scene.ambient.radiance", scene.ambient.radiance))
+    if not spectra:
+        return
+    bands = spectra[0][1].shape[-1]
+    for name, spectrum in spectra:
+        if spectrum.shape[-1] != bands:
+            raise ValueError(f"{name} must have {bands} bands, got {spectrum.shape[-1]}.")
+    for name, spectrum in neutral:
+        if spectrum.shape[-1] not in (1, bands):
+            raise ValueError(f"{name} must have 1 or {bands} bands, got {spectrum.shape[-1]}.")

@@ -21,7 +21,7 @@ from .._numerics import divide, dot, reciprocal, safe_sqrt, select, smallest_div
 from .._staging import stored
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
-from ..geometry import Ray, largest_size, offset_length
+from ..geometry import Ray, has_area, largest_size, offset_length, point_on, surface_area
 from ..lights import (
     Incident,
     Quadrature,
@@ -33,10 +33,9 @@ from ..lights import (
     light_nodes,
     nearest_seen,
     seen,
+    square_nodes,
 )
-from ..lights._nodes import square_nodes
 from ..scene import Light, Scene, Shape
-from ._places import area, has_area, place_on
 
 Strategy = Literal["lights", "surfaces", "balance", "power"]
 LARGEST = 256  # numbers in an array of a record that are gathered by each ray
@@ -98,7 +97,7 @@ def emitters_of(scene: Scene) -> Emitters:
         emission = jnp.stack([shining.get(i, dark) for i in range(len(surfaces))])
         areas = jnp.stack(
             [
-                area(s.shape) if i in shining else jnp.ones_like(dark[0])
+                surface_area(s.shape) if i in shining else jnp.ones_like(dark[0])
                 for i, s in enumerate(surfaces)
             ]
         )
@@ -156,7 +155,7 @@ def _toward(arriving: Incident, density: Scalar) -> Toward:
 
 def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
     """The shape's area, spread over the solid angle d^2 / cos that it covers from the point."""
-    place, whole = place_on(emitter.shape, u), area(emitter.shape)
+    place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
     nearness = divide(1, distance, distance > smallest_divisor(distance.dtype))

@@ -4,10 +4,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .. import brdf
 from .._vector import Vec
-from ..scene import Scene
+from ..lights import Quadrature, incident_samples
+from ..scene import Light, Scene
 from ._emitters import Emitters, emitters_of
 from ._vertices import Surfaces, surfaces_of
 
@@ -34,9 +36,12 @@ def bands_of(scene: Scene) -> int:
         number = jax.ShapeDtypeStruct((), jax.tree.leaves(material)[0].dtype)
         up = jax.tree.map(lambda _, x=number: x, Vec(*jnp.zeros(3)))
         spectra.append(jax.eval_shape(brdf.shading, material, up, up).shape)
-    for record in (*scene.surfaces, *scene.lights):
-        for name in ("emission", "radiance", "intensity", "irradiance"):
-            spectrum = getattr(record, name, None)
-            if spectrum is not None:
-                spectra.append(spectrum.shape[-1:])
+    for light in {type(light): light for light in scene.lights}.values():
+        spectra.append(jax.eval_shape(_irradiance, light).shape[-1:])
+    spectra += [s.emission.shape for s in scene.surfaces if s.emission is not None]
     return np.broadcast_shapes(*spectra)[0]
+
+
+def _irradiance(light: Light) -> Array:
+    """The irradiance, W m^-2, of a light anywhere."""
+    return incident_samples(light, jnp.zeros(3), Quadrature(1)).irradiance

@@ -19,7 +19,7 @@ from .._random import Stream, seed_of, uniforms
 from .._staging import TILE, together
 from .._types import Key, Scalar
 from .._vector import Vec, as_vec
-from ..geometry import Ray, offset_origin
+from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
 from ..lights import nearest_seen
 from ..optics import (
     aperture_point,
@@ -29,9 +29,8 @@ from ..optics import (
     sensor_vergence,
 )
 from ..scene import Orthographic, Scene, ThinLens, View
-from ._emission import Ball, ball_around, emitted
+from ._emission import emitted
 from ._emitters import transmitted
-from ._places import has_area
 from ._vertices import absorption_after, absorption_around, hidden, leave, meet, vertex
 from ._world import World, world_of
 from .paths import Paths, Traced, path_traced

@@ -11,7 +11,7 @@ from ..._numerics import divide, dot
 from ..._staging import together
 from ..._types import Scalar
 from ..._vector import Vec
-from ...geometry._size import reach_of
+from ...geometry import reach_of
 from ...hemisphere import cross
 from ...lights import square_nodes
 from ...lights.polygon import contour_integral

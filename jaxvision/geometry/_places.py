@@ -1,7 +1,7 @@
-"""Places spread evenly over a shape: how surfaces that shine are sampled.
+"""Points spread evenly over a shape: how surfaces that shine are sampled.
 
 Two uniform numbers become a point whose density by area is the same everywhere, 1 / area. Lengths
-in m, areas in m^2, normals unit. For ONE place; the caller vmaps.
+in m, areas in m^2, normals unit. For ONE point; the caller vmaps.
 """
 
 import equinox as eqx
@@ -13,22 +13,28 @@ from .._types import Scalar
 from .._vector import Vec, as_vec, scaled
 from ..hemisphere import cross, direction_at, local_frame, to_world
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
+from ._triangle import corners
 
 
-class Place(eqx.Module):
-    """`point`: (3,) m. `normal`: (3,) unit, outward."""
+class SurfacePoint(eqx.Module):
+    """A point of a shape.
+
+    Attributes:
+        point: (3,) m.
+        normal: (3,) unit, outward.
+    """
 
     point: Vec
     normal: Vec
 
 
 def has_area(shape: Shape) -> bool:
-    """Whether places of the shape can be drawn: a plane has no end."""
+    """Whether points of the shape can be drawn: a plane is unbounded."""
     return not isinstance(shape, Plane)
 
 
-def area(shape: Shape) -> Scalar:
-    """The whole surface, () in m^2; inf for a plane."""
+def surface_area(shape: Shape) -> Scalar:
+    """Area of the whole surface, () in m^2; inf for a plane."""
     match shape:
         case Sphere():
             return 4 * jnp.pi * shape.radius**2
@@ -44,36 +50,47 @@ def area(shape: Shape) -> Scalar:
             return jnp.full_like(shape.point[0], jnp.inf)
 
 
-def place_on(shape: Shape, u: Float[Array, "2"]) -> Place:
-    """The place of two numbers, (2,) uniform in [0, 1), no unit. `ValueError` for a plane."""
+def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
+    """A point of a shape, uniform by area.
+
+    Args:
+        shape: any shape but a plane.
+        u: (2,) uniform in [0, 1), no unit.
+
+    Returns:
+        The point, m, and its unit normal.
+
+    Raises:
+        ValueError: for a plane, which is unbounded.
+    """
     match shape:
         case Sphere():
             normal = direction_at(2 * u[0], 2 * jnp.pi * u[1])
-            return Place(shape.centre + shape.radius * normal, normal)
+            return SurfacePoint(shape.centre + shape.radius * normal, normal)
         case Disc():
             normal = as_vec(normalize(shape.normal))
             radius, phi = shape.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
             aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), jnp.zeros_like(phi))
-            return Place(shape.centre + as_vec(to_world(local_frame(normal), aside)), normal)
+            return SurfacePoint(shape.centre + as_vec(to_world(local_frame(normal), aside)), normal)
         case Quad():
             point = as_vec(shape.corner) + u[0] * as_vec(shape.edge_u) + u[1] * as_vec(shape.edge_v)
-            return Place(point, as_vec(normalize(cross(shape.edge_u, shape.edge_v))))
+            return SurfacePoint(point, as_vec(normalize(cross(shape.edge_u, shape.edge_v))))
         case Box():
-            return _place_on_box(shape, u)
+            return _point_on_box(shape, u)
         case TriangleMesh():
-            return _place_on_mesh(shape, u)
+            return _point_on_mesh(shape, u)
         case Plane():
-            raise ValueError("place_on needs a shape that ends, got Plane.")
+            raise ValueError("point_on needs a bounded shape, got a Plane.")
 
 
 def _face_areas(box: Box) -> Float[Array, "3"]:
-    """Of the faces across each axis, one of the two."""
+    """Area of one of the two faces across each axis, m^2."""
     x, y, z = box.half_extents
     return 4 * jnp.stack([y * z, z * x, x * y])
 
 
-def _place_on_box(box: Box, u: Float[Array, "2"]) -> Place:
-    """A face by its area, by u_0, whose rest is a number as good."""
+def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
+    """A face in proportion to its area, by u_0; what is left of u_0 is uniform again."""
     axis, side, rest = _pick(jnp.repeat(_face_areas(box), 2), u[0])
     place = jnp.stack([2 * rest - 1, 2 * u[1] - 1])
     sign = 1 - 2 * side.astype(rest.dtype)
@@ -83,7 +100,7 @@ def _place_on_box(box: Box, u: Float[Array, "2"]) -> Place:
     point = box.half_extents * jnp.where(across, sign, jnp.where(beside, place[0], place[1]))
     if box.rotation is not None:
         point, normal = point @ box.rotation, normal @ box.rotation
-    return Place(as_vec(box.centre + point), as_vec(normal))
+    return SurfacePoint(as_vec(box.centre + point), as_vec(normal))
 
 
 def _pick(weights: Float[Array, "6"], u: Scalar) -> tuple[Array, Array, Scalar]:
@@ -102,22 +119,21 @@ def _pick_one(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
     return index, jnp.clip(rest, 0, 1)
 
 
-def _corners(mesh: TriangleMesh) -> tuple[Vec, Vec, Vec]:
+def _vertices(mesh: TriangleMesh) -> tuple[Vec, Vec, Vec]:
     """The three vertices of each triangle, components (faces,)."""
-    faces = jnp.clip(mesh.faces, 0, len(mesh.vertices) - 1)
-    a, b, c = (as_vec(mesh.vertices[faces[:, i]]) for i in range(3))
+    a, b, c = (as_vec(corners(mesh)[:, i]) for i in range(3))
     return a, b, c
 
 
 def _triangle_areas(mesh: TriangleMesh) -> Float[Array, " faces"]:
-    a, b, c = _corners(mesh)
+    a, b, c = _vertices(mesh)
     return norm(cross(b - a, c - a)) / 2
 
 
-def _place_on_mesh(mesh: TriangleMesh, u: Float[Array, "2"]) -> Place:
-    """A triangle by its area, by u_0, whose rest is a number as good."""
+def _point_on_mesh(mesh: TriangleMesh, u: Float[Array, "2"]) -> SurfacePoint:
+    """A triangle in proportion to its area, by u_0; what is left of u_0 is uniform again."""
     index, rest = _pick_one(_triangle_areas(mesh), u[0])
-    a, b, c = (Vec(corner.x[index], corner.y[index], corner.z[index]) for corner in _corners(mesh))
+    a, b, c = (Vec(corner.x[index], corner.y[index], corner.z[index]) for corner in _vertices(mesh))
     root = safe_sqrt(rest)
     point = a + scaled(b - a, 1 - root) + scaled(c - a, u[1] * root)
-    return Place(point, as_vec(normalize(cross(b - a, c - a))))
+    return SurfacePoint(point, as_vec(normalize(cross(b - a, c - a))))

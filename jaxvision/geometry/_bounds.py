@@ -1,0 +1,57 @@
+"""Spheres around shapes. Lengths in m."""
+
+from collections.abc import Sequence
+from functools import reduce
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import norm
+from .._types import Scalar
+from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
+
+
+class Ball(eqx.Module):
+    """A sphere that encloses something.
+
+    Attributes:
+        centre: (3,) m.
+        radius: () m.
+    """
+
+    centre: Float[Array, "3"]
+    radius: Scalar
+
+
+def ball_around(shapes: Sequence[Shape]) -> Ball | None:
+    """A sphere that encloses all shapes, m; None where one is an unbounded plane. A constant to
+    gradients."""
+    shapes = jax.lax.stop_gradient(list(shapes))
+    balls = [_ball(shape) for shape in shapes if not isinstance(shape, Plane)]
+    if len(balls) < len(shapes):
+        return None
+    low = reduce(jnp.minimum, (ball.centre - ball.radius for ball in balls))
+    high = reduce(jnp.maximum, (ball.centre + ball.radius for ball in balls))
+    centre = (low + high) / 2
+    radius = reduce(jnp.maximum, (norm(ball.centre - centre) + ball.radius for ball in balls))
+    return Ball(centre, radius)
+
+
+def _ball(shape: Shape) -> Ball:
+    match shape:
+        case Sphere() | Disc():
+            return Ball(shape.centre, shape.radius)
+        case Box():
+            return Ball(shape.centre, norm(shape.half_extents))
+        case Quad():
+            u, v = shape.edge_u, shape.edge_v
+            half = jnp.maximum(norm(u + v), norm(u - v)) / 2
+            return Ball(shape.corner + (u + v) / 2, half)
+        case TriangleMesh():
+            low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+            centre = (low + high) / 2
+            return Ball(centre, norm(shape.vertices - centre[None]).max())
+        case Plane():
+            return Ball(shape.point, jnp.full_like(shape.point[0], jnp.inf))

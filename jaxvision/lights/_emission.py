@@ -1,0 +1,103 @@
+"""Where light starts: rays drawn from a light, each with the flux that it stands for.
+
+Weighting any quantity of a ray by `flux` and averaging over the uniform numbers estimates what the
+whole light contributes. Flux in W, lengths in m. For ONE ray; the caller vmaps.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._numerics import safe_sqrt
+from .._types import Colour
+from .._vector import Vec, as_vec
+from ..geometry import Ball, Ray, point_on, surface_area
+from ..hemisphere import cosine_direction, direction_at, local_frame, to_world
+from ..scene import Light, Shape
+from ._registry import Discrete, Emitted, Incident, kind_of
+
+
+def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitted:
+    """A ray that leaves a light.
+
+    Args:
+        light: any light.
+        u: (4,) uniform in [0, 1), no unit: u_0, u_1 for the place, u_2, u_3 for the direction.
+        around: a sphere around the scene, m, through which light from infinitely far away is sent;
+            None for a scene that is unbounded.
+
+    Returns:
+        The ray and its flux, (bands,) W.
+
+    Raises:
+        ValueError: for light from infinitely far away in a scene that is unbounded, and for an
+            extended light that has registered no `emitted`.
+    """
+    kind = kind_of(light)
+    if kind.emitted is not None:
+        return kind.emitted(light, u)
+    centre = as_vec(jnp.zeros(3, u.dtype)) if around is None else as_vec(around.centre)
+    if isinstance(kind, Discrete):
+        arriving = kind.incident(light, centre)
+        if arriving.distance is not None:
+            position = centre + arriving.distance * as_vec(arriving.direction)
+            direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
+            intensity = kind.incident(light, position + direction).irradiance  # at 1 m
+            return emitted_from_point(position, direction, 4 * jnp.pi * intensity)
+    else:
+        arriving = kind.sample(light, centre, u[2:])
+        if arriving.distance is not None:
+            raise ValueError(
+                f"light tracing needs {type(light).__name__} to be registered with `emitted`, "
+                "which draws rays that leave it."
+            )
+    if around is None:
+        raise ValueError(
+            "light from infinitely far away can be traced into a scene that ends, got a Plane; a "
+            "large Quad or Disc serves."
+        )
+    return _from_afar(around, arriving, u)
+
+
+def emitted_from_point(position: Vec, direction: Vec, flux: Colour) -> Emitted:
+    """A ray from `position`, m, along the unit `direction`, with a flux, (bands,) W."""
+    return Emitted(Ray(position, direction), flux, as_vec(jnp.zeros(3, direction.x.dtype)))
+
+
+def emitted_from_surface(
+    shape: Shape,
+    radiance: Colour,
+    u: Float[Array, "4"],
+    *,
+    two_sided: Bool[Array, ""] | bool = False,
+) -> Emitted:
+    """A ray from a surface of uniform radiance, of the flux pi A L: uniform by area, and by the
+    cosine about the normal; from both sides half each where the surface is two-sided.
+
+    Args:
+        shape: the surface, bounded.
+        radiance: (bands,) W m^-2 sr^-1.
+        u: (4,) uniform in [0, 1), no unit.
+        two_sided: () whether the back shines too.
+
+    Returns:
+        The ray and its flux, (bands,) W.
+    """
+    place = point_on(shape, u[:2])
+    sides = jnp.where(two_sided, 2, 1).astype(u.dtype)
+    turned = two_sided & (u[2] >= 0.5)
+    within = jnp.where(two_sided, (2 * u[2]) % 1, u[2])
+    normal = place.normal * jnp.where(turned, -1, 1).astype(u.dtype)
+    local = cosine_direction(jnp.stack([within, u[3]]))
+    direction = as_vec(to_world(local_frame(normal), local))
+    flux = jnp.pi * surface_area(shape) * sides * radiance
+    return Emitted(Ray(place.point, direction), flux, normal)
+
+
+def _from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
+    """E pi R^2: evenly through the disc, across the direction, that covers the scene."""
+    toward = as_vec(arriving.direction)
+    radius, phi = around.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
+    aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), around.radius)
+    origin = around.centre + as_vec(to_world(local_frame(toward), aside))
+    flux = arriving.irradiance * (jnp.pi * around.radius**2)
+    return Emitted(Ray(origin, -toward), flux, toward * jnp.zeros_like(phi))
