@@ -177,6 +177,7 @@ from .lights import (
     PointLight as PointLight,
     Quadrature as Quadrature,
     RectangleLight as RectangleLight,
+    SmallLight as SmallLight,
     Window as Window,
     environment_map as environment_map,
     incident as incident,

@@ -38,6 +38,7 @@ from .light_field import LightFieldLight
 from .point import PointLight
 from .rectangle import RectangleLight
 from .rules import Balanced, MonteCarlo, Quadrature, Rule
+from .small import SmallLight
 from .window import Window
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "RectangleLight",
     "Rule",
     "Seen",
+    "SmallLight",
     "Window",
     "can_be_seen",
     "direction_pdf",

@@ -81,14 +81,12 @@ def _check_bands(scene: Scene) -> None:
     """`ValueError` unless all spectra of a scene have one number of bands."""
     spectra, neutral = [], []
     for i, surface in enumerate(scene.surfaces):
-        place, material = f"Scene.surfaces[{i}]", surface.material
-        spectra += [
-            (f"{place}.material.{name}", getattr(material, name)) for name in material.spectra
-        ]
-        neutral += [
-            (f"{place}.material.{name}", getattr(material, name))
-            for name in material.neutral_spectra
-        ]
+        place = f"Scene.surfaces[{i}]"
+        for found, names in (
+            (spectra, surface.material.spectra),
+            (neutral, surface.material.neutral_spectra),
+        ):
+            found += [(f"{place}.material.{n}", getattr(surface.material, n)) for n in names]
         if surface.emission is not None:
             spectra.append((f"{place}.emission", surface.emission))
     for i, light in enumerate(scene.lights):

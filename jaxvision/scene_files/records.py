@@ -9,6 +9,7 @@ from ..lights import (
     DirectionalLight,
     PointLight,
     RectangleLight,
+    SmallLight,
     environment_map,
 )
 from ..mesh_files import read_mesh
@@ -93,6 +94,8 @@ def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
     match entry:
         case schema.PointEntry():
             return PointLight(entry.position, spectrum(entry.intensity))
+        case schema.SmallEntry():
+            return SmallLight(entry.position, entry.normal, spectrum(entry.intensity))
         case schema.DirectionalEntry():
             return DirectionalLight(entry.direction, spectrum(entry.irradiance))
         case schema.RectangleEntry():

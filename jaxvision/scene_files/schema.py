@@ -173,6 +173,16 @@ class PointEntry(Entry):
     intensity: Spectrum
 
 
+class SmallEntry(Entry):
+    """Light from a small flat lamp, brightest along its `normal`."""
+
+    kind: Literal["small"]
+    name: str | None = None
+    position: Vector
+    normal: Vector
+    intensity: Spectrum
+
+
 class DirectionalEntry(Entry):
     """Light from one direction.
 
@@ -238,7 +248,8 @@ class EnvironmentEntry(Entry):
 
 
 Light = Annotated[
-    PointEntry | DirectionalEntry | RectangleEntry | EnvironmentEntry, Field(discriminator="kind")
+    PointEntry | SmallEntry | DirectionalEntry | RectangleEntry | EnvironmentEntry,
+    Field(discriminator="kind"),
 ]
 
 

@@ -1,0 +1,82 @@
+"""A small flat lamp: bright along its normal, falling with the cosine to the side.
+
+What a lamp of uniform radiance becomes where it is small against every distance: a `RectangleLight`
+of area A and radiance L far away is a `SmallLight` of intensity A L.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._bands import by_band
+from .._numerics import dot, normalize, smallest_divisor
+from .._types import Colour, as_float, check_shape
+from .._vector import Vector, as_vec
+from ..hemisphere import cosine_direction, local_frame, to_world
+from ..scene import Light
+from ._emission import emitted_from_point
+from ._registry import Emitted, Incident, register
+
+
+class SmallLight(Light):
+    """A flat source that is small against its distance from everything, such as an LED chip.
+
+    It emits to the side of its normal, with the intensity I cos(theta) at the angle theta to it; a
+    receiver at the distance d whose normal makes the angle theta_s with the light gets the
+    irradiance E = I cos(theta) cos(theta_s) / d^2.
+
+    Attributes:
+        position: (3,) m.
+        normal: (3,) unit, where it is brightest (its length is ignored).
+        intensity: (bands,) W sr^-1 along the normal.
+
+    Example:
+        >>> lamp = jv.SmallLight([0.0, 0.0, 2.0], [0.0, 0.0, -1.0], [8.0])
+        >>> arriving = jv.incident(lamp, jnp.zeros(3))
+        >>> print(arriving.irradiance.round(6), arriving.distance.round(6))
+        [2.] 2.0
+    """
+
+    spectra = ("intensity",)
+    position: Float[Array, "3"] = eqx.field(converter=as_float)
+    normal: Float[Array, "3"] = eqx.field(converter=as_float)
+    intensity: Colour = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_shape("SmallLight.position", self.position, (3,))
+        check_shape("SmallLight.normal", self.normal, (3,))
+        check_shape("SmallLight.intensity", self.intensity, ("bands",))
+
+
+def from_small_light(light: SmallLight, point: Vector) -> Incident:
+    """Light that arrives from a small light: E = I cos(theta) / d^2 on a surface that faces it.
+
+    Args:
+        light: the light.
+        point: (3,) m. Behind the light and in its plane the irradiance is 0. Nearer than
+            `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
+            irradiance and gradients are 0.
+
+    Returns:
+        The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
+    """
+    toward = light.position - point
+    square = dot(toward, toward)
+    apart = square > smallest_divisor(square.dtype) ** 2
+    nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
+    direction = toward * nearness
+    cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
+    factor = cosine * nearness * nearness
+    irradiance = by_band(lambda band: band * factor, light.intensity)
+    return Incident(direction, irradiance, square * nearness)
+
+
+def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
+    """A ray by the cosine about the normal, by u_2 and u_3; its flux is pi I, W."""
+    local = cosine_direction(u[2:])
+    direction = as_vec(to_world(local_frame(normalize(light.normal)), local))
+    return emitted_from_point(as_vec(light.position), direction, jnp.pi * light.intensity)
+
+
+register(SmallLight, incident=from_small_light, emitted=_emitted)
