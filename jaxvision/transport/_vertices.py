@@ -25,7 +25,7 @@ from .._bands import Bands, apart
 from .._groups import group_by_structure, take
 from .._numerics import divide, dot, reciprocal, select, smallest_divisor
 from .._staging import searched, together
-from .._types import Colour, Scalar
+from .._types import Colour, Scalar, common_dtype
 from .._vector import Vec, as_vec, where
 from ..brdf import Carries, Specular, is_body, is_delta, one_way, passing
 from ..geometry import (
@@ -116,9 +116,8 @@ def _splits(material: Material) -> bool:
     """Whether a ray goes on in two from the material."""
     if not is_delta(material):
         return False
-    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-    ways = jax.eval_shape(brdf.specular, material, Vec(number, number, number))
-    return ways.refracted is not None
+    up = jnp.zeros(3, common_dtype(material))
+    return jax.eval_shape(brdf.specular, material, up).refracted is not None
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import brdf
+from .._types import common_dtype
 from .._vector import Vec
 from ..lights import Quadrature, incident_samples
 from ..scene import Light, Scene
@@ -44,4 +45,4 @@ def bands_of(scene: Scene) -> int:
 
 def _irradiance(light: Light) -> Array:
     """The irradiance, W m^-2, of a light anywhere."""
-    return incident_samples(light, jnp.zeros(3), Quadrature(1)).irradiance
+    return incident_samples(light, jnp.zeros(3, common_dtype(light)), Quadrature(1)).irradiance
