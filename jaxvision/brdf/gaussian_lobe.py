@@ -19,59 +19,48 @@ from jaxtyping import Array, Float
 
 from .._numerics import dot, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float
-from .._vector import Vec, Vector, as_vec
+from .._vector import Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
-from ._lobe import (
-    about,
-    check_lobe,
-    choose,
-    diffuse_share,
-    divisor,
-    lit_and_seen,
-    lobe_integrals,
-    mirrored,
-    mixed_pdf,
-)
-from ._registry import register
+from ._conventions import Lobe, register_lobe
+from ._lobe import about, check_lobe, divisor, lobe_integrals, mirrored
 
 
-class GaussianLobe(Material):
+class _Concentrated(Material):
+    """What both records hold: each says what its lobe stands for."""
+
+    spectra = ("diffuse",)
+    diffuse: Colour = eqx.field(converter=as_float)
+    specular: Colour = eqx.field(converter=as_float)
+    concentration: Scalar = eqx.field(converter=as_float)
+    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_lobe(self, "concentration")
+
+
+class GaussianLobe(_Concentrated):
     """SHADING k_d cos+ + k_s exp(-(concentration theta_s)^2), no cosine on the specular term.
 
-    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
-    `concentration`: () c_s in rad^-1. `ambient`: (bands,) k_a, no unit, or None; the array of k_d
-    itself where both share one.
+    Attributes:
+        diffuse: (bands,) k_d in sr^-1, >= 0.
+        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        concentration: () c_s in rad^-1.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None; the
+            array of k_d itself where both share one.
     """
 
-    spectra = ("diffuse",)
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    concentration: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
-    def __check_init__(self) -> None:
-        check_lobe(self, "concentration")
+class GaussianLobeBRDF(_Concentrated):
+    """The BRDF k_d + k_s exp(-(concentration theta_s)^2).
 
-
-class GaussianLobeBRDF(Material):
-    """The BRDF k_d + k_s exp(-(concentration theta_s)^2), fields as in `GaussianLobe`.
-
-    `diffuse`, `specular`: (bands,) k_d and k_s in sr^-1; k_s of shape (1,) is neutral.
-    `concentration`: () c_s in rad^-1. `ambient`: (bands,) k_a, no unit, or None.
+    Attributes:
+        diffuse: (bands,) k_d in sr^-1, >= 0.
+        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        concentration: () c_s in rad^-1.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
     """
 
-    spectra = ("diffuse",)
-    diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
-    concentration: Scalar = eqx.field(converter=as_float)
-    ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
-
-    def __check_init__(self) -> None:
-        check_lobe(self, "concentration")
-
-
-AnyGaussianLobe = GaussianLobe | GaussianLobeBRDF
 
 # (2 arcsin(sqrt(x) / 2))^2 / x in x <= 2, of least relative error: 9e-10 and 1e-18 (Remez, in 60
 # digits). By the size of the number in bytes.
@@ -115,12 +104,17 @@ _SQUARED_ANGLE_OVER_CHORD = {
 
 
 def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
-    """exp(-(concentration theta_s)^2), unnormalised, in [0, 1].
+    """The lobe exp(-(concentration theta_s)^2).
 
-    `theta_mirror`: angle between view and mirror direction, radians in [0, pi], as
-    `angle_between` gives it. `concentration`: rad^-1; the lobe falls to 1/e at its inverse. The
-    arguments broadcast. Source: Szeliski, Computer Vision, section 2.2.2, after Torrance and
-    Sparrow.
+    Args:
+        theta_mirror: (...) angle between view and mirror direction, radians in [0, pi], as
+            `angle_between` returns it.
+        concentration: (...) rad^-1; the lobe falls to 1/e at its inverse. The arguments broadcast.
+
+    Returns:
+        The lobe, not normalised, (...) in [0, 1], no unit.
+
+    Source: Szeliski, Computer Vision, section 2.2.2, after Torrance and Sparrow.
     """
     return jnp.exp(-jnp.square(concentration * theta_mirror))
 
@@ -133,12 +127,20 @@ def gaussian_lobe_shading(
     specular: Colour,
     concentration: Scalar,
 ) -> Colour:
-    """k_d [n.l]+ + k_s exp(-(c_s theta_s)^2) in sr^-1, 0 where n.l <= 0 (the attached shadow) or
-    n.v <= 0 (a viewer below the surface, as for the record `GaussianLobe`).
+    """Shading k_d [n.l]+ + k_s exp(-(c_s theta_s)^2).
 
-    Radiance toward the viewer per unit of irradiance on a surface facing the light. `normal`, `wi`
-    (toward the light), `wo` (toward the viewer): (3,) unit. `diffuse`, `specular`: (bands,) sr^-1.
-    `concentration`: () c_s in rad^-1.
+    Args:
+        normal: (3,) unit.
+        wi: (3,) unit, toward the light.
+        wo: (3,) unit, toward the viewer.
+        diffuse: (bands,) k_d in sr^-1.
+        specular: (bands,) k_s in sr^-1.
+        concentration: () c_s in rad^-1.
+
+    Returns:
+        Radiance toward the viewer per unit of irradiance on a surface that faces the light,
+        (bands,) in sr^-1; 0 where n.l <= 0 (the attached shadow) or n.v <= 0 (a viewer below the
+        surface, as for the record `GaussianLobe`).
     """
     cos_i = dot(normal, wi)
     lobe = _lobe_between(mirror_direction(normal, wi), wo, concentration)
@@ -151,10 +153,19 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
-    """Square of the angle between unit vectors, in [0, pi^2] rad^2, within a few units in the last
-    place from 0 to pi: a series of the squared chord |u - v|^2 up to a right angle, and of
-    |u + v|^2, the chord of what is left to pi, beyond. Neither an arccos nor a root stands before
-    small angles, whose digits and gradients it would lose."""
+    """Square of the angle between unit vectors, within a few units in the last place from 0 to pi.
+
+    A series of the squared chord |u - v|^2 up to a right angle; beyond, of |u + v|^2, the chord of
+    the rest to pi. Neither an arccos nor a root is taken of small angles, which would lose their
+    digits and gradients.
+
+    Args:
+        u: (3,) unit.
+        v: (3,) unit.
+
+    Returns:
+        The squared angle, () in [0, pi^2] rad^2.
+    """
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
     near = chord <= other
@@ -167,72 +178,57 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     return jnp.where(near, square, jnp.square(jnp.pi - safe_sqrt(jnp.where(near, 0, square))))
 
 
-# ---------------------------------------------------------------- the family
-
-
-def evaluate(material: AnyGaussianLobe, wi: Vector, wo: Vector) -> Colour:
-    """f_r of the table above, (bands,) in sr^-1."""
-    lobe = _lobe_between(mirrored(wi), as_vec(wo), material.concentration)
-    if isinstance(material, GaussianLobe):
-        lobe = lobe / divisor(as_vec(wi).z)
-    return jnp.where(lit_and_seen(wi, wo), material.diffuse + material.specular * lobe, 0)
-
-
-def shading(material: GaussianLobe, wi: Vector, wo: Vector) -> Colour:
-    """k_d cos(theta_i) + k_s lobe, (bands,) in sr^-1."""
-    light = as_vec(wi)
-    lobe = _lobe_between(mirrored(light), as_vec(wo), material.concentration)
-    shaded = material.diffuse * light.z + material.specular * lobe
-    return jnp.where(lit_and_seen(wi, wo), shaded, 0)
-
-
-def _kappa(material: AnyGaussianLobe) -> Scalar:
-    """Of the von Mises-Fisher density exp(-(c_s chord)^2), which lies over the lobe everywhere."""
-    kappa = 2 * jnp.square(material.concentration)
-    return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
-
-
-def sample(material: AnyGaussianLobe, wo: Vector, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the cosine about the normal or a von Mises-Fisher lobe about the
-    mirror direction, 1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
-    kappa = _kappa(material)
-    one_minus_cos = jnp.clip(-jnp.log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
-    lobe = about(mirrored(wo), one_minus_cos, 2 * jnp.pi * u[1])
-    return choose(_diffuse_part(material), u, lobe)
-
-
-def pdf(material: AnyGaussianLobe, wi: Vector, wo: Vector) -> Scalar:
-    """Density of `sample` in sr^-1."""
-    kappa = _kappa(material)
-    chord = as_vec(wi) - mirrored(wo)
-    lobe = jnp.exp(-kappa / 2 * dot(chord, chord))
-    return mixed_pdf(
-        _diffuse_part(material), wi, -kappa / (2 * jnp.pi * jnp.expm1(-2 * kappa)) * lobe
-    )
-
-
-def _diffuse_part(material: AnyGaussianLobe) -> Scalar:
-    kappa = _kappa(material)
-    size = -2 * jnp.pi * jnp.expm1(-2 * kappa) / kappa
-    return diffuse_share(jnp.pi * material.diffuse, size * material.specular)
-
-
-def albedo(material: AnyGaussianLobe, wo: Vector) -> Colour:
-    """pi k_d + k_s times the lobe's integral above the horizon, (bands,), no unit."""
-    plain, with_cosine = gaussian_integrals(as_vec(wo).z, material.concentration)
-    lobe = plain if isinstance(material, GaussianLobe) else with_cosine
-    return jnp.pi * material.diffuse + material.specular * lobe
-
-
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals above the horizon of exp(-(c_s alpha)^2), and of it times cos(theta_i), in sr;
-    alpha is the angle to an axis at polar cosine `cos_axis` in [0, 1]. Quadrature over 6 widths of
-    the lobe, to 1e-10."""
+    """Integrals of the lobe over the directions above the horizon, by quadrature over 6 widths of
+    the lobe, to 1e-10.
+
+    Args:
+        cos_axis: () cosine of the lobe's axis to the normal, in [0, 1], no unit.
+        concentration: () c_s in rad^-1.
+
+    Returns:
+        The integrals of exp(-(c_s alpha)^2), alpha being the angle to the axis, and of it times
+        cos(theta_i), () each in sr.
+    """
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
     )
 
 
-register(GaussianLobe, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
-register(GaussianLobeBRDF, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+def _kappa(material: _Concentrated) -> Scalar:
+    """Of the von Mises-Fisher density exp(-(c_s chord)^2), which lies over the lobe everywhere."""
+    kappa = 2 * jnp.square(material.concentration)
+    return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
+
+
+def _direction(material: _Concentrated, wo: Vec, u: Float[Array, "3"]) -> Vec:
+    """From a von Mises-Fisher lobe about the mirror direction,
+    1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
+    kappa = _kappa(material)
+    one_minus_cos = jnp.clip(-jnp.log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
+    return about(mirrored(wo), one_minus_cos, 2 * jnp.pi * u[1])
+
+
+def _density(material: _Concentrated, wi: Vec, wo: Vec) -> Scalar:
+    """Density of `_direction`, sr^-1."""
+    kappa, chord = _kappa(material), wi - mirrored(wo)
+    lobe = jnp.exp(-kappa / 2 * dot(chord, chord))
+    return -kappa / (2 * jnp.pi * jnp.expm1(-2 * kappa)) * lobe
+
+
+def _sizes(material: _Concentrated) -> tuple[Scalar, Scalar]:
+    kappa = _kappa(material)
+    size = -2 * jnp.pi * jnp.expm1(-2 * kappa) / kappa
+    return size, size
+
+
+_LOBE = Lobe(
+    value=lambda m, wi, wo: _lobe_between(mirrored(wi), wo, m.concentration),
+    direction=_direction,
+    density=_density,
+    integrals=lambda m, cos_o: gaussian_integrals(cos_o, m.concentration),
+    sizes=_sizes,
+)
+register_lobe(GaussianLobe, _LOBE, "shading")
+register_lobe(GaussianLobeBRDF, _LOBE, "brdf")

@@ -18,11 +18,18 @@ from .._numerics import dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
 from .._types import Scalar, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cross
+from ._lobe import divisor
 
 Distribution = Literal["beckmann", "ggx"]
 Shadowing = Literal["smith", "v-cavity"]
 Alpha = Float[Array, "2"]
 print_by_name(globals(), "Alpha")
+
+
+def at_least_polished(alpha: Alpha) -> Alpha:
+    """The roughness that counts: below 1e-6, where a lobe is narrower than rounding, it is 1e-6
+    and has no gradient."""
+    return jnp.maximum(alpha, 1e-6)
 
 
 def half_vector(wi: Vector, wo: Vector) -> Vec:
@@ -39,7 +46,7 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
         beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
     """
-    n, a = as_vec(h), jnp.maximum(alpha, 1e-6)
+    n, a = as_vec(h), at_least_polished(alpha)
     across = jnp.square(n.x / a[0]) + jnp.square(n.y / a[1])
     scale = jnp.pi * a[0] * a[1]
     match distribution:
@@ -64,7 +71,7 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
     """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
     surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
     Lambda is not. Source: Heitz (2014), equations 68 to 72."""
-    v, a = as_vec(w), jnp.maximum(alpha, 1e-6)
+    v, a = as_vec(w), at_least_polished(alpha)
     squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
     match distribution:
         case "beckmann":
@@ -109,11 +116,11 @@ def visibility(
             below = c_i * c_o + c_i * hidden_o + c_o * hidden_i
         case "v-cavity":
             n = as_vec(h)
-            d = dot(as_vec(wo), n) / (2 * jnp.maximum(n.z, smallest_divisor(n.z.dtype)))
+            d = dot(as_vec(wo), n) / (2 * divisor(n.z))
             below = jnp.maximum(c_i * c_o, jnp.maximum(c_i, c_o) * d)
         case _:
             raise ValueError(f"shadowing must be 'smith' or 'v-cavity', got {shadowing!r}.")
-    return 0.25 / jnp.maximum(below, smallest_divisor(below.dtype))
+    return 0.25 / divisor(below)
 
 
 # ---------------------------------------------------------------- directions
@@ -125,7 +132,7 @@ def sample_facet(wo: Vector, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     It serves Beckmann facets too: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
     "Sampling the GGX Distribution of Visible Normals", JCGT 7(4) (2018).
     """
-    v, a = as_vec(wo), jnp.maximum(alpha, 1e-6)
+    v, a = as_vec(wo), at_least_polished(alpha)
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)
     tilted = sine > smallest_divisor(sine.dtype)
@@ -145,4 +152,4 @@ def facet_pdf(wi: Vector, wo: Vector, alpha: Alpha) -> Scalar:
     `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o))."""
     facets = normal_distribution(half_vector(wi, wo), alpha, distribution="ggx")
     seen = as_vec(wo).z + hidden_cosine(wo, alpha, distribution="ggx")
-    return facets / (4 * jnp.maximum(seen, smallest_divisor(seen.dtype)))
+    return facets / (4 * divisor(seen))

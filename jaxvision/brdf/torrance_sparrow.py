@@ -30,6 +30,7 @@ from .microfacet import (
     Alpha,
     Distribution,
     Shadowing,
+    at_least_polished,
     facet_pdf,
     half_vector,
     normal_distribution,
@@ -83,7 +84,7 @@ class TorranceSparrow(Material):
 
 
 def _alpha(material: TorranceSparrow) -> Alpha:
-    return jnp.broadcast_to(material.roughness, (2,))
+    return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
 
 
 def microfacet_lobe(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour:
@@ -115,7 +116,7 @@ def _cavity_facet(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -
         case "beckmann":
             squared = -jnp.log1p(-u[0])
     slope, phi = safe_sqrt(squared), 2 * jnp.pi * u[1]
-    a = jnp.maximum(_alpha(material), 1e-6) * slope
+    a = _alpha(material) * slope
     h = as_vec(normalize(Vec(a[0] * jnp.cos(phi), a[1] * jnp.sin(phi), jnp.ones_like(phi))))
     near, far = (jnp.maximum(dot(as_vec(wo), side), 0) for side in (h, mirrored(h)))
     seen = near + far > 0
@@ -181,7 +182,7 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
     half turn, crowded about psi = pi / 2, where that root leaps at a grazing view. What errs most
     is the kink of a v-cavity's min.
     """
-    viewer, alpha = as_vec(wo), jnp.maximum(_alpha(material), 1e-6)
+    viewer, alpha = as_vec(wo), _alpha(material)
     cos_o = divisor(viewer.z)
     dtype, whole = cos_o.dtype, jnp.ones_like(cos_o)[None]
     lean = Vec(viewer.x * alpha[0], viewer.y * alpha[1], jnp.zeros_like(cos_o))

@@ -5,14 +5,12 @@ import numpy as np
 
 from jaxvision import as_vec
 from jaxvision.brdf import fresnel as fr
-from jaxvision.brdf import phong
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
-from jaxvision.brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
-from jaxvision.brdf.phong import NormalisedPhong, Phong
+from jaxvision.brdf.phong import Phong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
 from jaxvision.hemisphere import local_frame
 
@@ -73,24 +71,18 @@ EXAMPLES = {
     "brdf.phong.power_direction": ((N, TWO, U[:2]), {}),
     "brdf.phong.power_pdf": ((N, WI, TWO), {}),
     "brdf.phong.power_integrals": ((COS, TWO), {}),
-    **family("phong", NormalisedPhong(KD, KS, TWO), *SAMPLED),
-    "brdf.phong.angles": ((as_vec(WI), as_vec(WO)), {}),
-    "brdf.phong.at_angles": ((PHONG, phong.angles(as_vec(WI), as_vec(WO))), {}),
     "brdf.gaussian_lobe.gaussian_lobe": ((X, TWO), {}),
     "brdf.gaussian_lobe.gaussian_lobe_shading": ((N, WI, WO, KD, KS, TWO), {}),
     "brdf.gaussian_lobe.squared_angle_between": ((WI, WO), {}),
     "brdf.gaussian_lobe.gaussian_integrals": ((COS, TWO), {}),
-    **family("gaussian_lobe", GaussianLobeBRDF(KD, KS, TWO), *SAMPLED),
-    **family("gaussian_lobe", GaussianLobe(KD, KS, TWO), "shading"),
     "brdf.blinn.log_cos_half": ((WI, WO), {}),
     "brdf.blinn.normalisation": ((TWO,), {}),
     "brdf.blinn.half_vector_integrals": ((COS, TWO), {}),
-    **family("blinn", NormalisedBlinn(KD, KS, TWO), *SAMPLED),
-    **family("blinn", BLINN, "shading"),
     "brdf.fresnel.fresnel": ((fr.Schlick(KD), COS), {}),
     "brdf.fresnel.fresnel_dielectric": ((COS, 1 + KD), {}),
     "brdf.fresnel.fresnel_conductor": ((COS, KD, 10 * KS), {}),
     "brdf.fresnel.fresnel_schlick": ((COS, KD), {}),
+    "brdf.microfacet.at_least_polished": ((ALPHA,), {}),
     "brdf.microfacet.half_vector": ((WI, WO), {}),
     "brdf.microfacet.normal_distribution": ((N, ALPHA), GGX),
     "brdf.microfacet.hidden_cosine": ((WO, ALPHA), {"distribution": "beckmann"}),

@@ -15,6 +15,7 @@ from jaxvision import (
     Ray,
     RectangleLight,
     Scene,
+    SmallLight,
     Sphere,
     Surface,
     Window,
@@ -45,6 +46,8 @@ PHONG = Phong([0.2, 0.1], [0.3, 0.2], 9.0)
 KEY = jax.random.key(5)
 LAMP, SUN = PointLight([1, 2, -3], [0.3, 0.2]), DirectionalLight([0.3, 0.2, -1], [0.2, 0.1])
 BALL = Scene([Surface(Sphere([0.1, 0.2, 3], 1.0), Lambert([0.2, 0.1]))], [RECTANGLE])
+
+SMALL = SmallLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2])
 
 
 def arriving(wi):
@@ -95,6 +98,7 @@ EXAMPLES = {
     "lights.rectangle.rectangle_sample": ((RECTANGLE, POINT, U), {}),
     "lights.rectangle.rectangle_seen": ((RECTANGLE, RAY), {}),
     "lights.rectangle.window_of": ((RECTANGLE,), {}),
+    "lights.small.from_small_light": ((SMALL, POINT), {}),
     "lights.window.crossing": ((RAY, WINDOW), {}),
     "lights.window.hit_window": ((RAY, WINDOW), {}),
     "lights.window.window_pdf": ((WINDOW, POINT, UP), {}),

@@ -1,0 +1,99 @@
+"""One lobe under three conventions: what stands before it in the BRDF and in the shading.
+
+    convention    specular term of f_r         ... of the shading, f_r cos(theta_i)
+    shading       k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING
+    brdf          k_s lobe                     k_s lobe cos(theta_i)   the lobe as a BRDF
+    normalised    k_s C lobe                   k_s C lobe cos(theta_i)
+
+The diffuse term of the BRDF is k_d = albedo / pi in all three. C makes the lobe's albedo along the
+normal equal k_s. Local frame, normal = +z.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._bands import by_band
+from .._types import Colour, Scalar
+from .._vector import Vec, Vector, as_vec
+from ._lobe import choose, diffuse_share, divisor, lit_and_seen, mixed_pdf
+from ._registry import register
+
+Convention = Literal["shading", "brdf", "normalised"]
+
+
+class Lobe(NamedTuple):
+    """A lobe, whatever stands before it. The functions take the material, for what shapes it.
+
+    Attributes:
+        value: `value(material, wi, wo)`, () in [0, 1], no unit.
+        direction: `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1).
+        density: `density(material, wi, wo)`, () in sr^-1, that of `direction`.
+        integrals: `integrals(material, cos_o)`, the integrals of the lobe, and of the lobe times
+            cos(theta_i), over the directions above the horizon, sr.
+        sizes: `sizes(material)`, the same along the normal, roughly: what shares samples out.
+        normalisation: `normalisation(material)`, C in sr^-1; None for a lobe that has none.
+    """
+
+    value: Callable[[Any, Vec, Vec], Scalar]
+    direction: Callable[[Any, Vec, Float[Array, "3"]], Vec]
+    density: Callable[[Any, Vec, Vec], Scalar]
+    integrals: Callable[[Any, Scalar], tuple[Scalar, Scalar]]
+    sizes: Callable[[Any], tuple[Scalar, Scalar]]
+    normalisation: Callable[[Any], Scalar] | None = None
+
+
+def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
+    """Enters a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe."""
+
+    def scaled(material: Any, value: Scalar) -> Scalar:
+        if convention != "normalised" or lobe.normalisation is None:
+            return value
+        return lobe.normalisation(material) * value
+
+    def evaluate(material: Any, wi: Vector, wo: Vector) -> Colour:
+        light, viewer = as_vec(wi), as_vec(wo)
+        value = scaled(material, lobe.value(material, light, viewer))
+        if convention == "shading":
+            value = value / divisor(light.z)
+        return _two_terms(material, jnp.ones_like(value), value, lit_and_seen(light, viewer))
+
+    def shading(material: Any, wi: Vector, wo: Vector) -> Colour:
+        light, viewer = as_vec(wi), as_vec(wo)
+        value = scaled(material, lobe.value(material, light, viewer))
+        if convention != "shading":
+            value = value * light.z
+        return _two_terms(material, light.z, value, lit_and_seen(light, viewer))
+
+    def diffuse_part(material: Any) -> Scalar:
+        plain, with_cosine = lobe.sizes(material)
+        match convention:
+            case "shading":
+                size = plain
+            case "brdf":
+                size = with_cosine
+            case "normalised":
+                size = jnp.ones_like(with_cosine)
+        return diffuse_share(jnp.pi * material.diffuse, size * material.specular)
+
+    def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+        return choose(diffuse_part(material), u, lobe.direction(material, as_vec(wo), u))
+
+    def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+        density = lobe.density(material, as_vec(wi), as_vec(wo))
+        return mixed_pdf(diffuse_part(material), wi, density)
+
+    def albedo(material: Any, wo: Vector) -> Colour:
+        plain, with_cosine = lobe.integrals(material, as_vec(wo).z)
+        size = plain if convention == "shading" else scaled(material, with_cosine)
+        return jnp.pi * material.diffuse + material.specular * size
+
+    register(record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+
+
+def _two_terms(material: Any, body: Scalar, lobe: Scalar, seen: Bool[Array, ""]) -> Colour:
+    """k_d body + k_s lobe, (bands,) in sr^-1, 0 where the surface is not seen or not lit."""
+    body, lobe = jnp.where(seen, body, 0), jnp.where(seen, lobe, 0)
+    return by_band(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)
