@@ -12,7 +12,10 @@ from jaxvision.lights import (
     MonteCarlo,
     PointLight,
     Quadrature,
+    RectangleLight,
+    SmallLight,
     incident,
+    irradiance,
     rule_for,
 )
 
@@ -55,9 +58,41 @@ def test_directional_light_is_the_same_everywhere_whatever_its_length():
         np.testing.assert_array_equal(arriving.irradiance, [1, 2, 3])
 
 
+def test_small_light_falls_with_its_cosine_and_the_square_of_the_distance():
+    """Against plain NumPy at many places, those behind it dark; its normal may have any length."""
+    position, normal = np.array([0.3, -0.2, 2.0]), np.array([0.5, 1.0, -2.0])
+    points = np.random.default_rng(4).uniform(-3, 3, (200, 3))
+    light = SmallLight(position, normal, [4.0, 8.0])
+    arriving = jax.jit(jax.vmap(lambda p: incident(light, p)))(jnp.asarray(points))
+    away = position - points
+    distance = np.sqrt((away**2).sum(1))
+    cosine = np.maximum(-(away @ normal) / (distance * np.sqrt(normal @ normal)), 0)
+    assert 0.3 < (cosine == 0).mean() < 0.7
+    expected = (cosine / distance**2)[:, None] * np.array([4.0, 8.0])
+    np.testing.assert_allclose(arriving.irradiance, expected, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(arriving.direction, away / distance[:, None], rtol=1e-13)
+    np.testing.assert_allclose(arriving.distance, distance, rtol=1e-14)
+
+
+def test_a_rectangle_far_away_is_a_small_light():
+    """Of intensity area times radiance: they differ by the square of size over distance."""
+    u, v, radiance = np.array([0.02, 0, 0]), np.array([0, -0.03, 0]), np.array([5.0, 2.0])
+    middle, receiver = np.array([1.0, 2.0, 6.0]), jnp.asarray([0.2, 0.1, 0.0])
+    rectangle = RectangleLight(middle - (u + v) / 2, u, v, radiance)
+    small = SmallLight(middle, np.cross(u, v), 0.02 * 0.03 * radiance)
+    normal = jnp.asarray([0.6, 0.0, 0.8])
+    got, expected = (
+        irradiance(light, receiver, normal, rule=Quadrature(4)) for light in (small, rectangle)
+    )
+    np.testing.assert_allclose(got, expected, rtol=3 * (0.03 / 6) ** 2)
+
+
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_at_the_light_itself_everything_is_zero(dtype):
-    light = as_dtype(PointLight([1, 2, 3], [1.0]), dtype)
+@pytest.mark.parametrize(
+    "kind", [PointLight, lambda at, of: SmallLight(at, [0, 0, -1], of)], ids=["point", "small"]
+)
+def test_at_the_light_itself_everything_is_zero(dtype, kind):
+    light = as_dtype(kind([1, 2, 3], [1.0]), dtype)
     point = jnp.asarray([1, 2, 3], dtype)
     arriving = incident(light, point)
     assert (arriving.direction == 0).all()

@@ -15,7 +15,13 @@ from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
-from jaxvision.lights import DirectionalLight, PointLight, RectangleLight, radiance_from
+from jaxvision.lights import (
+    DirectionalLight,
+    PointLight,
+    RectangleLight,
+    SmallLight,
+    radiance_from,
+)
 from jaxvision.measured_files import write_merl
 from jaxvision.optics import camera_ray, pixel_offset
 from jaxvision.scene_files import read_scene, shipped_scenes
@@ -158,15 +164,18 @@ def test_lights_and_ambient(tmp_path):
     lights = LIGHT + (
         '[[light]]\nkind = "directional"\ndirection = [0, 0, 2]\nirradiance = 3\n'
         '[[light]]\nkind = "rectangle"\ncorner = [0, 0, 3]\nedge_u = [0, 1, 0]\n'
-        "edge_v = [1, 0, 0]\nradiance = [1, 2, 3]\n[ambient]\nradiance = 0.1\n"
+        "edge_v = [1, 0, 0]\nradiance = [1, 2, 3]\n"
+        '[[light]]\nkind = "small"\nposition = [1, 2, 3]\nnormal = [0, 0, -1]\nintensity = 4\n'
+        "[ambient]\nradiance = 0.1\n"
     )
     found = read(tmp_path, CAMERA + GREY + BALL + lights)
-    point, directional, rectangle = found.scene.lights
+    point, directional, rectangle, small = found.scene.lights
     same(point, PointLight([1, -2, 3], [10, 20, 30]))
     same(directional, DirectionalLight([0, 0, 2], [3, 3, 3]))
     same(rectangle, RectangleLight([0, 0, 3], [0, 1, 0], [1, 0, 0], [1, 2, 3]))
+    same(small, SmallLight([1, 2, 3], [0, 0, -1], [4, 4, 4]))
     same(found.scene.ambient, scene.AmbientLight([0.1] * 3))
-    assert found.lights == ('light "lamp"', "light[2]", "light[3]")
+    assert found.lights == ('light "lamp"', "light[2]", "light[3]", "light[4]")
 
 
 def test_an_environment_turns_its_middle_and_top(tmp_path):

@@ -15,6 +15,7 @@ from jaxvision import (
     Pinhole,
     PointLight,
     RectangleLight,
+    SmallLight,
     environment_map,
 )
 from jaxvision._vector import as_array
@@ -234,6 +235,10 @@ SOURCES = {
     "point": (
         {"light": PointLight([0.2, 0, 1.0], [3.0, 3.0])},
         lambda p: 3 / ((p - [0.2, 0, 1]) @ (p - [0.2, 0, 1])) ** 1.5,
+    ),
+    "small": (
+        {"light": SmallLight([0.2, 0, 1.0], [0, 0, -2.0], [3.0, 3.0])},
+        lambda p: 3 / ((p - [0.2, 0, 1]) @ (p - [0.2, 0, 1])) ** 2,
     ),
     "directional": ({"light": DirectionalLight([0.6, 0, 0.8], [3.0, 3.0])}, lambda p: 2.4),
     "sky": ({"light": environment_map(np.full((4, 8, 2), 0.5))}, lambda p: 0.5 * np.pi),

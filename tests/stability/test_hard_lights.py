@@ -19,12 +19,13 @@ from jaxvision import (
     Quadrature,
     Ray,
     RectangleLight,
+    SmallLight,
     Window,
     as_dtype,
     environment_map,
 )
 from jaxvision.hemisphere_integral import lit_radiance
-from jaxvision.lights import direction_pdf, direction_sample, seen
+from jaxvision.lights import direction_pdf, direction_sample, incident, seen
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.shading import outgoing_radiance
@@ -260,3 +261,37 @@ def test_all_lights_at_once_on_a_surface_seen_edge_on(dtype):
         assert value.dtype == dtype
         assert value > 0.3 * np.pi / 2
         assert_finite((value, gradient))
+
+
+# ------------------------------------------------ a small flat light
+
+
+@jax.jit
+def from_small(light, point):
+    def value(light, point):
+        return incident(light, point).irradiance[0]
+
+    return jax.value_and_grad(value, argnums=(0, 1))(light, point)
+
+
+@both_precisions
+@pytest.mark.parametrize(
+    "point",
+    [[0, 0, 2], [0, 0, 5], [3, 0, 2], [3, 0, 1.9999], [3e4, 1e4, 1.5], [1e-6, 0, 2 - 1e-6]],
+    ids=["on it", "behind", "in its plane", "grazing", "grazing from afar", "a micrometre below"],
+)
+def test_small_light_against_fifty_digits(dtype, point):
+    """E = I cos(theta) / d^2 within a few ulps of the cosine's own rounding; finite gradients, also
+    with a normal of length 0, which shines nowhere."""
+    light = as_dtype(SmallLight([0, 0, 2], [0, 0, -3], [2.0]), dtype)
+    at = jnp.asarray(point, dtype)
+    got, slopes = from_small(light, at)
+    assert_finite((got, slopes))
+    away = [b - a for a, b in zip(exact.vector(at), exact.vector(light.position), strict=True)]
+    square = sum(x * x for x in away)
+    truth = max(2 * away[2] / mp.sqrt(square) / square, 0) if square else mp.mpf(0)
+    assert abs(float(exact.number(got) - truth)) <= 8 * eps(dtype) * float(truth)
+    dark = as_dtype(SmallLight([0, 0, 2], [0, 0, 0], [2.0]), dtype)
+    nothing, slopes = from_small(dark, at)
+    assert nothing == 0
+    assert_finite(slopes)
