@@ -81,8 +81,24 @@ __all__ = [
 
 
 def incident(light: Light, point: Vector) -> Incident:
-    """What a light at one place sends to `point`, (3,) in m. `ValueError` for an extended light,
-    which has `incident_samples`."""
+    """Light that arrives at a point from a light at one place.
+
+    Args:
+        light: a light at one place, such as `PointLight`, `SmallLight` or `DirectionalLight`.
+        point: (3,) m.
+
+    Returns:
+        The unit direction toward the light, the irradiance, (bands,) W m^-2, on a surface that
+        faces it, and the distance, m, or None.
+
+    Raises:
+        ValueError: for an extended light, which has `incident_samples`.
+
+    Example:
+        >>> lamp = jv.PointLight([0.0, 0.0, 2.0], [8.0])
+        >>> print(jv.incident(lamp, jnp.zeros(3)).irradiance.round(6))
+        [2.]
+    """
     kind = kind_of(light)
     if isinstance(kind, Extended):
         raise ValueError(
@@ -93,9 +109,18 @@ def incident(light: Light, point: Vector) -> Incident:
 
 
 def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
-    """What any light sends to `point`, (3,) in m, as samples along a new leading axis: unit
-    directions, and the irradiance, W m^-2, that each puts on a surface facing it. A light at one
-    place gives one sample under any rule."""
+    """Light that arrives at a point from any light, as samples.
+
+    Args:
+        light: any light.
+        point: (3,) m.
+        rule: where an extended light is sampled; a light at one place gives one sample under any
+            rule.
+
+    Returns:
+        Samples along a new leading axis: unit directions, and the irradiance, (samples, bands)
+        W m^-2, that each puts on a surface that faces it.
+    """
     nodes, weights = light_nodes(light, rule, common_dtype(light, point))
     return jax.vmap(lambda u, weight: incident_sample(light, rule, point, u, weight))(
         nodes, weights
@@ -103,24 +128,58 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
 
 
 def irradiance(light: Light, point: Vector, normal: Vector, *, rule: Rule) -> Colour:
-    """E = sum_i E_i [n.l_i]+: what any light puts on a receiver at `point`, (3,) in m, that faces
-    `normal`, (3,) unit: (bands,) in W m^-2. A rectangle has it exactly in
-    `polygon.rectangle_irradiance` and for many receivers in `adaptive`, an environment cheaply in
-    `harmonics`."""
+    """Irradiance of any light on a receiver, E = sum_i E_i [n.l_i]+.
+
+    A rectangle has it exactly in `polygon.rectangle_irradiance` and for many receivers in
+    `adaptive`, an environment cheaply in `harmonics`.
+
+    Args:
+        light: any light.
+        point: (3,) m, the receiver.
+        normal: (3,) unit, where the receiver faces.
+        rule: where an extended light is sampled.
+
+    Returns:
+        The irradiance, (bands,) W m^-2.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> print(jv.irradiance(sky, jnp.zeros(3), up, rule=jv.Quadrature(64)).round(2))
+        [3.14]
+    """
     arriving = incident_samples(light, point, rule)
     cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
     return (arriving.irradiance * cosines[:, None]).sum(axis=0)
 
 
 def seen(light: Light, ray: Ray) -> Seen:
-    """What a ray that looks at an extended light gets: W m^-2 sr^-1, at a distance in m.
-    `ValueError` for a light that has no size."""
+    """What a ray sees of an extended light.
+
+    Args:
+        light: an extended light.
+        ray: its origin in m.
+
+    Returns:
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1, against the ray.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
     return extended_kind(light).seen(light, ray)
 
 
 def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
-    """What a ray meets first of all extended lights, W m^-2 sr^-1 and m; infinitely far lie the
-    environments, which add up. Black where there is none: `radiance` is then () and 0."""
+    """The first of all extended lights that a ray meets.
+
+    Args:
+        lights: any lights; those that have no size are left out.
+        ray: its origin in m.
+
+    Returns:
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are infinitely far
+        away and add up. Where there is no extended light the radiance is () and 0.
+    """
     distance = jnp.full_like(ray.origin.x, jnp.inf)
     radiance = jnp.zeros_like(ray.origin.x)
     for light in filter(can_be_seen, lights):
@@ -133,18 +192,51 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
 
 
 def radiance_from(light: Light, point: Vector, wi: Vector) -> Colour:
-    """Radiance, W m^-2 sr^-1, that reaches `point`, (3,) m, from the unit direction `wi`.
-    `ValueError` for a light that has no size."""
+    """Radiance that reaches a point from one direction.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        wi: (3,) unit, from the point.
+
+    Returns:
+        The radiance, (bands,) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
     return extended_kind(light).seen(light, Ray(point, wi)).radiance
 
 
 def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A direction toward an extended light drawn from `u`, (2,) uniform in [0, 1), and radiance
-    over density, W m^-2. `ValueError` for a light that has no size."""
+    """A direction drawn toward an extended light.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        u: (2,) uniform in [0, 1), no unit.
+
+    Returns:
+        A unit direction, radiance over density, (bands,) W m^-2, and the distance, m.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
     return extended_kind(light).sample(light, point, u)
 
 
 def direction_pdf(light: Light, point: Vector, wi: Vector) -> Scalar:
-    """Density of `direction_sample`'s directions toward `wi`, () in sr^-1. `ValueError` for a
-    light that has no size."""
+    """Density of the directions that `direction_sample` draws.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        wi: (3,) unit, from the point.
+
+    Returns:
+        The density toward `wi`, () in sr^-1.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
     return extended_kind(light).pdf(light, point, wi)

@@ -30,15 +30,25 @@ def adaptive_irradiance(
     *,
     tolerance: float = 1e-4,
 ) -> Float[Array, " receivers bands"]:
-    """Irradiance on receivers that lie together, (receivers, bands) in W m^-2, within `tolerance`,
-    relative: all by the fewest nodes that the nearest of them allows, or by the closed form where
-    it is too near or the light crosses the horizon of any.
+    """Irradiance on receivers that lie together, within a tolerance.
 
-    `points`: (receivers, 3) m. `normals`: (receivers, 3) unit, or (3,) for all. `tolerance`:
-    static, > 0, else `ValueError`; rounding comes on top, see `polygon.rectangle_irradiance`.
-    Where the light skims the horizon the tolerance is of what a receiver that faces it would get.
-    Of a large field map this over tiles (`jax.lax.map`), each of which takes its own rule; under
-    `vmap` all rules are computed.
+    All are computed by the fewest nodes that the nearest of them allows, or by the closed form
+    where it is too near or the light crosses the horizon of any. For a large field map this over
+    tiles (`jax.lax.map`), each of which takes its own rule; under `vmap` all rules are computed.
+
+    Args:
+        light: the rectangle.
+        points: (receivers, 3) m.
+        normals: (receivers, 3) unit, or (3,) for all.
+        tolerance: relative, > 0; static. Rounding comes on top, see `polygon.rectangle_irradiance`.
+            Where the light skims the horizon it is relative to what a receiver that faces the light
+            would get.
+
+    Returns:
+        The irradiance, (receivers, bands) W m^-2.
+
+    Raises:
+        ValueError: if the tolerance is not above 0.
     """
     if not tolerance > 0:
         raise ValueError(f"tolerance must be above 0, got {tolerance}.")

@@ -13,8 +13,9 @@ from ._registry import Incident, register
 class DirectionalLight(Light):
     """A source at infinity.
 
-    `direction`: (3,) unit vector from the scene toward the light (its length is ignored).
-    `irradiance`: (bands,) W m^-2 on a surface facing it.
+    Attributes:
+        direction: (3,) unit vector from the scene toward the light (its length is ignored).
+        irradiance: (bands,) W m^-2 on a surface that faces the light.
     """
 
     spectra = ("irradiance",)
@@ -27,7 +28,15 @@ class DirectionalLight(Light):
 
 
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
-    """The same direction and irradiance at every `point`, (3,) in m."""
+    """Light that arrives from infinity: the same everywhere.
+
+    Args:
+        light: the light.
+        point: (3,) m, not used.
+
+    Returns:
+        The unit direction and the irradiance, (bands,) W m^-2; the distance is None.
+    """
     del point
     return Incident(normalize(light.direction), light.irradiance)
 

@@ -22,11 +22,16 @@ from ._registry import Incident, Seen, register_extended
 
 
 class EnvironmentMap(Light):
-    """Made by `environment_map`, which also computes what sampling needs.
+    """Radiance from all directions, infinitely far away.
 
-    `radiance`: (h, w, bands) W m^-2 sr^-1. `rotation`: (3, 3), rows the map's x, y and z axes
-    in the world. `rows`: (h + 1,) cumulative probability of the rows. `columns`: (h, w + 1) that
-    of the columns within each row. `density`: (h, w) probability per solid angle, sr^-1.
+    `environment_map` makes it and computes what sampling needs.
+
+    Attributes:
+        radiance: (h, w, bands) W m^-2 sr^-1.
+        rotation: (3, 3), rows the map's x, y and z axes in the world, no unit.
+        rows: (h + 1,) cumulative probability of the rows, no unit.
+        columns: (h, w + 1) cumulative probability of the columns within each row, no unit.
+        density: (h, w) probability per solid angle, sr^-1.
     """
 
     spectra = ("radiance",)
@@ -46,9 +51,16 @@ class EnvironmentMap(Light):
 
 
 def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colour:
-    """Radiance from a direction, (3,) unit: (bands,) in W m^-2 sr^-1, bilinear. The gradient with
-    respect to the direction is finite everywhere; at a pole, where longitude is undefined, its
-    part along the circle of latitude is 0."""
+    """Radiance from a direction, bilinear between the pixels.
+
+    Args:
+        environment: the map.
+        direction: (3,) unit.
+
+    Returns:
+        The radiance, (bands,) W m^-2 sr^-1. Its gradient by the direction is finite everywhere; at
+        a pole, where longitude is undefined, the part along the circle of latitude is 0.
+    """
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
 
@@ -56,8 +68,17 @@ def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colo
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """L / pdf (W m^-2) for `u`, (2,) in [0, 1): the row from u_0, the column from u_1, uniform in
-    solid angle within the pixel. The same at every `point`, (3,) m."""
+    """A direction drawn where the map is bright, and L / pdf.
+
+    Args:
+        environment: the map.
+        point: (3,) m, not used.
+        u: (2,) uniform in [0, 1), no unit: the row from u_0, the column from u_1, uniform in solid
+            angle within the pixel.
+
+    Returns:
+        A unit direction and L / pdf, (bands,) W m^-2; the distance is None.
+    """
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -73,7 +94,16 @@ def environment_sample(
 
 
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Vector) -> Scalar:
-    """Density of `environment_sample` toward `wi`, (3,) unit, in sr^-1."""
+    """Density of `environment_sample` toward a direction.
+
+    Args:
+        environment: the map.
+        point: (3,) m, not used.
+        wi: (3,) unit.
+
+    Returns:
+        The density, () in sr^-1.
+    """
     del point
     h, w, _ = environment.radiance.shape
     row, column = _place(environment, _to_map(environment, wi))
@@ -83,8 +113,16 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Vector) -> S
 
 
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """L times 4 pi (W m^-2), `u` (2,) in [0, 1] spread evenly over the sphere: what quadrature
-    uses. The same at every `point`, (3,) m."""
+    """A direction spread evenly over the sphere, and 4 pi L: what quadrature uses.
+
+    Args:
+        environment: the map.
+        point: (3,) m, not used.
+        u: (2,) in [0, 1], no unit.
+
+    Returns:
+        A unit direction and 4 pi L, (bands,) W m^-2; the distance is None.
+    """
     direction = _direction(1 - 2 * u[0], u[1])
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))

@@ -20,14 +20,23 @@ _LEAST = 16
 
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
-    """The light of a latitude-longitude picture of radiance, (h, w, bands) in W m^-2 sr^-1, >= 0.
+    """The light of a latitude-longitude picture of radiance.
 
     A place is sampled in proportion to the mean over the bands of the bilinear picture over its
-    pixel, times solid angle (all of the sphere alike if the picture is black), and a place with
-    light at least 16 times the resolution of its floats in its row and its row in the picture.
-    Gradients do not enter the probabilities. `rotation`: (3, 3), rows the map's axes in the world;
-    by default the world's own. `ValueError` for another shape, a picture without pixels, and values
-    that are negative or not finite.
+    pixel, times solid angle (over the whole sphere alike if the picture is black); a place with
+    light is sampled with at least 16 times the resolution of its floats in its row, and its row in
+    the picture. Gradients do not enter the probabilities.
+
+    Args:
+        radiance: (h, w, bands) W m^-2 sr^-1, >= 0.
+        rotation: (3, 3), rows the map's axes in the world, no unit; by default the world's own.
+
+    Returns:
+        The light.
+
+    Raises:
+        ValueError: for another shape, a picture without pixels, and values that are negative or not
+            finite.
     """
     picture = as_float(radiance)
     check_shape("environment_map's radiance", picture, ("h", "w", "bands"))

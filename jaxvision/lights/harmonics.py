@@ -17,8 +17,14 @@ _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 
 def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
-    """The nine real spherical harmonics of order <= 2 at unit directions, (..., 3): (l, m) in the
-    order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2) along a new first axis; orthonormal."""
+    """The nine real spherical harmonics of order <= 2, orthonormal.
+
+    Args:
+        direction: (..., 3) unit.
+
+    Returns:
+        (9, ...), no unit: (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2).
+    """
     d = as_vec(direction)
     x, y, z = d.x, d.y, d.z
     c0, c1, c2 = 0.5 / np.sqrt(np.pi), np.sqrt(0.75 / np.pi), np.sqrt(3.75 / np.pi)
@@ -38,8 +44,14 @@ def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
 
 
 def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 bands"]:
-    """The irradiance's nine coefficients, (9, bands) in W m^-2, in the map's own axes: computed
-    once for a map, from every pixel."""
+    """The nine coefficients of the irradiance under a map, from every pixel.
+
+    Args:
+        environment: the map.
+
+    Returns:
+        (9, bands) W m^-2, in the map's own axes.
+    """
     h, w, bands = environment.radiance.shape
     theta, phi = np.pi * (np.arange(h) + 0.5) / h, np.pi * (1 - 2 * (np.arange(w) + 0.5) / w)
     solid_angle = 2 * np.sin(theta) * np.sin(np.pi / (2 * h)) * 2 * np.pi / w
@@ -56,12 +68,20 @@ def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 band
 def harmonic_irradiance(
     environment: EnvironmentMap, coefficients: Float[Array, "9 bands"], normal: Vector
 ) -> Colour:
-    """Irradiance on a surface facing `normal`, (3,) unit: (bands,) in W m^-2.
+    """Irradiance of an environment by spherical harmonics of order <= 2.
 
     Off by at most 3/32 of the integral of the radiance over the sphere, which a single bright
-    direction reaches on its horizon (6 % of its irradiance where it stands overhead), and can be
-    negative; about 1 % on average under natural skies. A map that is itself of order <= 2 is
+    direction reaches on its horizon (6 % of its irradiance where it stands overhead), and possibly
+    negative; about 1 % off on average under natural skies. A map that is itself of order <= 2 is
     exact, to the pixels' own error.
+
+    Args:
+        environment: the map.
+        coefficients: (9, bands) W m^-2, of `irradiance_coefficients`.
+        normal: (3,) unit, where the surface faces.
+
+    Returns:
+        The irradiance, (bands,) W m^-2.
     """
     basis = harmonics(_to_map(environment, normal))
     return (basis[:, None] * coefficients).sum(axis=0)

@@ -26,12 +26,19 @@ from .window import Window, crossing, hit_window, window_pdf, window_sample
 
 
 class LightFieldLight(Light):
-    """What leaves through a window, place by place and direction by direction: it lights what is
-    before it, and a camera that looks at it sees the scene behind.
+    """What leaves through a window, place by place and direction by direction.
 
-    `radiance`: (s, t, u, v, bands) W m^-2 sr^-1, the first and last sample of each axis on the
-    windows' rims. `aperture`: the window (s, t), one-sided. `focal`: the window (u, v), parallel
-    to the aperture to 1 mrad and not in its plane, else `ValueError`; so is a window of no area.
+    It lights what is in front of it, and a camera that looks at it sees the scene behind.
+
+    Attributes:
+        radiance: (s, t, u, v, bands) W m^-2 sr^-1, the first and last sample of each axis on the
+            rims of the windows.
+        aperture: the window (s, t), one-sided; lengths in m.
+        focal: the window (u, v), parallel to the aperture to 1 mrad and not in its plane; lengths
+            in m.
+
+    Raises:
+        ValueError: for windows that are not parallel, lie in one plane or have no area.
     """
 
     spectra = ("radiance",)
@@ -78,9 +85,16 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
-    """Radiance against a ray's direction, (bands,) in W m^-2 sr^-1, quadrilinear; 0 for a ray that
-    misses either window or meets the aperture from behind. The distance along the ray does not
-    matter, only that the aperture lies ahead."""
+    """Radiance against the direction of a ray, quadrilinear between the samples.
+
+    Args:
+        light_field: the light field.
+        ray: its origin in m, before the aperture; the distance to it does not matter.
+
+    Returns:
+        The radiance, (bands,) W m^-2 sr^-1; 0 for a ray that misses either window or meets the
+        aperture from behind.
+    """
     return light_field_seen(light_field, ray).radiance
 
 
@@ -97,8 +111,16 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """L times solid angle (W m^-2) per unit of the square over the aperture, `u` (2,) in [0, 1],
-    `point` (3,) m."""
+    """A direction toward a place of the aperture, chosen by a point of the unit square.
+
+    Args:
+        light_field: the light field.
+        point: (3,) m.
+        u: (2,) in [0, 1], no unit.
+
+    Returns:
+        A unit direction, L times solid angle, (bands,) W m^-2, and the distance, m.
+    """
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
@@ -111,8 +133,16 @@ def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Vector) -> 
 
 
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
-    """The viewing ray of (s, t, u, v), each in [0, 1], that starts in the aperture, m, and looks
-    away from its front: what to sample to record a light field."""
+    """The viewing ray of one sample of a light field: what to trace to record one.
+
+    Args:
+        aperture: the window (s, t), m.
+        focal: the window (u, v), m.
+        place: (4,) s, t, u, v in [0, 1], no unit.
+
+    Returns:
+        A ray that starts in the aperture, m, and looks away from its front.
+    """
     start = _point(aperture, place[:2])
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 
@@ -120,13 +150,22 @@ def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -
 def refocus(
     light_field: LightFieldLight, focus: Vector, *, order: int = 8, opening: float = 1.0
 ) -> Colour:
-    """The mean radiance, (bands,) in W m^-2 sr^-1, on the lines that join the aperture to `focus`,
-    (3,) m: what a lens as large as the aperture puts on the pixel that images that point. Surfaces
-    at that depth come out sharp, others blurred.
+    """The mean radiance on the lines that join the aperture to one point.
 
-    `order`: static, Gauss-Legendre nodes a side. `opening`: the used fraction of the aperture
-    about its middle, in (0, 1]; towards 0 everything is sharp. Isaksen, McMillan and Gortler,
-    "Dynamically Reparameterized Light Fields", SIGGRAPH 2000.
+    It is what a lens as large as the aperture puts on the pixel that images the point: surfaces at
+    that depth come out sharp, others blurred.
+
+    Args:
+        light_field: the light field.
+        focus: (3,) m.
+        order: Gauss-Legendre nodes a side; static.
+        opening: the used fraction of the aperture about its middle, in (0, 1], no unit; towards 0
+            everything is sharp.
+
+    Returns:
+        The radiance, (bands,) W m^-2 sr^-1.
+
+    Source: Isaksen, McMillan & Gortler, "Dynamically Reparameterized Light Fields", SIGGRAPH 2000.
     """
     nodes, weights = square_nodes(order)
     aperture, dtype = light_field.aperture, light_field.radiance.dtype

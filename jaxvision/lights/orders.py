@@ -15,16 +15,25 @@ ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
 
 def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -> int:
-    """The order of `Quadrature` that brings a DIFFUSE receiver within `tolerance`, relative, of
-    this light at every one of `points`, (..., 3) in m: chosen before the call, outside `jit`. A
-    glossy lobe is another integrand, which takes `Balanced`. `InputError` if not even the largest
-    order of `ORDERS` is enough.
+    """The order of `Quadrature` that brings a DIFFUSE receiver within a tolerance.
 
-    It follows distance over size. Either side of the foot of a near receiver the map spans
-    q = asinh(s / 2 d), and the integrand is singular at i pi / 2, so that the error falls like
-    100 rho^(-2 n), rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), the factor being measured. Holds for
-    receivers that see the whole light; where it crosses their horizon the error is that of a kink,
-    about 1 / (2 n^2).
+    It is chosen before the call, outside `jit`; a glossy lobe is another integrand and takes
+    `Balanced`. The order follows distance over size: either side of the foot of a near receiver the
+    map spans q = asinh(s / 2 d), and the integrand is singular at i pi / 2, so that the error falls
+    like 100 rho^(-2 n), rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), the factor being measured. This
+    holds for receivers that see the whole light; where it crosses their horizon the error is that
+    of a kink, about 1 / (2 n^2).
+
+    Args:
+        light: the rectangle.
+        points: (..., 3) m, the receivers.
+        tolerance: relative, > 0, at every one of the points.
+
+    Returns:
+        The order, one of `ORDERS`, no unit.
+
+    Raises:
+        InputError: if not even the largest order is enough.
     """
     nearest = float(jnp.min(_distance_over_size(light, points)))
     pole = math.pi / 2 / math.asinh(0.5 / max(nearest, 1 / 64))

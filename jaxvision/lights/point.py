@@ -18,7 +18,9 @@ from ._registry import Emitted, Incident, register
 class PointLight(Light):
     """An isotropic point source.
 
-    `position`: (3,) m. `intensity`: (bands,) W sr^-1.
+    Attributes:
+        position: (3,) m.
+        intensity: (bands,) W sr^-1.
     """
 
     spectra = ("intensity",)
@@ -31,10 +33,16 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """E = I / d^2, `point` (3,) in m.
+    """Light that arrives from a point, E = I / d^2 on a surface that faces it.
 
-    Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
-    irradiance and gradients are 0. Farther than 1e19 m in float32 there is nothing left of it.
+    Args:
+        light: the light.
+        point: (3,) m. Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light
+            itself: direction, irradiance and gradients are 0. Farther than 1e19 m in float32 the
+            irradiance is 0.
+
+    Returns:
+        The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
     toward = light.position - point
     square = dot(toward, toward)

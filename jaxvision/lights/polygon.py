@@ -128,17 +128,25 @@ def _angle_over_sine_jvp(primals, tangents):
 
 
 def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -> Colour:
-    """Irradiance on a receiver at `point` that faces `normal`: (bands,) in W m^-2, exact.
+    """Irradiance of a rectangle on a receiver, exact.
 
-    `point`: (3,) m. `normal`: (3,) unit. The part of the light below the receiver's horizon does
-    not count; a point behind the light or in its plane gets 0.
+    The part of the light below the horizon of the receiver does not count; a point behind the light
+    or in its plane gets 0. `adaptive.adaptive_irradiance` takes many receivers, in a quarter of the
+    time.
 
-    At distance d of a light of size s the contour's terms cancel; beyond (3e-4 / eps)^(1/10) of
-    d / s, 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes replace it. What rounding
-    leaves is 10 eps, 300 in float64 at that distance, of what the receiver would get were both
-    face to face, and d / s times as much where the horizon cuts the light: relative to a slanting
+    At distance d of a light of size s the terms of the contour cancel; beyond (3e-4 / eps)^(1/10)
+    of d / s, 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes replace it. What rounding
+    leaves is 10 eps, 300 in float64 at that distance, of what the receiver would get were both face
+    to face, and d / s times as much where the horizon cuts the light: relative to a slanting
     receiver or light it is more by both cosines, 1e-4 in float32 where their product is .01.
-    `adaptive.adaptive_irradiance` takes many receivers, and a quarter of the time.
+
+    Args:
+        light: the rectangle.
+        point: (3,) m.
+        normal: (3,) unit, where the receiver faces.
+
+    Returns:
+        The irradiance, (bands,) W m^-2.
     """
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     first = as_vec(light.corner - as_vec(point))
@@ -307,7 +315,16 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
-    """The integral of `contour_integral`, sr, over a parallelogram by order x order Gauss-Legendre
-    nodes: `corner`, m, as seen from receivers of any shape that face `normal`, unit; `u`, `v`: its
-    edges, m. What lies behind the parallelogram gets 0. `adaptive` has the error."""
+    """The integral of `contour_integral` over a parallelogram by Gauss-Legendre nodes.
+
+    Args:
+        corner: m, as seen from receivers of any shape.
+        u: m, one edge.
+        v: m, the other edge.
+        normal: unit, where the receivers face.
+        order: nodes a side; static. `adaptive` has the error.
+
+    Returns:
+        The integral, sr; 0 for receivers behind the parallelogram.
+    """
     return _nodes_integral(corner, u, v, normal, order)

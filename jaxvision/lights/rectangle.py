@@ -20,10 +20,15 @@ from .window import Window, hit_window, window_pdf, window_sample
 class RectangleLight(Light):
     """A one-sided, uniform, diffusely emitting rectangle.
 
-    `corner`: (3,) m. `edge_u`, `edge_v`: (3,) m, from the corner along the sides, at right angles
-    (any parallelogram is right, and a skew one less well sampled). It shines to the side of
-    edge_u x edge_v; its back, its plane and a point on it get nothing from it.
-    `radiance`: (bands,) W m^-2 sr^-1.
+    It shines to the side of edge_u x edge_v; points behind it, in its plane and on it receive
+    nothing from it.
+
+    Attributes:
+        corner: (3,) m.
+        edge_u: (3,) m, from the corner along one side.
+        edge_v: (3,) m, along the other side, at a right angle to the first (any parallelogram gives
+            right results; a skew one is sampled less well).
+        radiance: (bands,) W m^-2 sr^-1.
     """
 
     spectra = ("radiance",)
@@ -39,25 +44,34 @@ class RectangleLight(Light):
 
 
 def window_of(light: RectangleLight) -> Window:
-    """The rectangle alone, (3,) in m."""
+    """The rectangle without its radiance; lengths in m."""
     return Window(light.corner, light.edge_u, light.edge_v)
 
 
 def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
-    """The radiance of the front, W m^-2 sr^-1, where the ray meets it."""
+    """The radiance of the front that a ray meets, (bands,) W m^-2 sr^-1, and its distance, m."""
     at, hit = hit_window(ray, window_of(light))
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """L times solid angle (W m^-2) per unit of the square, `u` (2,) in [0, 1], `point` (3,) m."""
+    """A direction toward a place of the rectangle, chosen by a point of the unit square.
+
+    Args:
+        light: the rectangle.
+        point: (3,) m.
+        u: (2,) in [0, 1], no unit.
+
+    Returns:
+        A unit direction, L times solid angle, (bands,) W m^-2, and the distance, m.
+    """
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.radiance * solid_angle, distance)
 
 
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Vector) -> Scalar:
-    """Density of `rectangle_sample`'s directions, sr^-1."""
+    """Density of the directions of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
     return window_pdf(window_of(light), point, wi)
 
 

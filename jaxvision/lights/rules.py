@@ -41,11 +41,15 @@ class Quadrature(eqx.Module):
 
 
 class MonteCarlo(eqx.Module):
-    """Random samples where the light is bright, without bias: for skies, and for surfaces that are
-    not glossier than the light is small.
+    """Random samples where the light is bright, without bias.
 
-    `key`: random key. `samples`: static, >= 1. The samples of one key are spread evenly (a
-    Kronecker sequence with a random shift), so their mean is better than that of independent ones.
+    For skies, and for surfaces that are not glossier than the light is small. The samples of one
+    key are spread evenly (a Kronecker sequence with a random shift), so that their mean is better
+    than that of independent ones.
+
+    Attributes:
+        key: random key.
+        samples: how many, >= 1; static.
     """
 
     key: Key
@@ -56,12 +60,16 @@ class MonteCarlo(eqx.Module):
 
 
 class Balanced(eqx.Module):
-    """As `MonteCarlo`, with a direction from the material's own sampler beside each one from the
-    light, the two joined by the balance heuristic: for glossy lobes, and whenever in doubt.
+    """Random samples of light and material, joined by the balance heuristic.
 
-    Near the better of both, whether the lobe or the light is the smaller one, for the price of two
-    samples. Where there is no material to draw from (`irradiance`) it is `MonteCarlo`.
-    `key`: random key. `samples`: static, >= 1.
+    As `MonteCarlo`, with a direction from the material's own sampler beside each one from the
+    light: for glossy lobes, and whenever in doubt. The error is near the smaller of the two,
+    whether the lobe or the light is the smaller one, for the price of two samples. Where there is
+    no material to draw from (`irradiance`) it is `MonteCarlo`.
+
+    Attributes:
+        key: random key.
+        samples: how many, >= 1; static.
     """
 
     key: Key

@@ -18,7 +18,13 @@ from ..scene import Quad
 
 
 class Window(eqx.Module):
-    """`corner`, `edge_u`, `edge_v`: (3,) m; its front is the side of edge_u x edge_v."""
+    """A parallelogram in space; its front is the side of edge_u x edge_v.
+
+    Attributes:
+        corner: (3,) m.
+        edge_u: (3,) m, from the corner along one side.
+        edge_v: (3,) m, along the other side.
+    """
 
     corner: Float[Array, "3"] = eqx.field(converter=as_float)
     edge_u: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -30,9 +36,15 @@ class Window(eqx.Module):
 
 
 class Crossing(eqx.Module):
-    """`distance`: () m along the ray, of either sign. `u`, `v`: () place along the edges, 0 to 1
-    inside. `meets`: the ray is not parallel to the plane. `facing`: () cosine between the ray's
-    way back and the window's front."""
+    """Where a ray's line crosses the plane of a window.
+
+    Attributes:
+        distance: () m along the ray, of either sign.
+        u: () place along edge_u, 0 to 1 inside, no unit.
+        v: () place along edge_v, 0 to 1 inside, no unit.
+        facing: () cosine between the ray's way back and the front of the window.
+        meets: () whether the ray is not parallel to the plane.
+    """
 
     distance: Scalar
     u: Scalar
@@ -125,14 +137,22 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """(direction, distance in m, solid angle per unit of the square, place) for a point of the
-    unit square.
+    """A place of the window by a point of the unit square, dense where the window is near.
 
-    x = D sinh(p + u q) along each edge, as Johnston and Elliott, "A sinh transformation for
-    evaluating nearly singular boundary element integrals", Int. J. Numer. Meth. Engng 62 (2005):
-    dense where the light is near, even where it is far. `direction`: unit, toward the window. The
-    solid angle, sr, is 0 for a point behind the window or in its plane. `place`: (2,) in [0, 1],
-    along the edges.
+    x = D sinh(p + u q) along each edge, which stays even where the window is far.
+
+    Args:
+        window: the window, m.
+        point: (3,) m, from where it is seen.
+        u: (2,) in [0, 1], no unit.
+
+    Returns:
+        The unit direction toward the place, the distance, m, the solid angle per unit of the
+        square, sr, which is 0 for a point behind the window or in its plane, and the place, (2,) in
+        [0, 1] along the edges.
+
+    Source: Johnston & Elliott, "A sinh transformation for evaluating nearly singular boundary
+    element integrals", Int. J. Numer. Meth. Engng 62 (2005).
     """
     spread_u, spread_v = _spreads(window, point)
     s, jacobian_u = _place(spread_u, u[0])
@@ -148,8 +168,16 @@ def window_sample(
 
 
 def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:
-    """Density in sr^-1 of the directions of `window_sample` for u uniform in the square; 0 where
-    `wi` misses the window's front."""
+    """Density of the directions of `window_sample` for `u` uniform in the square.
+
+    Args:
+        window: the window, m.
+        point: (3,) m.
+        wi: (3,) unit, from the point.
+
+    Returns:
+        The density, () in sr^-1; 0 where `wi` misses the front of the window.
+    """
     at, hit = hit_window(Ray(point, wi), window)
     spread_u, spread_v = _spreads(window, point)
     per_place = _density(spread_u, at.u) * _density(spread_v, at.v)
