@@ -65,7 +65,7 @@ class DiscLamp(Light):
 
 
 def disc_seen(light, ray):
-    hit = intersect(ray, [light.disc])
+    hit = intersect(ray, light.disc)
     front = hit.normal.x * ray.direction.x + hit.normal.y * ray.direction.y
     meets = (front + hit.normal.z * ray.direction.z < 0) & jnp.isfinite(hit.distance)
     distance = jnp.where(meets, hit.distance, jnp.inf)
@@ -86,7 +86,7 @@ def disc_sample(light, point, u):
 
 
 def disc_pdf(light, point, wi):
-    hit = intersect(Ray(point, wi), [light.disc])
+    hit = intersect(Ray(point, wi), light.disc)
     w, n = as_vec(wi), hit.normal
     cosine = -(n.x * w.x + n.y * w.y + n.z * w.z)
     meets = (cosine > 0) & jnp.isfinite(hit.distance)

@@ -27,9 +27,18 @@ print_by_name(globals(), "Body", "Interface")
 
 
 class Dichromatic(Material):
-    """`body`, `interface`: materials of one band, the geometry factors m_b and m_i in sr^-1; a
-    mirror or glass is a `ValueError`, for `pdf` would be blind to the samples it gives.
-    `body_spectrum`, `interface_spectrum`: (bands,) or neutral (1,), c_b and c_i, no unit."""
+    """Two reflections of one material, each a geometry factor times a spectrum.
+
+    Attributes:
+        body: material of one band, the geometry factor m_b in sr^-1.
+        interface: material of one band, the geometry factor m_i in sr^-1.
+        body_spectrum: (bands,) c_b, no unit.
+        interface_spectrum: (bands,) or neutral (1,), c_i, no unit.
+
+    Raises:
+        ValueError: if a geometry factor is a mirror or glass, to whose samples `pdf` would be
+            blind.
+    """
 
     body: Material
     interface: Material

@@ -37,11 +37,16 @@ print_by_name(globals(), "Pixels", "Mask", "Factors")
 class Separation(eqx.Module):
     """The two terms of a picture, and how far to trust them.
 
-    `body`, `interface`: (...) >= 0, the geometry factors m_b and m_i, in the picture's unit, of
-    unit-length colours. `residual`: (...) distance of each pixel from the fit, in the picture's
-    unit. `body_colour`, `illuminant`: (bands,) of length 1. `angle`: () between the two, radians.
-    `noise_gain`: () standard deviation of m_b (and of m_i) over that of one band, independent
-    noise alike in all bands, where both factors are positive: 1 / sin(angle).
+    Attributes:
+        body: (...) >= 0, the geometry factor m_b of a colour of unit length, in the picture's unit.
+        interface: (...) >= 0, the geometry factor m_i, likewise.
+        residual: (...) distance of each pixel from the fit, in the picture's unit.
+        body_colour: (bands,) of length 1, no unit.
+        illuminant: (bands,) of length 1, no unit.
+        angle: () between the two colours, radians.
+        noise_gain: () standard deviation of m_b (and of m_i) over that of one band, for independent
+            noise of equal size in all bands, where both factors are positive: 1 / sin(angle), no
+            unit.
     """
 
     body: Factors
@@ -54,7 +59,16 @@ class Separation(eqx.Module):
 
 
 def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
-    """Where every band lies below `saturated` and the brightest above `dark`, all relative."""
+    """Which pixels are neither dark nor saturated.
+
+    Args:
+        image: (..., bands) linear, relative.
+        dark: the brightest band must lie above it, relative.
+        saturated: every band must lie below it, relative.
+
+    Returns:
+        A mask, (...).
+    """
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
 
 
@@ -66,13 +80,20 @@ def separate(
     valid: Mask | None = None,
     quantile: float = 0.02,
 ) -> Separation:
-    """The two non-negative factors of each pixel of (..., bands), by least squares.
+    """The two non-negative factors of each pixel, by least squares.
 
-    `illuminant`: (bands,) relative colour of the light, as the camera sees a white surface.
-    `body`: (bands,) relative colour of the material, or None: `body_colour` finds it from the
-    pixels in `valid`, (...), default all, with its `quantile`. All pixels are separated. With two
-    terms the non-negative optimum has a closed form: the free one where both factors are
-    positive, else the better of the two alone.
+    All pixels are separated. With two terms the non-negative optimum has a closed form: the free
+    one where both factors are positive, else the better of the two alone.
+
+    Args:
+        image: (..., bands) linear, relative.
+        illuminant: (bands,) relative colour of the light, as the camera sees a white surface.
+        body: (bands,) relative colour of the material, or None: `body_colour` finds it.
+        valid: (...) pixels that `body_colour` uses; all by default.
+        quantile: that of `body_colour`, in (0, 1), no unit.
+
+    Returns:
+        The factors, the colours and their reliability.
     """
     check_shape("illuminant", illuminant, (image.shape[-1],))
     check_shape("body", body, (image.shape[-1],))
@@ -106,13 +127,21 @@ def separate(
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
-    """The material's colour, (bands,) of length 1, from a picture (..., bands) that shows it
-    somewhere without highlight, under light of a known colour, relative.
+    """The colour of a material from a picture that shows it somewhere without highlight.
 
-    Without its part along the illuminant each pixel is m_b times one direction, the main one of
-    the `valid` pixels; how much of the illuminant the body itself holds is the smallest ratio of
-    the two parts, taken at a `quantile` of the pixels weighted by m_b, so that noise and a few
-    outliers do not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
+    Without its part along the illuminant each pixel is m_b times one direction, the main one of the
+    valid pixels. How much of the illuminant the body itself holds is the smallest ratio of the two
+    parts, taken at a quantile of the pixels weighted by m_b, so that noise and a few outliers do
+    not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
+
+    Args:
+        image: (..., bands) linear, relative.
+        illuminant: (bands,) relative colour of the light.
+        valid: (...) pixels to use; all by default.
+        quantile: in (0, 1), no unit.
+
+    Returns:
+        The colour, (bands,) of length 1, no unit.
     """
     c_i = _unit(illuminant)
     weight = jnp.ones(image.shape[:-1], image.dtype)
@@ -134,12 +163,20 @@ def body_colour(
 
 
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
-    """The dichromatic plane of one material: its unit normal (bands,), and the root mean squares
-    (bands,) of the pixels along their main axes, ascending, in the picture's unit.
+    """The dichromatic plane of one material.
 
-    Of a plane the first is at the noise and the second above it; where the second is at the noise
-    too, the colours lie on a line and the normal means nothing. `image`: (..., 3), `valid`:
-    (...), default all. For three bands, else `ValueError`.
+    Args:
+        image: (..., 3) linear, relative.
+        valid: (...) pixels to use; all by default.
+
+    Returns:
+        The unit normal, (3,), and the root mean squares, (3,), of the pixels along their main axes,
+        ascending, in the picture's unit. For a plane the first is at the noise and the second above
+        it; where the second is at the noise too, the colours lie on a line and the normal means
+        nothing.
+
+    Raises:
+        ValueError: unless the picture has three bands.
     """
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)

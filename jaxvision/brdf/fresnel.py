@@ -14,8 +14,12 @@ from .._types import Colour, Scalar, as_float, check_shape
 
 
 class Dielectric(eqx.Module):
-    """A clear material. `eta`: (bands,) or (1,), real relative index n_t / n_i > 0; below 1 it
-    reflects totally beyond the critical angle."""
+    """A clear material.
+
+    Attributes:
+        eta: (bands,) or (1,), real relative index n_t / n_i > 0, no unit; below 1 it reflects
+            totally beyond the critical angle.
+    """
 
     eta: Colour = eqx.field(converter=as_float)
 
@@ -24,7 +28,12 @@ class Dielectric(eqx.Module):
 
 
 class Conductor(eqx.Module):
-    """A metal. `eta`, `k`: (bands,) or (1,), the relative complex index eta + i k."""
+    """A metal of the relative complex index eta + i k.
+
+    Attributes:
+        eta: (bands,) or (1,), real part, no unit.
+        k: (bands,) or (1,), imaginary part, no unit.
+    """
 
     eta: Colour = eqx.field(converter=as_float)
     k: Colour = eqx.field(converter=as_float)
@@ -35,7 +44,11 @@ class Conductor(eqx.Module):
 
 
 class Schlick(eqx.Module):
-    """Schlick's approximation. `f0`: (bands,) or (1,), reflectance along the normal."""
+    """Schlick's approximation.
+
+    Attributes:
+        f0: (bands,) or (1,), reflectance along the normal, no unit.
+    """
 
     f0: Colour = eqx.field(converter=as_float)
 
@@ -47,7 +60,15 @@ Interface = Dielectric | Conductor | Schlick
 
 
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
-    """Reflectance of any interface: (bands,), no unit. `cos_theta`: ()."""
+    """Reflectance of any interface.
+
+    Args:
+        interface: `Dielectric`, `Conductor` or `Schlick`.
+        cos_theta: () cosine of incidence, no unit.
+
+    Returns:
+        The reflectance, (bands,), no unit.
+    """
     match interface:
         case Dielectric():
             return fresnel_dielectric(cos_theta, interface.eta)

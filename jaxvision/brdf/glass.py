@@ -23,11 +23,13 @@ from .fresnel import fresnel_dielectric
 
 
 class Glass(Material):
-    """What a closed shape with outward normals is filled with: glass, water, a crystal.
+    """What fills a closed shape with outward normals: glass, water, a crystal.
 
-    `index`: (), index of refraction of the inside over that of the outside, > 0, no unit: the same
-    for all bands, so nothing is dispersed. `absorption`: (bands,) m^-1 by Lambert and Beer,
-    exp(-absorption x distance) inside; None is perfectly clear.
+    Attributes:
+        index: () index of refraction of the inside over that of the outside, > 0, no unit; the same
+            for all bands, so that there is no dispersion.
+        absorption: (bands,) m^-1 by Lambert and Beer, exp(-absorption x distance) inside; None is
+            perfectly clear.
     """
 
     index: Scalar = eqx.field(converter=as_float)
@@ -39,11 +41,15 @@ class Glass(Material):
 
 
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """The direction through a smooth interface of relative index `eta` (behind over before, no
-    unit) on the other side than `w`: -x / eta, -y / eta, and the rest of a unit vector.
+    """The direction of a refracted ray: -x / eta, -y / eta, and the rest of a unit vector.
 
-    `w`: (3,) unit, local, on either side. In total reflection, where nothing goes through, it is
-    the direction along the surface, and z is 0.
+    Args:
+        w: (3,) unit, local, on either side of the interface, from where the ray came.
+        eta: () index behind the interface over that before it, > 0, no unit.
+
+    Returns:
+        A unit local direction on the other side than `w`. In total reflection, where nothing goes
+        through, it is the direction along the surface, with z = 0.
     """
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices

@@ -32,7 +32,14 @@ from ._registry import register
 
 
 class HalfDifference(eqx.Module):
-    """`theta_h`, `phi_h`: of the half vector; `theta_d`, `phi_d`: of `wi` about it; () rad."""
+    """Angles of the half vector, and of `wi` about it.
+
+    Attributes:
+        theta_h: () of the half vector, rad.
+        phi_h: () of the half vector, rad.
+        theta_d: () of `wi` about the half vector, rad.
+        phi_d: () of `wi` about the half vector, rad.
+    """
 
     theta_h: Scalar
     phi_h: Scalar
@@ -79,10 +86,12 @@ def from_half_difference(angles: HalfDifference) -> tuple[Vec, Vec]:
 class HalfDifferenceTable(Material):
     """An isotropic BRDF over half and difference angles.
 
-    `values`: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files. `wavelengths`: (bands,) m,
-    or None for RGB. `sampler`: what `sample` draws from; None: the cosine. `interpolation`:
-    "linear" between the middles of bins, or "nearest", the bin itself, as the reference reader
-    has it.
+    Attributes:
+        values: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files.
+        wavelengths: (bands,) m, or None for RGB.
+        sampler: what `sample` draws from; None: the cosine.
+        interpolation: "linear" between the middles of bins, or "nearest", the bin itself, as the
+            reference reader has it; static.
     """
 
     values: Float[Array, "n_h n_d n_p bands"] = eqx.field(converter=as_float)

@@ -14,9 +14,10 @@ from ._registry import register
 class Lambert(Material):
     """Ideal diffuse reflection.
 
-    `diffuse`: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi.
-    `ambient`: (bands,) k_a, no unit: the reflected part of the ambient radiance, or None. k_a of
-    the same surface is rho; the textbook's habit is one number for k_a and k_d.
+    Attributes:
+        diffuse: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. The k_a
+            of the same surface is rho; textbooks often use one number for k_a and k_d.
     """
 
     spectra = ("diffuse",)
@@ -29,10 +30,17 @@ class Lambert(Material):
 
 
 def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
-    """k_d [n.l]+ in sr^-1: radiance per unit of irradiance on a surface facing the light.
+    """Lambert's shading k_d [n.l]+: radiance per unit of irradiance on a surface facing the light.
 
-    `normal`, `wi` (toward the light): (3,) unit. `diffuse`: (bands,) k_d in sr^-1, which is the
-    BRDF itself: albedo / pi. Source: Szeliski, Computer Vision, section 2.2.2.
+    Args:
+        normal: (3,) unit.
+        wi: (3,) unit, toward the light.
+        diffuse: (bands,) k_d in sr^-1, which is the BRDF itself: albedo / pi.
+
+    Returns:
+        The shading, (bands,) in sr^-1.
+
+    Source: Szeliski, Computer Vision, section 2.2.2.
     """
     return diffuse * jnp.maximum(dot(normal, wi), 0)
 

@@ -34,8 +34,13 @@ Outside = Literal["clamp", "extrapolate", "zero"]
 class BRDFSamples(eqx.Module):
     """Measured values at scattered pairs of directions: what a goniometer writes.
 
-    `theta_i`, `phi_i`, `theta_o`, `phi_o`: (n,) rad. `values`: (n, bands) f_r in sr^-1.
-    `wavelengths`: (bands,) m, or None where bands are not wavelengths (RGB).
+    Attributes:
+        theta_i: (n,) polar angle of the light, rad.
+        phi_i: (n,) azimuth of the light, rad.
+        theta_o: (n,) polar angle of the viewer, rad.
+        phi_o: (n,) azimuth of the viewer, rad.
+        values: (n, bands) f_r in sr^-1.
+        wavelengths: (bands,) m, or None where bands are not wavelengths (RGB).
     """
 
     theta_i: Float[Array, " n"] = eqx.field(converter=as_float)
@@ -57,10 +62,15 @@ class BRDFSamples(eqx.Module):
 class IsotropicTable(Material):
     """An isotropic BRDF over (theta_i, theta_o, phi_o - phi_i).
 
-    `theta_i`: (a,), `theta_o`: (b,), `phi`: (c,) rad, increasing. `values`: (a, b, c, bands).
-    `wavelengths`: (bands,) m, or None. `sampler`: what `sample` draws from, see
-    `tabulate_sampler`; None: the cosine. `azimuths`: "mirrored": nodes of `phi` within [0, pi], of
-    a surface that looks the same in a mirror holding the normal; "full": within one turn.
+    Attributes:
+        theta_i: (a,) rad, increasing.
+        theta_o: (b,) rad, increasing.
+        phi: (c,) rad, increasing.
+        values: (a, b, c, bands) f_r in sr^-1.
+        wavelengths: (bands,) m, or None.
+        sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
+        azimuths: "mirrored": nodes of `phi` within [0, pi], of a surface that looks the same in a
+            mirror that contains the normal; "full": within one turn. Static.
     """
 
     theta_i: Float[Array, " a"] = eqx.field(converter=as_float)
@@ -86,8 +96,14 @@ class IsotropicTable(Material):
 class AnisotropicTable(Material):
     """A BRDF over (theta_i, phi_i, theta_o, phi_o).
 
-    `theta_i`: (a,), `phi_i`: (b,), `theta_o`: (c,), `phi_o`: (d,) rad, increasing, azimuths within
-    one turn. `values`: (a, b, c, d, bands). Else as `IsotropicTable`.
+    Attributes:
+        theta_i: (a,) rad, increasing.
+        phi_i: (b,) rad, increasing, within one turn.
+        theta_o: (c,) rad, increasing.
+        phi_o: (d,) rad, increasing, within one turn.
+        values: (a, b, c, d, bands) f_r in sr^-1.
+        wavelengths: (bands,) m, or None.
+        sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
     """
 
     theta_i: Float[Array, " a"] = eqx.field(converter=as_float)
@@ -168,12 +184,20 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """The table with a sampler of its own lobes: `sample` then draws in proportion to the mean
-    over bands of what is reflected, where without it draws follow the cosine.
+    """A table with a sampler of its own lobes.
 
-    `material`: a record with a `sampler` and `values`. Tabulated for `thetas` elevations and, if
-    the material is anisotropic, `phis` azimuths of `wo` (1: it is taken as isotropic) at rows x
-    columns half vectors, the columns closest near the normal; all static. Angles in rad.
+    `sample` then draws in proportion to the mean over bands of what is reflected; without it draws
+    follow the cosine.
+
+    Args:
+        material: a record with a `sampler` and `values`.
+        thetas: elevations of `wo` to tabulate; static.
+        phis: azimuths of `wo`, 1 for an isotropic material; static.
+        rows: half vectors along one side; static.
+        columns: half vectors along the other, closest near the normal; static.
+
+    Returns:
+        The same record with its sampler; angles in rad.
     """
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)
@@ -185,7 +209,14 @@ def tabulate_sampler(
 
 
 def sample_directions(samples: BRDFSamples) -> tuple[Vec, Vec]:
-    """(wi, wo) of every sample, components (n,): unit, local frame."""
+    """The directions of every sample.
+
+    Args:
+        samples: measured values at scattered angles, rad.
+
+    Returns:
+        (wi, wo), components (n,): unit, local.
+    """
     return spherical(samples.theta_i, samples.phi_i), spherical(samples.theta_o, samples.phi_o)
 
 
@@ -197,11 +228,21 @@ def samples_of(
     *,
     phi_i: Float[Array, " d"] | None = None,
 ) -> BRDFSamples:
-    """f_r (no cosine inside) of any material on a grid of angles in rad, as samples to fit.
+    """f_r (no cosine inside) of any material on a grid of angles, as samples to fit.
 
-    All a * d * b * c combinations, in that order, theta_i slowest and phi_o fastest; `phi_i` is 0
-    unless given. `values.reshape(a, b, c, bands)` are those of an `IsotropicTable` over phi_o, and
+    All a * d * b * c combinations, in that order, theta_i slowest and phi_o fastest:
+    `values.reshape(a, b, c, bands)` are those of an `IsotropicTable` over phi_o, and
     (a, d, b, c, bands) of an `AnisotropicTable`.
+
+    Args:
+        material: any material with a BRDF in sr^-1.
+        theta_i: (a,) rad.
+        theta_o: (b,) rad.
+        phi_o: (c,) rad.
+        phi_i: (d,) rad; 0 by default.
+
+    Returns:
+        The samples, (a d b c, bands) in sr^-1.
     """
     phi_i = jnp.zeros_like(theta_i[:1]) if phi_i is None else phi_i
     grid = jnp.meshgrid(theta_i, phi_i, theta_o, phi_o, indexing="ij")

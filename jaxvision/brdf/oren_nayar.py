@@ -28,9 +28,11 @@ from ._registry import register
 class OrenNayar(Material):
     """Diffuse reflection of a rough surface.
 
-    `diffuse`: (bands,) k_d in sr^-1 of the facets, their albedo / pi. `sigma`: () standard
-    deviation of the facets' slope angle, radians. `form`: "qualitative" or "full". `ambient`:
-    (bands,) k_a, no unit, or None.
+    Attributes:
+        diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
+        sigma: () standard deviation of the facets' slope angle, radians, >= 0.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+        form: "qualitative" or "full"; static.
     """
 
     spectra = ("diffuse",)

@@ -43,13 +43,19 @@ from ._warp import Slices, Square, Warp, bilinear, slices, tabulated_warp, unwar
 
 
 class RGL(Material):
-    """A material of the database, isotropic where `phi` has one or two nodes.
+    """A material of the RGL database, isotropic where `phi` has one or two nodes.
 
-    `theta`: (t,), `phi`: (p,) rad, increasing: the nodes of `wo`. `values`: (p, t, n, n, bands).
-    `ndf`, `sigma`: (rows, columns) over the squares of half vectors and of directions, no unit.
-    `vndf`, `luminance`: warps of the unit square for each (phi, theta). `wavelengths`: (bands,) m,
-    or None for RGB. `scaled`: whether ndf / (4 sigma) multiplies the values (the file's
-    `jacobian`). `symmetry`: how many equal sectors a turn of `wo` has; the nodes span one.
+    Attributes:
+        theta: (t,) rad, increasing, nodes of `wo`.
+        phi: (p,) rad, increasing, nodes of `wo`.
+        values: (p, t, n, n, bands).
+        ndf: (rows, columns) over the square of half vectors, no unit.
+        sigma: (rows, columns) over the square of directions, no unit.
+        vndf: warp of the unit square for each (phi, theta).
+        luminance: warp of the unit square for each (phi, theta).
+        wavelengths: (bands,) m, or None for RGB.
+        scaled: whether ndf / (4 sigma) multiplies the values (the file's `jacobian`); static.
+        symmetry: how many equal sectors a turn of `wo` has; the nodes span one; static.
     """
 
     theta: Float[Array, " t"] = eqx.field(converter=as_float)

@@ -42,12 +42,19 @@ from .microfacet import (
 class TorranceSparrow(Material):
     """k_d plus k_s times the microfacet lobe.
 
-    `diffuse`: (bands,) k_d in sr^-1. `specular`: (bands,) or neutral (1,), k_s, no unit: 1 for a
-    surface that is all facets. `roughness`: () alpha, or (2,) along the tangent and across it, no
-    unit; below 1e-6 it counts as 1e-6. `interface`: what the facets are made of, `Dielectric`,
-    `Conductor` or `Schlick`; None reflects all. `distribution`: "ggx" or "beckmann".
-    `shadowing`: "smith" or "v-cavity". `ambient`: (bands,) k_a, no unit, or None. `ValueError` if
-    the interface has neither one band nor as many as the others.
+    Attributes:
+        diffuse: (bands,) k_d in sr^-1.
+        specular: (bands,) or neutral (1,), k_s, no unit: 1 for a surface that is all facets.
+        roughness: () alpha, or (2,) along the tangent and across it, no unit; below 1e-6 it counts
+            as 1e-6.
+        interface: what the facets are made of, `Dielectric`, `Conductor` or `Schlick`; None
+            reflects all.
+        ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+        distribution: "ggx" or "beckmann"; static.
+        shadowing: "smith" or "v-cavity"; static.
+
+    Raises:
+        ValueError: if the interface has neither one band nor as many as the others.
     """
 
     spectra = ("diffuse",)

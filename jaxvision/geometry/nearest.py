@@ -58,7 +58,14 @@ Shapes = Sequence[Shape] | Sorted
 
 
 def sorted_shapes(shapes: Shapes) -> Sorted:
-    """Shapes made ready for many rays: worth doing once, outside of a loop over rays. m."""
+    """Shapes made ready for many rays: worth doing once, outside a loop over rays.
+
+    Args:
+        shapes: any shapes, lengths in m, or what this function returned.
+
+    Returns:
+        The shapes, sorted by kind.
+    """
     if isinstance(shapes, Sorted):
         return shapes
     simple = [i for i, shape in enumerate(shapes) if not isinstance(shape, TriangleMesh)]
@@ -76,7 +83,15 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
 
 
 def intersect(ray: Ray, shape: Shape) -> Hit:
-    """The hit of any shape."""
+    """Where a ray meets a shape.
+
+    Args:
+        ray: its origin in m.
+        shape: any shape, m.
+
+    Returns:
+        The nearest hit in front of the origin; a miss has distance inf.
+    """
     match shape:
         case Sphere():
             return intersect_sphere(ray, shape)
@@ -93,9 +108,15 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
 
 def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
-    """What the ray meets first; of equally near shapes of one kind the first. No gradient.
+    """What a ray meets first; of equally near shapes of one kind the first.
 
-    Distances, m, are told apart but for their last three bits.
+    Args:
+        ray: its origin in m.
+        shapes: any shapes, m.
+
+    Returns:
+        The numbers of the shape and of its triangle. Distances, m, are told apart but for their
+        last three bits. No gradient.
     """
     return stored(_nearest, *jax.lax.stop_gradient((ray, sorted_shapes(shapes))))
 
@@ -136,8 +157,16 @@ def _nearest(ray: Ray, ready: Sorted) -> Encounter:
 
 
 def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
-    """The hit of what `nearest_shape` found, the only shape that gradients reach; a miss for
-    nothing found."""
+    """The hit of the shape that `nearest_shape` found, the only one that gradients reach.
+
+    Args:
+        ray: its origin in m.
+        shapes: the same shapes, m.
+        encounter: what `nearest_shape` found.
+
+    Returns:
+        The hit; a miss where nothing was found.
+    """
     ready, zero = sorted_shapes(shapes), jnp.zeros_like(ray.origin.x)
     nowhere = Vec(zero, zero, zero)
     chosen = Hit(
@@ -182,12 +211,19 @@ def occluded(
     *,
     size: Scalar | None = None,
 ) -> Bool[Array, ""]:
-    """Whether any shape lies between a point of a surface and what it looks at. No gradient.
+    """Whether any shape lies between a point of a surface and its target.
 
-    `point`: m. `normal`: unit, of the surface at the point, or 0 for a point in free space.
-    `direction`: unit. `distance`: () m to what is looked at, inf for what is infinitely far; both
-    ends are open by as much as rounding can shift them, see `offset_origin`. `size`: () m, as
-    `Hit.size`; without it the largest coordinate of all shapes.
+    Args:
+        point: (3,) m.
+        normal: (3,) unit, of the surface at the point, or 0 for a point in free space.
+        direction: (3,) unit, toward the target.
+        distance: () m to the target, inf for one that is infinitely far away; both ends are open by
+            as much as rounding can shift them, see `offset_origin`.
+        shapes: any shapes, m.
+        size: () m, as `Hit.size`; without it the largest coordinate of all shapes.
+
+    Returns:
+        A flag, (). No gradient.
     """
     return stored(blocked, point, normal, direction, distance, sorted_shapes(shapes), size)
 

@@ -15,28 +15,41 @@ from ._size import largest_component, offset_length
 
 
 class Ray(eqx.Module):
-    """`origin`: m. `direction`: unit vector, the way the ray travels. (3,) arrays are taken apart
-    into components."""
+    """A ray; (3,) arrays are split into components.
+
+    Attributes:
+        origin: (3,) m.
+        direction: (3,) unit vector, the way the ray travels.
+    """
 
     origin: Vec = eqx.field(converter=as_vec)
     direction: Vec = eqx.field(converter=as_vec)
 
 
 class Encounter(eqx.Module):
-    """What a ray meets first, in whole numbers. `shape`: () index, -1 for nothing. `primitive`: ()
-    the triangle where that shape is a mesh; None where no shape is one."""
+    """What a ray meets first, in whole numbers.
+
+    Attributes:
+        shape: () index, -1 for nothing.
+        primitive: () the triangle where that shape is a mesh; None where no shape is one.
+    """
 
     shape: Int[Array, ""]
     primitive: Int[Array, ""] | None = None
 
 
 class Hit(eqx.Module):
-    """`distance`: () m along the ray, inf for a miss. `normal`: unit, on the front: outward of
-    closed shapes; 0 for a miss. `point`: m, on the surface itself; the ray's origin for a miss.
-    `size`: () m, the largest length that the point was computed from, which its rounding is
-    relative to. `shading_normal`: unit, as `normal` or interpolated, or None where no shape has
-    normals of its own. `uv`: () and (), no unit, 0 for what has none, or None where no shape has
-    any.
+    """Where a ray meets a shape.
+
+    Attributes:
+        distance: () m along the ray, inf for a miss.
+        normal: unit, on the front: outward for closed shapes; 0 for a miss.
+        point: m, on the surface itself; the ray's origin for a miss.
+        size: () m, the largest length that the point was computed from, to which its rounding is
+            relative.
+        shading_normal: unit, as `normal` or interpolated, or None where no shape has normals of its
+            own.
+        uv: () and (), no unit, 0 for a shape without, or None where no shape has any.
     """
 
     distance: Scalar
@@ -48,24 +61,47 @@ class Hit(eqx.Module):
 
 
 def mirror_direction(normal: Vec3, w: Vec3) -> Vec3:
-    """s = (2 n n^T - I) w: `w` mirrored about `normal`, all (..., 3), unit and pointing away from
-    the surface. Source: Szeliski, Computer Vision, section 2.2.2."""
+    """The mirror direction s = (2 n n^T - I) w.
+
+    Args:
+        normal: (..., 3) unit.
+        w: (..., 3) unit, away from the surface.
+
+    Returns:
+        `w` mirrored about the normal, (..., 3), unit, away from the surface.
+
+    Source: Szeliski, Computer Vision, section 2.2.2.
+
+    Example:
+        >>> print(jv.mirror_direction(jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])))
+        [-0.6  0.   0.8]
+    """
     return scaled(normal, 2 * dot(normal, w)) - w
 
 
 def offset_origin(
     point: Vector, normal: Vector, direction: Vector, *, size: Scalar | None = None
 ) -> Vec:
-    """Where a ray that leaves a surface at `point` starts: moved along the normal, to the side the
-    ray goes to, as far as rounding may have put the point on the other one.
+    """Where a ray that leaves a surface starts, so that it does not meet the surface again.
 
-    `point`: m. `normal`, `direction`: unit; the ray may leave on either side. `size`: () m, as
-    `Hit.size`; without it the largest component of the point, too little where the surface
-    itself reaches much farther from the world's origin than the point. A constant to gradients
-    but for the point. One normal is known here: a ray from an edge or a corner of a mesh that goes
-    outward of the one face and inward of its neighbour starts on the wrong side of the neighbour
-    and may meet it. After Waechter & Binder, "A Fast and Robust Method for Avoiding
-    Self-Intersection", Ray Tracing Gems (2019), ch. 6, with the shape's size in the bound.
+    The point moves along the normal, to the side to which the ray goes, as far as rounding may have
+    put it on the other side. Only one normal is known here: a ray from an edge or a corner of a
+    mesh that goes outward of one face and inward of its neighbour starts on the wrong side of the
+    neighbour and may meet it.
+
+    Args:
+        point: (3,) m.
+        normal: (3,) unit.
+        direction: (3,) unit; the ray may leave on either side.
+        size: () m, as `Hit.size`; without it the largest component of the point, which is too
+            little where the surface itself reaches much farther from the world's origin than the
+            point.
+
+    Returns:
+        The origin, m; a constant to gradients but for the point.
+
+    Source: after Waechter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
+    Tracing Gems (2019), ch. 6, with the size of the shape in the bound.
     """
     reach = largest_component(point) if size is None else size
     away = jax.lax.stop_gradient(
