@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, safe_log, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, divide, safe_log, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
@@ -63,7 +63,7 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     both are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
     both = body + lobe
-    return jnp.where(both > 0, body / jnp.where(both > 0, both, 1), 0.5)
+    return divide(body, both, otherwise=0.5)
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:

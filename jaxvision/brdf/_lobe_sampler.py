@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import normalize, smallest_divisor
+from .._numerics import divide, normalize, smallest_divisor
 from .._types import Colour, Scalar
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf
@@ -81,7 +81,7 @@ def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
     _, density = unwarp(sampler.lobe, at, place)
     area = stretch(place[0], h, wo)
     usable = (h.z > 0) & (area > smallest_divisor(area.dtype))
-    return jnp.where(usable, density / jnp.where(usable, area, 1), 0)
+    return divide(density, area, where=usable)
 
 
 def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
@@ -117,7 +117,7 @@ def albedo(material: Any, wo: Vector) -> Colour:
     def weight(wi: Vec) -> Colour:
         density = pdf(material, wi, wo)
         positive = density > 0
-        return jnp.where(positive, shading(material, wi, wo) / jnp.where(positive, density, 1), 0)
+        return divide(shading(material, wi, wo), density, where=positive)
 
     from_lobe, from_cosine = jnp.mean(jax.vmap(jax.vmap(weight))(directions), axis=1)
     return (1 - COSINE_PART) * from_lobe + COSINE_PART * from_cosine

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics import safe_sqrt
+from .._numerics import divide, safe_sqrt
 from .._types import Scalar
 from ._interpolation import among, in_unit
 
@@ -47,7 +47,7 @@ def tabulated_warp(
 ) -> Warp:
     """The warp onto a density >= 0, normalised here; a slice that is 0 everywhere is uniform."""
     total = _running_integral(_running_integral(density)[..., -1])[..., -1][..., None, None]
-    density = jnp.where(total > 0, density / jnp.where(total > 0, total, 1), 1)
+    density = divide(density, total, otherwise=1)
     conditional = _running_integral(density)
     return Warp(phi, theta, density, conditional, _running_integral(conditional[..., -1]))
 
@@ -92,7 +92,7 @@ def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
     """x in [0, 1] with c0 x + (c1 - c0) x^2 / 2 = area, in the form that does not cancel."""
     denominator = c0 + safe_sqrt(c0 * c0 + 2 * area * (c1 - c0))
     positive = denominator > 0
-    return jnp.clip(jnp.where(positive, 2 * area / jnp.where(positive, denominator, 1), 0), 0, 1)
+    return jnp.clip(divide(2 * area, denominator, where=positive), 0, 1)
 
 
 def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
@@ -130,6 +130,6 @@ def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
     r1 = mixed(w.conditional, at, row + 1, columns - 1)
     whole = (1 - y) * r0 + y * r1
     positive = whole > 0
-    ux = jnp.where(positive, part / jnp.where(positive, whole, 1), 0)
+    ux = divide(part, whole, where=positive)
     uy = mixed(w.marginal, at, row) + y * (r0 + y * (r1 - r0) / 2) / (rows - 1)
     return (ux, uy), (1 - x) * c0 + x * c1

@@ -25,7 +25,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._numerics import safe_sqrt, smallest_divisor
+from .._numerics import divide, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
@@ -155,7 +155,7 @@ def body_colour(
     side = total / jnp.where(tinted, length, 1)
     m = jnp.maximum((across @ side) * weight, 0).reshape(-1)
     positive = m > smallest_divisor(m.dtype)
-    ratio = jnp.where(positive, along.reshape(-1) / jnp.where(positive, m, 1), jnp.inf)
+    ratio = divide(along.reshape(-1), m, where=positive, otherwise=jnp.inf)
     order = jnp.argsort(ratio)
     share = jnp.cumsum(m[order])
     chosen = order[jnp.searchsorted(share, quantile * share[-1])]

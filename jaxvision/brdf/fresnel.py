@@ -9,7 +9,7 @@ interface reflects all.
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._numerics import safe_sqrt, smallest_divisor
+from .._numerics import divide, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, as_float, check_shape
 
 
@@ -120,13 +120,13 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     clear = real > 0
     a, b = jnp.where(clear, larger, smaller), jnp.where(clear, smaller, larger)
     # a^2 - c^2 = contrast + b^2, for near equal indices a and c are nearly equal too.
-    apart = jnp.where(clear, (contrast + b * b) / jnp.where(clear, a + c, 1), a - c)
+    apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour) -> Colour:
         below = total * total + other * other
         positive = below > 0
         above = difference * difference + other * other
-        return jnp.where(positive, above / jnp.where(positive, below, 1), 1)
+        return divide(above, below, where=positive, otherwise=1)
 
     r_s = ratio(apart, a + c, b)
     return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c)) / 2

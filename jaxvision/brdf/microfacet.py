@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
-from .._numerics import dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
 from .._types import Scalar, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cross
@@ -85,7 +85,7 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
             root = safe_sqrt(v.z * v.z + squared)
             below = 2 * (root + v.z)
             positive = below > smallest_divisor(below.dtype)
-            return jnp.where(positive, squared / jnp.where(positive, below, 1), 0)
+            return divide(squared, below, where=positive)
         case _:
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import dot, normalize, smallest_divisor
+from .._numerics import divide, dot, normalize, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -171,7 +171,7 @@ def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
     `wi`, `wo`: unit, local frame."""
     cos_i = as_vec(wi).z
     above = cos_i > smallest_divisor(cos_i.dtype)
-    return jnp.where(above, shading(material, wi, wo) / jnp.where(above, cos_i, 1), 0)
+    return divide(shading(material, wi, wo), cos_i, where=above)
 
 
 def sample(material: RGL, wo: Vector, u: Float[Array, "3"]) -> Vec:
@@ -196,7 +196,7 @@ def pdf(material: RGL, wi: Vector, wo: Vector) -> Scalar:
     area = stretch(place[0], h, wo)
     usable = (wo.z > 0) & (h.z > 0) & (area > smallest_divisor(area.dtype))
     density = visible * bilinear(material.luminance.density, at, s)
-    return jnp.where(usable, density / jnp.where(usable, area, 1), 0)
+    return divide(density, area, where=usable)
 
 
 def albedo(material: RGL, wo: Vector, *, order: int = 64) -> Colour:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, dot, norm, normalize, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, divide, dot, norm, normalize, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_kind, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -127,7 +127,7 @@ def _cavity_facet(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -
     h = as_vec(normalize(Vec(a[0] * jnp.cos(phi), a[1] * jnp.sin(phi), jnp.ones_like(phi))))
     near, far = (jnp.maximum(dot(as_vec(wo), side), 0) for side in (h, mirrored(h)))
     seen = near + far > 0
-    part = jnp.where(seen, near / jnp.where(seen, near + far, 1), 0.5)
+    part = divide(near, near + far, where=seen, otherwise=0.5)
     side = jnp.where(u[2] < part, 1, -1)
     return Vec(side * h.x, side * h.y, h.z)
 
@@ -195,8 +195,8 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
     lean = Vec(viewer.x * alpha[0], viewer.y * alpha[1], jnp.zeros_like(cos_o))
     steep = norm(lean)
     tilted = steep > smallest_divisor(steep.dtype)
-    ahead_x = jnp.where(tilted, lean.x / jnp.where(tilted, steep, 1), 1)
-    ahead_y = jnp.where(tilted, lean.y / jnp.where(tilted, steep, 1), 0)
+    ahead_x = divide(lean.x, steep, where=tilted, otherwise=1)
+    ahead_y = divide(lean.y, steep, where=tilted)
 
     def towards_light(r: Scalar, k: Scalar, slope: Vec, squared: Scalar) -> Colour:
         """F G wo.h / (h.z cos(theta_o)) of the facet r times `slope`."""
@@ -231,7 +231,7 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
                 r, area = jnp.tan(end * t), end * dt * jnp.sin(2 * end * t)
             case "beckmann":  # of density 2 r exp(-r^2)
                 within = above < _WIDEST * below
-                end = jnp.where(within, above / jnp.where(within, below, 1), _WIDEST)
+                end = divide(above, below, where=within, otherwise=_WIDEST)
                 r = end * t
                 area = end * dt * 2 * r * jnp.exp(-r * r)
         return area @ jax.vmap(towards_light, in_axes=(0, None, None, None))(r, k, slope, squared)

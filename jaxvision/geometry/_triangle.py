@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics import dot, normalize, smallest_divisor
+from .._numerics import divide, dot, normalize, smallest_divisor
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, masked, where
@@ -154,7 +154,7 @@ def _place(
     distance = dot(normal, a - ray.origin) / jnp.where(crosses, slope, 1)
     hit = crosses & (distance > 0)
     place = ray.origin + jnp.where(hit, distance, 0) * ray.direction - a
-    inverse = jnp.where(hit, 1 / jnp.where(hit, length, 1), 0)
+    inverse = divide(1, length, where=hit)
     v = jnp.clip(dot(place, cross(edge_c, normal)) * inverse, 0, 1)
     w = jnp.clip(dot(place, cross(normal, edge_b)) * inverse, 0, 1)
     excess = jnp.maximum(v + w - 1, 0) / 2

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import dot, normalize, smallest_divisor
+from .._numerics import divide, dot, normalize, smallest_divisor
 from .._types import Scalar
 from .._vector import Vec, Vector, as_vec, masked
 from ..hemisphere import cross
@@ -23,7 +23,7 @@ def _crossing(ray: Ray, point: Vector, normal: Vec) -> tuple[Scalar, Bool[Array,
     height = dot(normal, point - ray.origin)
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
-    distance = jnp.where(crosses, height / jnp.where(crosses, slope, 1), 0)
+    distance = divide(height, slope, where=crosses)
     return distance, distance > 0
 
 
@@ -80,7 +80,7 @@ def flat_quad(quad: Quad) -> FlatQuad:
     area = cross(quad.edge_u, quad.edge_v)
     normal = as_vec(normalize(area))
     length = dot(area, normal)
-    inverse = jnp.where(length > 0, 1 / jnp.where(length > 0, length, 1), 0)
+    inverse = divide(1, length)
     across_u, across_v = cross(quad.edge_v, normal), cross(normal, quad.edge_u)
     return FlatQuad(
         as_vec(quad.corner), normal, across_u * inverse, across_v * inverse, size_of(quad)

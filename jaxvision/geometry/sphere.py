@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import dot, norm, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
 from ..scene import Sphere
@@ -70,7 +70,7 @@ def _meet(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
     larger = b + jnp.where(b < 0, -half_chord, half_chord)  # in magnitude: nothing cancels
     meets = (discriminant > 0) & (jnp.abs(larger) > smallest_divisor(larger.dtype))
     away = norm(ray.origin - sphere.centre)
-    smaller = jnp.where(meets, (away - r) * (away + r) / jnp.where(meets, larger, 1), 0)
+    smaller = divide((away - r) * (away + r), larger, where=meets)
     ahead = b >= 0
     near, far = jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller)
     distance = jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)

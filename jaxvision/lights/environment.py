@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, safe_sqrt
+from .._numerics import arctan2, divide, safe_sqrt
 from .._types import Colour, Scalar, as_float, check_shape
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
@@ -89,7 +89,7 @@ def environment_sample(
     density = environment.density[row, column]
     drawn = density > 0
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
-    weight = jnp.where(drawn, 1 / jnp.where(drawn, density, 1), 0)
+    weight = divide(1, density, where=drawn)
     return Incident(_to_world(environment, direction, point), radiance * weight)
 
 
@@ -184,7 +184,7 @@ def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]
     start, end = cumulative[cell], cumulative[cell + 1]
     wide = end > start
     before = u - start + jnp.finfo(cumulative.dtype).eps / 2
-    fraction = jnp.where(wide, before / jnp.where(wide, end - start, 1), 0)
+    fraction = divide(before, end - start, where=wide)
     return cell, jnp.clip(fraction, 0, 1)
 
 

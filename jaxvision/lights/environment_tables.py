@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from .._numerics import divide
 from .._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
@@ -49,12 +50,12 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
     fixed = jax.lax.stop_gradient(picture)
     brightest = fixed.max()
     # relative to the brightest, so that no sum of them leaves the range of a float
-    relative = jnp.where(brightest > 0, fixed / jnp.where(brightest > 0, brightest, 1), 1)
+    relative = divide(fixed, brightest, otherwise=1)
     brightness = _pixel_means(relative.mean(axis=-1))
     cell = jnp.asarray(_row_solid_angles(h), picture.dtype)[:, None] * (2 * jnp.pi / w)
     mass = brightness * cell
     row_mass = mass.sum(axis=1, keepdims=True)
-    within = jnp.where(row_mass > 0, mass / jnp.where(row_mass > 0, row_mass, 1), 1 / w)
+    within = divide(mass, row_mass, otherwise=1 / w)
     rows, columns = _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
     return EnvironmentMap(
         picture,

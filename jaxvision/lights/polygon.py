@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import dot, smallest_divisor
+from .._numerics import divide, dot, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked, where
@@ -109,14 +109,14 @@ def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, 
     """Derivatives of `angle_over_sine`, whose `value` is known, by both arguments."""
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
-    inverse = jnp.where(narrow | wide, 1 / jnp.where(narrow | wide, length, 1), 0)
+    inverse = divide(1, length, where=narrow | wide)
     adjacent = jnp.where(narrow, cosine, 1)
     x = jnp.where(narrow, square, 0) / (adjacent * adjacent)
     series = jnp.zeros_like(x)  # sum over k >= 1 of (-1)^k x^(k - 1) k / (2 k + 1), Horner
     for k in range(_TERMS, 0, -1):
         series = (-1) ** k * k / (2 * k + 1) + x * series
-    quotient = (cosine * inverse - value) / (2 * jnp.where(wide, square, 1))
-    return jnp.where(narrow, series / adjacent**3, jnp.where(wide, quotient, 0)), -inverse
+    direct = (cosine * inverse - value) / (2 * jnp.where(wide, square, 1))
+    return jnp.where(narrow, series / adjacent**3, jnp.where(wide, direct, 0)), -inverse
 
 
 @angle_over_sine.defjvp
@@ -212,7 +212,7 @@ def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
         a, b = corners[i], corners[after]
         a_above, b_above = heights[i] >= 0, heights[after] >= 0
         seen, cut = a_above | b_above, a_above != b_above
-        place = jnp.where(cut, heights[i] / jnp.where(cut, heights[i] - heights[after], 1), 0)
+        place = divide(heights[i], heights[i] - heights[after], where=cut)
         crossing = a + place * (b - a)
         start, end = where(a_above, a, crossing), where(b_above, b, crossing)
         first, last = jnp.where(a_above, 0, place), jnp.where(b_above, 1, place)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import dot, norm, normalize, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, norm, normalize, safe_sqrt, smallest_divisor
 from .._types import Scalar, as_float, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..geometry import Ray
@@ -58,7 +58,7 @@ def crossing(ray: Ray, window: Window) -> Crossing:
     flat = flat_quad(Quad(window.corner, window.edge_u, window.edge_v))
     height, slope, u, v = line_crossing(ray, flat)
     meets = slope > smallest_divisor(slope.dtype)
-    inverse = jnp.where(meets, 1 / jnp.where(meets, slope, 1), 0)
+    inverse = divide(1, slope, where=meets)
     facing = -dot(flat.normal, ray.direction)
     return Crossing(height * inverse, u * inverse, v * inverse, facing, meets)
 
@@ -160,7 +160,7 @@ def window_sample(
     toward = window.corner - as_vec(point) + s * as_vec(window.edge_u) + t * as_vec(window.edge_v)
     distance = norm(toward)
     apart = distance > smallest_divisor(distance.dtype)
-    nearness = jnp.where(apart, 1 / jnp.where(apart, distance, 1), 0)
+    nearness = divide(1, distance, where=apart)
     direction = toward * nearness
     projected = -dot(cross(window.edge_u, window.edge_v), direction)
     solid_angle = jnp.maximum(projected, 0) * nearness * nearness * jacobian_u * jacobian_v
@@ -183,4 +183,4 @@ def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:
     per_place = _density(spread_u, at.u) * _density(spread_v, at.v)
     projected = norm(cross(window.edge_u, window.edge_v)) * jnp.where(hit, at.facing, 1)
     distance = jnp.where(hit, at.distance, 0)
-    return jnp.where(hit, per_place * distance * distance / jnp.where(hit, projected, 1), 0)
+    return divide(per_place * distance * distance, projected, where=hit)
