@@ -79,13 +79,21 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 
 
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
-    """(r_s^2 + r_p^2) / 2 with g^2 = eta^2 - 1 + c^2 and
+    """Reflectance of a clear interface, (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
 
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
 
-    1 where g^2 <= 0 (total reflection). `eta`: (bands,). Source: Cook & Torrance, ACM TOG 1(1)
-    (1982); the right-hand forms are the same fractions, their numerators made rational.
+    The right-hand forms are the same fractions with rational numerators.
+
+    Args:
+        cos_theta: () cosine of incidence c, no unit.
+        eta: (bands,) relative index, no unit.
+
+    Returns:
+        The reflectance, (bands,), no unit; 1 where g^2 <= 0 (total reflection).
+
+    Source: Cook & Torrance, ACM TOG 1(1) (1982).
     """
     c = jnp.clip(cos_theta, 0, 1)
     contrast = (eta - 1) * (eta + 1)
@@ -101,12 +109,20 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
 
 
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
-    """(R_s + R_p) / 2 with (a + i b)^2 = (eta + i k)^2 - sin^2 and
+    """Reflectance of a metal, (R_s + R_p) / 2, with (a + i b)^2 = (eta + i k)^2 - sin^2 and
 
         R_s = ((a - c)^2 + b^2) / ((a + c)^2 + b^2)
         R_p = R_s ((a c - s^2)^2 + b^2 c^2) / ((a c + s^2)^2 + b^2 c^2)
 
-    `eta`, `k`: (bands,). Source: Born & Wolf, Principles of Optics, section 14.2.
+    Args:
+        cos_theta: () cosine of incidence c, no unit.
+        eta: (bands,) real part of the relative index, no unit.
+        k: (bands,) its imaginary part, no unit.
+
+    Returns:
+        The reflectance, (bands,), no unit.
+
+    Source: Born & Wolf, Principles of Optics, section 14.2.
     """
     c = jnp.clip(cos_theta, 0, 1)
     s_squared = (1 - c) * (1 + c)
@@ -133,7 +149,16 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 
 
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
-    """f0 + (1 - f0) (1 - c)^5. `f0`: (bands,). Source: Schlick, Computer Graphics Forum 13(3)
-    (1994)."""
+    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5.
+
+    Args:
+        cos_theta: () cosine of incidence c, no unit.
+        f0: (bands,) reflectance along the normal, no unit.
+
+    Returns:
+        The reflectance, (bands,), no unit.
+
+    Source: Schlick, Computer Graphics Forum 13(3) (1994).
+    """
     rest = 1 - jnp.clip(cos_theta, 0, 1)
     return f0 + (1 - f0) * (jnp.square(jnp.square(rest)) * rest)

@@ -71,6 +71,8 @@ class IsotropicTable(Material):
         sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
         azimuths: "mirrored": nodes of `phi` within [0, pi], of a surface that looks the same in a
             mirror that contains the normal; "full": within one turn. Static.
+        outside: what angles beyond the nodes give, "clamp", "extrapolate" or "zero"; static.
+        reciprocal: whether the mean of both orders of the directions is taken; static.
     """
 
     theta_i: Float[Array, " a"] = eqx.field(converter=as_float)
@@ -104,6 +106,8 @@ class AnisotropicTable(Material):
         values: (a, b, c, d, bands) f_r in sr^-1.
         wavelengths: (bands,) m, or None.
         sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
+        outside: what angles beyond the nodes give, "clamp", "extrapolate" or "zero"; static.
+        reciprocal: whether the mean of both orders of the directions is taken; static.
     """
 
     theta_i: Float[Array, " a"] = eqx.field(converter=as_float)

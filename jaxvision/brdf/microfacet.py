@@ -27,8 +27,7 @@ print_by_name(globals(), "Alpha")
 
 
 def at_least_polished(alpha: Alpha) -> Alpha:
-    """The roughness that counts: below 1e-6, where a lobe is narrower than rounding, it is 1e-6
-    and has no gradient."""
+    """The roughness that counts: below 1e-6 it is 1e-6, without gradient; no unit."""
     return jnp.maximum(alpha, 1e-6)
 
 

@@ -175,8 +175,16 @@ def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
 
 
 def sample(material: RGL, wo: Vector, u: Float[Array, "3"]) -> Vec:
-    """`wi` drawn in proportion to the luminance reflected toward `wo`. `u`: (3,) uniform in
-    [0, 1), of which two are used. A draw below the surface (the tables' edge) reflects nothing."""
+    """A direction drawn in proportion to the luminance reflected toward `wo`.
+
+    Args:
+        material: the material.
+        wo: (3,) unit, local, toward the viewer.
+        u: (3,) uniform in [0, 1), no unit; two are used.
+
+    Returns:
+        A unit local direction; one below the surface (at the edge of the tables) reflects nothing.
+    """
     wo = as_vec(wo)
     _, turned = _unfolded(material, wo, wo)
     at, origin, _ = _seen_from(material, turned)

@@ -32,8 +32,15 @@ def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, "
 
 
 def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
-    """The nearest point of the mesh in front of the ray's origin, smooth in the ray and the
-    vertices."""
+    """The nearest point of a mesh in front of the ray's origin, smooth in the ray and the vertices.
+
+    Args:
+        ray: its origin in m.
+        mesh: the mesh, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     _, primitive = mesh_nearest(*jax.lax.stop_gradient((ray, mesh)))
     return triangle_hit(ray, mesh, primitive)
 

@@ -59,8 +59,17 @@ def _meet(ray: Ray, box: Box) -> tuple[Vec, Vec, Scalar, list[Scalar], Bool[Arra
 
 
 def intersect_box(ray: Ray, box: Box) -> Hit:
-    """The nearest point of the box in front of the ray's origin, which may lie inside. On an edge
-    the first of the box's own axes gives the normal."""
+    """The nearest point of a box in front of the ray's origin, which may lie inside.
+
+    On an edge the first of the box's own axes gives the normal.
+
+    Args:
+        ray: its origin in m.
+        box: the box, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     origin, direction, distance, candidates, hit = _meet(ray, box)
     on_x = hit & (candidates[0] == distance)
     on_y = hit & ~on_x & (candidates[1] == distance)

@@ -9,10 +9,18 @@ _NAMED = 3  # of many bad vertices or faces, so many are named
 
 
 def problems(shape: Shape) -> list[str]:
-    """One sentence for everything about a shape that is no geometry, none if all is well: numbers
-    that are not finite, radii and extents (m) that are not positive, normals and edges without a
-    direction, faces without area, with vertices that do not exist or with normals that all point to
-    their back."""
+    """Everything about a shape that is not valid geometry.
+
+    Numbers that are not finite, radii and extents that are not positive, normals and edges without
+    a direction; faces without area, with vertices that do not exist, or whose vertex normals all
+    point to their back.
+
+    Args:
+        shape: any shape, lengths in m.
+
+    Returns:
+        One sentence for each problem; none if all is well.
+    """
     kind = type(shape).__name__
     found = [
         f"{kind}.{name} holds a number that is not finite."

@@ -44,7 +44,15 @@ def _hit(
 
 
 def intersect_plane(ray: Ray, plane: Plane) -> Hit:
-    """Where the ray meets the plane, from either side."""
+    """Where a ray meets a plane, from either side.
+
+    Args:
+        ray: its origin in m.
+        plane: the plane, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     normal = as_vec(normalize(plane.normal))
     distance, hit = _crossing(ray, plane.point, normal)
     return _hit(ray, plane.point, normal, distance, hit, size_of(plane))
@@ -58,7 +66,15 @@ def _meet_disc(ray: Ray, disc: Disc) -> tuple[Scalar, Bool[Array, ""], Vec]:
 
 
 def intersect_disc(ray: Ray, disc: Disc) -> Hit:
-    """Where the ray meets the disc, rim included, from either side."""
+    """Where a ray meets a disc, rim included, from either side.
+
+    Args:
+        ray: its origin in m.
+        disc: the disc, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     distance, hit, normal = _meet_disc(ray, disc)
     return _hit(ray, disc.centre, normal, distance, hit, size_of(disc))
 
@@ -119,14 +135,21 @@ def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
 
 
 def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
-    """Where the ray meets the parallelogram, rim included, from either side; one without area is
-    never met."""
+    """Where a ray meets a parallelogram, rim included, from either side.
+
+    Args:
+        ray: its origin in m.
+        quad: the parallelogram, which is never met if it has no area, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
     return quad_hit(ray, flat, meets)
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""]) -> Hit:
-    """The hit of a parallelogram that the ray is known to meet, or not."""
+    """The hit, m, of a parallelogram by a ray of which it is known whether it meets it."""
     distance, ahead = _crossing(ray, quad.corner, quad.normal)
     return _hit(ray, quad.corner, quad.normal, distance, meets & ahead, quad.size)

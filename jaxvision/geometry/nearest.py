@@ -43,9 +43,15 @@ _CHUNK = 8  # shapes that are tried at once: one does not fill the vector units
 
 
 class Sorted(eqx.Module):
-    """Shapes sorted by kind, with all that no ray changes computed once. `groups`: stacked, all
-    but meshes; `members`: static, their numbers, as `mesh_numbers` are those of `meshes`. `size`:
-    () m, the largest coordinate of all, None without any."""
+    """Shapes sorted by kind, with everything that does not depend on the ray computed once.
+
+    Attributes:
+        groups: all but meshes, stacked by kind.
+        meshes: the meshes.
+        size: () m, the largest coordinate of all; None without any shape.
+        members: the numbers of the shapes in each group; static.
+        mesh_numbers: the numbers of the meshes; static.
+    """
 
     groups: tuple[Any, ...]
     meshes: tuple[TriangleMesh, ...]
@@ -236,8 +242,19 @@ def blocked(
     shapes: Shapes,
     size: Scalar | None,
 ) -> Bool[Array, ""]:
-    """`occluded`, its lengths in m too, as a part of the loop of the caller, who stores it with
-    what leads to it."""
+    """`occluded` as part of a loop of the caller, who stores the result together with its inputs.
+
+    Args:
+        point: (3,) m.
+        normal: (3,) unit, or 0 for a point in free space.
+        direction: (3,) unit, toward the target.
+        distance: () m to the target.
+        shapes: any shapes, m.
+        size: () m, as `Hit.size`, or None.
+
+    Returns:
+        A flag, ().
+    """
     point, normal, direction, distance, ready, size = jax.lax.stop_gradient(
         (as_vec(point), normal, as_vec(direction), distance, sorted_shapes(shapes), size)
     )

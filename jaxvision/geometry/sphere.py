@@ -44,8 +44,17 @@ def _closest_approach(ray: Ray, sphere: Sphere) -> tuple[Scalar, Vec]:
 
 
 def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
-    """The nearest point of the sphere in front of the ray's origin, which may lie inside. A
-    tangent ray misses."""
+    """The nearest point of a sphere in front of the ray's origin, which may lie inside.
+
+    A tangent ray misses.
+
+    Args:
+        ray: its origin in m.
+        sphere: the sphere, lengths in m.
+
+    Returns:
+        The hit; a miss has distance inf.
+    """
     distance, along = _meet(ray, sphere)
     hit = distance < jnp.inf
     closest = _closest_approach(ray, sphere)[1]

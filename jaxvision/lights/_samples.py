@@ -1,4 +1,4 @@
-"""A light taken apart by a rule, one node at a time: what a loop over samples runs on."""
+"""A light sampled by a rule, one node at a time: what a loop over samples runs on."""
 
 import jax
 import jax.numpy as jnp

@@ -1,8 +1,8 @@
-"""How finely an extended light is taken apart: as fixed nodes or as random samples.
+"""How finely an extended light is sampled: at fixed nodes or at random.
 
 Every extended light is a map from the unit square to directions. A rule says where in the square
-it is looked at, and how much each place counts; more samples cost in proportion, and that number is
-the knob of accuracy.
+the light is sampled, and with what weights; the cost is in proportion to the number of samples,
+which is the knob of accuracy.
 """
 
 import equinox as eqx
@@ -11,8 +11,9 @@ from .._types import Key, check_count
 
 
 class Quadrature(eqx.Module):
-    """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment. For
-    diffuse surfaces under area lights, and for gradients without noise.
+    """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment.
+
+    For diffuse surfaces under area lights, and for gradients without noise.
 
     The error falls exponentially where light and surface are smooth, and like 1 / order^2 where the
     light crosses the surface's horizon, as every sky does: under a constant one a diffuse surface
@@ -31,7 +32,11 @@ class Quadrature(eqx.Module):
         widths, 1 / sqrt(exponent), wide. Under a constant sky by +4.6 % (alpha .1) and -57 % (.03)
         at order 8, and by +4 % (.03) even at 32.
 
-    `order`: static, whole, >= 1, else `ValueError`.
+    Attributes:
+        order: nodes a side, whole, >= 1, no unit; static.
+
+    Raises:
+        ValueError: for another order.
     """
 
     order: int = eqx.field(static=True)
