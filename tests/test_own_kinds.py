@@ -26,11 +26,11 @@ from jaxvision import (
     light_traced,
     lights,
     path_radiance,
-    ray_tree_radiance,
     render,
 )
 from jaxvision.geometry import intersect, point_on, surface_area
 from jaxvision.scene import Disc
+from jaxvision.transport import ray_tree_radiance
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_along
 
 KEY = jax.random.key(11)
