@@ -220,13 +220,10 @@ from .point_ops import (
     srgb_encode as srgb_encode,
 )
 from .rendering import (
-    Baked as Baked,
     PixelSamples as PixelSamples,
-    bake as bake,
     radiance_along as radiance_along,
     render as render,
     render_light_field as render_light_field,
-    shade_baked as shade_baked,
 )
 from .scene import (
     JPEG as JPEG,

@@ -1,6 +1,6 @@
 """One light by directions drawn from it and from the material, and what arrives from a direction.
 
-Directions of a surface's own frame are `Vec`s; what blocks light is a `Place`, or None: nothing.
+Directions in the frame of a surface are `Vec`s. A `Place` says what blocks light; None: nothing.
 """
 
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ def in_frame(normal: Vector, wo: Vector, tangent: Vector | None) -> tuple[Frame,
 
 
 def in_world(frame: Frame, wi: Vec, like: Vector) -> Vector:
-    """In the world, and of the kind, array or `Vec`, of `like`."""
+    """A local direction in the world, as an array or a `Vec`, whichever `like` is."""
     world = to_world(frame, wi)
     return as_array(world) if isinstance(like, Array) else world
 
@@ -39,8 +39,8 @@ def balanced(
     of_material: Float[Array, "3"],
     place: Place | None,
 ) -> Colour:
-    """One direction from the light and one from the material, each weighed by the density of both
-    samplers together: the mean over uniform numbers is the radiance, W m^-2 sr^-1."""
+    """One direction from the light and one from the material, each divided by the sum of both
+    densities: the mean over uniform numbers is the radiance, W m^-2 sr^-1."""
 
     def weighed(wi: Vec) -> Colour:
         world = in_world(frame, wi, point)

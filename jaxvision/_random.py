@@ -9,6 +9,7 @@ times as much inside a loop over rays.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, UInt32
 
@@ -18,11 +19,18 @@ Word = UInt32[Array, ""]
 
 
 class Stream(eqx.Module):
-    """The numbers of one sample of one pixel: two counters and two words of seed."""
+    """The random numbers of one sample of one pixel.
 
-    pixel: Word
-    sample: Word
-    seed: UInt32[Array, "2"]
+    Attributes:
+        pixel: the number of the pixel.
+        sample: the number of the sample in its pixel; None where a pixel has one ray, and no random
+            numbers.
+        seed: two words, from `seed_of`; None likewise.
+    """
+
+    pixel: UInt32[Array, "*pixels"]
+    sample: Word | None
+    seed: UInt32[Array, "2"] | None
 
 
 def seed_of(key: Key) -> UInt32[Array, "2"]:
@@ -36,10 +44,41 @@ def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array
 
     On a grid of 2^-24 in float32 and of 2^-32 in wider types.
     """
-    words = _hash(
-        stream.pixel ^ stream.seed[0], stream.sample, jnp.asarray(block, jnp.uint32), stream.seed[1]
-    )
+    words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
+
+
+def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
+    """The place of a sample among those of its pixel: 2 or 4 numbers uniform in [0, 1).
+
+    Point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, each pixel with a random shift of
+    its own (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976)), and alpha_i = phi^-i with
+    phi^(d+1) = phi + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+    In whole numbers of 2^-32, exact for any k; rounded as `uniforms` are.
+    """
+    shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
+    steps = _steps(dimensions)
+    words = [shift + stream.sample * step for shift, step in zip(shifts, steps, strict=False)]
+    return jnp.stack([_unit(word, dtype) for word in words])
+
+
+_OF_LATTICE = 0xFFFFFFFF  # a block that no path reaches
+
+
+def _steps(dimensions: int) -> list[np.uint32]:
+    """2^32 phi^-i for i = 1 .. d, with phi the positive root of phi^(d+1) = phi + 1."""
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    return [np.uint32(2**32 * root**-i) for i in range(1, dimensions + 1)]
+
+
+def _words(stream: Stream, sample: Word | None, block: Word | int) -> tuple[Word, ...]:
+    if sample is None or stream.seed is None:
+        raise ValueError("a pixel of one ray has no random numbers; give it samples.")
+    return _hash(
+        stream.pixel ^ stream.seed[0], sample, jnp.asarray(block, jnp.uint32), stream.seed[1]
+    )
 
 
 def _unit(word: Word, dtype: DTypeLike) -> Scalar:

@@ -85,13 +85,6 @@ def _in_one_loop(*values: Array) -> Sequence[Array]:
 _together = None if PLAIN else _primitives.identity("together", _in_one_loop)
 
 
-def reordered(values: Array, order: Array, back: Array) -> Array:
-    """values[order] along the first axis, 0 where `order` points past the end; `back` undoes it:
-    order[back[i]] = i, or past the end for what `order` leaves out."""
-    del back
-    return values.at[order].get(mode="fill", fill_value=0)
-
-
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """`function(*arguments, **named)`, a search, whose results are whole numbers and flags.
 

@@ -145,7 +145,7 @@ def _render(
     from rich.progress import TimeRemainingColumn as Remaining
 
     _use_double_precision()
-    from .render_job import render_to_file, with_resolution
+    from .render_command import render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
 

@@ -16,8 +16,11 @@ from ._vector import Vec, Vec3, as_array, as_vec
 
 
 class Frame(eqx.Module):
-    """Three unit vectors at right angles, right-handed: tangent x bitangent = normal. (..., 3)
-    arrays are taken apart into components."""
+    """Three unit vectors at right angles, right-handed: tangent x bitangent = normal.
+
+    Attributes:
+        tangent, bitangent, normal: (3,) unit length; (..., 3) arrays are split into components.
+    """
 
     tangent: Vec = eqx.field(converter=as_vec)
     bitangent: Vec = eqx.field(converter=as_vec)
@@ -25,18 +28,27 @@ class Frame(eqx.Module):
 
 
 def cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v: as long as the parallelogram of `u` and `v` is large, metres times metres if both
-    are lengths."""
+    """u x v, the length of which is the area of the parallelogram of `u` and `v`: m^2 if both are
+    in m."""
     a, b = as_vec(u), as_vec(v)
     return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
-    """The frame about a unit normal, its tangent as near to `tangent` as a right angle allows.
+    """The frame about a normal.
 
-    Without `tangent`, or where that one is (nearly) parallel to the normal or zero, the frame is
-    that of Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1) (2017): free of
-    branches, right to rounding for every normal, and not continuous across normal.z = 0.
+    Args:
+        normal: (..., 3) unit length.
+        tangent: (..., 3) of any length; the frame's tangent is its part at right angles to the
+            normal. Where it is None, zero or (nearly) parallel to the normal, the frame is that of
+            Duff et al.: free of branches, right to rounding for every normal, and not continuous
+            across normal.z = 0.
+
+    Returns:
+        Unit vectors, components of the shape of those of `normal`.
+
+    Source:
+        Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1) (2017).
     """
     n = as_vec(normal)
     sign = jnp.where(n.z < 0, -jnp.ones_like(n.z), 1)
@@ -116,11 +128,21 @@ def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Directions (nodes, 3) and weights (nodes,) in sr that integrate over the local hemisphere.
+    """Nodes and weights of a quadrature over the local hemisphere.
 
     Gauss-Legendre in cos(theta) times the trapezium rule in phi: exact for polynomials in the
-    components of the direction up to degree min(2 polar - 1, azimuths - 1). The weights sum to
-    2 pi. NumPy float64, made while tracing: both counts are static, positive, else `ValueError`.
+    components of the direction up to degree min(2 polar - 1, azimuths - 1).
+
+    Args:
+        polar: static, nodes in cos(theta), >= 1.
+        azimuths: static, nodes in phi, >= 1.
+
+    Returns:
+        Directions (nodes, 3), unit length, and weights (nodes,) sr, which sum to 2 pi: NumPy
+        float64, made while tracing.
+
+    Raises:
+        ValueError: for a count below 1.
     """
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")

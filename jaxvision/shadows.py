@@ -1,4 +1,4 @@
-"""Which light comes through to a point of a surface: shadows, hard for each sample of a light.
+"""Which light comes through to a point of a surface: hard shadows for each sample of a light.
 
 Lengths in m; no gradient. For ONE point: the caller vmaps.
 """
@@ -11,55 +11,111 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool
 
-from ._groups import group_by_structure
 from ._staging import stored
 from ._types import Scalar, common_dtype
 from ._vector import Vector, as_vec
-from .geometry import Shapes, blocked, occluded, sorted_shapes
-from .lights import Incident, Quadrature, Rule, incident, incident_sample, light_nodes
+from .geometry import Shapes, Sorted, blocked, occluded, sorted_shapes
+from .lights import (
+    Balanced,
+    Incident,
+    Quadrature,
+    Rule,
+    can_be_seen,
+    incident,
+    incident_sample,
+    light_nodes,
+    lights_by_rule,
+    rule_of_each,
+)
 from .scene import Light
 
 DEFAULT_RULE = Quadrature(8)  # 1e-5 off a quarter of its side below a square light
 
-TRACED = "traced"  # what a search among all shapes found: few bytes, and dear to find again
+TRACED = "traced"  # what a search among all shapes found: few bytes, and expensive to find again
+UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
 
-Visible = tuple[Bool[Array, " _"], ...]
+Visible = tuple[Bool[Array, " _"] | None, ...]
 
 
 class Leaving(eqx.Module):
-    """How shadow rays leave a surface. `normal`: (3,) unit, of the surface itself. `size`: () m,
-    as `geometry.Hit.size`, or None: that of the largest shape."""
+    """How shadow rays leave a surface.
+
+    Attributes:
+        normal: (3,) unit length, of the surface itself, not interpolated.
+        size: () m, as `geometry.Hit.size`; None: that of the largest shape.
+    """
 
     normal: Vector
     size: Scalar | None = None
 
 
 class Place(eqx.Module):
-    """A point of a surface, m, and what may lie between it and the light."""
+    """A point of a surface and what may lie between it and the lights.
+
+    Attributes:
+        point: (3,) m.
+        leaving: how shadow rays leave the surface.
+        occluders: the shapes that block light, m.
+    """
 
     point: Vector
     leaving: Leaving
-    occluders: Shapes
+    occluders: Sorted
 
 
 def clear(place: Place, direction: Vector, distance: Scalar) -> Bool[Array, ""]:
-    """Whether light from so far, m, in a unit direction comes through to the place."""
+    """Whether light from `distance`, () m, in a unit direction reaches the place."""
     normal, size = place.leaving.normal, place.leaving.size
     return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
 
 
-def comes_through(place: Place, arriving: Incident) -> Bool[Array, ""]:
-    """Whether what a light sends comes through to the place; lengths in m."""
-    return clear(place, arriving.direction, _distance(arriving))
+def visibility(
+    lights: Sequence[Light],
+    point: Vector,
+    occluders: Shapes,
+    leaving: Leaving,
+    *,
+    rule: Rule | Sequence[Rule] = DEFAULT_RULE,
+) -> Visible:
+    """Which samples of each light reach a point. No gradient.
+
+    Args:
+        lights: any number of sources.
+        point: (3,) m.
+        occluders: at least one shape; all of them block light.
+        leaving: how shadow rays leave the surface at the point.
+        rule: how extended lights are sampled, one rule for all or one for each light.
+
+    Returns:
+        (samples,) for each light, no unit: one for a light at one place; None for an extended light
+        under `Balanced`, the rays of which follow the material.
+    """
+    place, dtype = Place(point, leaving, sorted_shapes(occluders)), common_dtype(lights, point)
+    found: list[Bool[Array, " _"] | None] = [None] * len(lights)
+    for members, group, own in lights_by_rule(lights, rule_of_each(lights, rule)):
+        extended = can_be_seen(lights[members[0]])
+        if extended and isinstance(own, Balanced):
+            continue
+
+        def of_light(light: Light, own: Rule = own) -> Bool[Array, " _"]:
+            def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
+                arriving = incident_sample(light, own, place.point, *node)
+                return clear(place, arriving.direction, _distance(arriving))
+
+            return jax.lax.map(of_node, light_nodes(light, own, dtype))
+
+        if extended or len(members) > UNROLLED:
+            flags = list(jax.lax.map(of_light, group))
+        else:
+            flags = [stored(_light_comes_through, place, lights[i])[None] for i in members]
+            flags = [checkpoint_name(flag, TRACED) for flag in flags]
+        for i, own_flags in zip(members, flags, strict=True):
+            found[i] = own_flags
+    return tuple(found)
 
 
-def light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:
-    """Whether a light at one place comes through to a point; lengths in m. One loop over the rays,
-    from the light's place to the answer."""
-    return checkpoint_name(stored(_comes_through, place, light), TRACED)
-
-
-def _comes_through(place: Place, light: Light) -> Bool[Array, ""]:
+def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:
+    """Whether a light at one place reaches the point, in one loop over the rays."""
     arriving, leaving = incident(light, place.point), place.leaving
     return ~blocked(
         place.point,
@@ -75,28 +131,3 @@ def _distance(arriving: Incident) -> Scalar:
     if arriving.distance is None:
         return jnp.full_like(as_vec(arriving.direction).x, jnp.inf)
     return arriving.distance
-
-
-def visibility(
-    lights: Sequence[Light],
-    point: Vector,
-    occluders: Shapes,
-    leaving: Leaving,
-    *,
-    rule: Rule = DEFAULT_RULE,
-) -> Visible:
-    """Which nodes of each light come through to `point`, (3,) m: (nodes,) for each. No gradient;
-    no unit."""
-    place, dtype = Place(point, leaving, sorted_shapes(occluders)), common_dtype(lights, point)
-
-    def of_light(light: Light) -> Bool[Array, " nodes"]:
-        nodes, weights = light_nodes(light, rule, dtype)
-        return jax.lax.map(
-            lambda node: comes_through(place, incident_sample(light, rule, place.point, *node)),
-            (nodes, weights),
-        )
-
-    flags: dict[int, Bool[Array, " nodes"]] = {}
-    for members, group in group_by_structure(lights):
-        flags |= dict(zip(members, jax.lax.map(of_light, group), strict=True))
-    return tuple(flags[i] for i in range(len(lights)))

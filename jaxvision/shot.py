@@ -24,10 +24,14 @@ Renderer = Callable[[Scene, View], Image]
 
 
 class Capture(eqx.Module):
-    """Every stage of one picture, each (h, w, bands).
+    """Every stage of one picture.
 
-    `radiance`: W m^-2 sr^-1 seen by each pixel. `irradiance`: W m^-2 on the sensor. `raw`: DN, (h,
-    w, 1) under a colour filter. `picture`: developed, or None for a camera without development.
+    Attributes:
+        radiance: (h, w, bands) W m^-2 sr^-1 seen by each pixel.
+        irradiance: (h, w, bands) W m^-2 on the sensor.
+        raw: (h, w, bands) DN, (h, w, 1) under a colour filter.
+        picture: (h, w, colours) developed, relative to white; None for a camera without
+            development.
     """
 
     radiance: Image
@@ -43,21 +47,35 @@ def capture(
     *,
     die_key: Key | None = None,
     rule: Rule = DEFAULT_RULE,
-    shadows: bool = True,
     samples: PixelSamples | None = None,
     motion: Motion | None = None,
     moments: int = 8,
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
-    `key` draws what changes from frame to frame, `die_key` what stays with this camera; either may
-    be None where the sensor has nothing to draw from it, else `ValueError`. `rule`, `shadows`,
-    `samples`: of `render`; a thin lens needs samples to defocus. `motion`: the scene and the view
-    at a time in s after the first row's exposure began, from what they are at rest; they are looked
-    at in so many `moments` (`sensor.exposure_slots` places them) over the sensor's exposure time,
-    which must be given.
+    Args:
+        key: random key of what changes from frame to frame; None where the sensor draws nothing
+            from it.
+        scene: what is in front of the camera.
+        camera: view, sensor and development.
+        die_key: random key of what stays with this camera, likewise.
+        rule: how extended lights without a rule of their own are sampled, as in `render`.
+        samples: the mean over many rays of each pixel, as in `render`; a thin lens needs it to
+            defocus.
+        motion: from a time in s after the first row's exposure began to the scene and the view
+            then, given what they are at rest; None: all stands still. The sensor must have an
+            exposure time.
+        moments: static, how many times during the exposure are rendered for a motion;
+            `sensor.exposure_slots` places them.
+
+    Returns:
+        Radiance, irradiance, raw numbers and the developed picture.
+
+    Raises:
+        ValueError: for a key that is missing, a motion without exposure time, and a thin lens
+            without samples, unless its f_number is inf or traced.
     """
-    renderer = partial(render, rule=rule, shadows=shadows, samples=samples)
+    renderer = partial(render, rule=rule, samples=samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)

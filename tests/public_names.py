@@ -13,7 +13,10 @@ EAGER = {
     "jaxvision.accuracy",
     "jaxvision.camera_files",
     "jaxvision.mesh_files",
-    "jaxvision.render_job",
+    "jaxvision.render_command",
+    "jaxvision.render_command.job",
+    "jaxvision.render_command.integrators",
+    "jaxvision.render_command.tiles",
     "jaxvision.scene_checks",
     "jaxvision.scene_files",
     "jaxvision.scene_files.bands",
@@ -38,15 +41,24 @@ EAGER = {
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_tables",
 }
-# Static answers to static questions: no array goes in. And parts of the one loop of a shadow ray,
-# swept with `occluded`, `visibility` and `outgoing_radiance`.
+# Static answers to static questions: no array goes in. And parts of functions that are swept:
+# `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
 STATIC = {
     "jaxvision.geometry.nearest.blocked",
     "jaxvision.shadows.clear",
-    "jaxvision.shadows.comes_through",
-    "jaxvision.shadows.light_comes_through",
+    "jaxvision.shading.lighting",
+    "jaxvision.shading.reflected_radiance",
+    "jaxvision.rendering.direct.direct_along",
+    "jaxvision.rendering.direct.sorted_scene",
+    "jaxvision.rendering.pixel_loop.each",
+    "jaxvision.rendering.pixel_loop.in_blocks",
+    "jaxvision.rendering.pixel_loop.mean_of_samples",
+    "jaxvision.rendering.pixel_loop.numbers_of",
+    "jaxvision.rendering.pixel_loop.photograph",
+    "jaxvision.transport.paths.path_along",
+    "jaxvision.transport.ray_tree.ray_tree_along",
+    "jaxvision.transport.radiosity.gather.radiosity_rays",
     "jaxvision.hemisphere.product_nodes",
-    "jaxvision.rendering.bake",
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
 }

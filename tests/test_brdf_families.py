@@ -469,8 +469,6 @@ def test_the_table_names_what_is_missing():
         brdf.evaluate(Unregistered(), *(w[0] for w in PAIRS))
     with pytest.raises(ValueError, match="pdf without sample"):
         brdf.register(Retroreflector, evaluate=brdf.evaluate, pdf=brdf.pdf)
-    with pytest.raises(ValueError, match="in place of shading"):
-        brdf.register(Retroreflector, evaluate=brdf.evaluate, angles=brdf.shading)
 
 
 # ------------------------------------------------ the mirror

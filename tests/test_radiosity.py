@@ -526,5 +526,3 @@ def test_options_out_of_range():
         form_factor_table(ROOM, PLAN, rays=0)
     with pytest.raises(ValueError, match="\"progressive\", got 'guess'"):
         solve_radiosity(TABLE, ALBEDO, SENT, method="guess")
-    with pytest.raises(ValueError, match="samples must be at least 1, got 0"):
-        radiosity_image(ROOM, PLAN, SOLUTION, VIEW, samples=0)

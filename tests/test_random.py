@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxvision._random import Stream, seed_of, uniforms
+from jaxvision._random import Stream, lattice_point, seed_of, uniforms
 
 SEED = seed_of(jax.random.key(11))
 
@@ -97,3 +97,39 @@ def test_known_value():
         v = [x, y, z, w] if turn else [a ^ (a >> 16) for a in (x, y, z, w)]
     stream = Stream(jnp.uint32(1), jnp.uint32(2), jnp.asarray([0, 4], jnp.uint32))
     np.testing.assert_array_equal(uniforms(stream, 3, jnp.float64), np.array(v) / 2**32)
+
+
+def places(pixels, samples, dimensions, dtype=jnp.float64):
+    """(pixels, samples, dimensions) of a lattice a pixel."""
+    place = lambda p, s: lattice_point(Stream(p, s, SEED), dimensions, dtype)  # noqa: E731
+    over = jax.jit(jax.vmap(jax.vmap(place, (None, 0)), (0, None)))
+    return np.asarray(over(*(jnp.arange(n, dtype=jnp.uint32) for n in (pixels, samples))))
+
+
+@pytest.mark.parametrize(("dimensions", "root"), [(2, 1.32471795724), (4, 1.16730397826)])
+def test_samples_of_a_pixel_are_a_kronecker_sequence_with_a_shift_of_its_own(dimensions, root):
+    """Steps of the powers of the roots of x^3 = x + 1 and x^5 = x + 1, which Roberts gives; the
+    shifts, and the samples of all pixels together, are uniform and the first few of no pixel are
+    those of another."""
+    made = places(512, 64, dimensions)
+    steps = (made[:, 1:] - made[:, :-1]) % 1
+    expected = np.broadcast_to(root ** -np.arange(1.0, dimensions + 1), steps.shape)
+    np.testing.assert_allclose(steps, expected, rtol=1e-8)
+    assert stats.kstest(made[:, 0].ravel(), "uniform").pvalue > 1e-3
+    a, b = made[:-1, 0].ravel(), made[1:, 0].ravel()
+    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(a.size)
+
+
+def test_a_lattice_covers_a_pixel_more_evenly_than_independent_numbers():
+    """The part of a pixel left of and above a corner, by 64 samples: the variance of independent
+    ones is p (1 - p) / 64."""
+    made, corner = places(512, 64, 2), np.array([0.4, 0.7])
+    covered = (made < corner).all(axis=-1).mean(axis=1)
+    p = corner.prod()
+    assert abs(covered.mean() - p) < 4 * np.sqrt(p * (1 - p) / 64 / 512)
+    assert covered.var() < 0.2 * p * (1 - p) / 64
+
+
+def test_a_pixel_of_one_ray_has_no_numbers():
+    with pytest.raises(ValueError, match="give it samples"):
+        lattice_point(Stream(jnp.uint32(1), None, None), 2, jnp.float32)

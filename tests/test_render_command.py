@@ -13,11 +13,11 @@ import OpenImageIO as oiio
 import pytest
 from typer.testing import CliRunner
 
-from jaxvision import render_job
-from jaxvision._partial_image import PartialImage, PartialSum
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
+from jaxvision.render_command import job
+from jaxvision.render_command.tiles import PartialImage, PartialSum
 from jaxvision.rendering import PixelSamples, render
 from jaxvision.scene_files import read_scene
 from jaxvision.scene_files.schema import overridden
@@ -142,13 +142,13 @@ def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypat
     assert [file.name for file in tmp_path.iterdir()] == ["a.exr.partial"]
 
     computed = []
-    original = render_job.pixels_of
+    original = job.pixels_of
 
     def counting(*arguments):
         compute = original(*arguments)
         return lambda rows, columns: computed.append(1) or compute(rows, columns)
 
-    monkeypatch.setattr(render_job, "pixels_of", counting)
+    monkeypatch.setattr(job, "pixels_of", counting)
     assert run(*command)[0] == 0
     assert len(computed) == 3
     assert (read_image(tmp_path / "a.exr") == read_image(rendered / "ball.exr")).all()
@@ -172,7 +172,7 @@ def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch
         assert status == 2
         assert f"a.exr.partial: holds part of a render with another {names}" in error
     with monkeypatch.context() as patch:
-        patch.setattr(render_job, "version", lambda package: "0.0")
+        patch.setattr(job, "version", lambda package: "0.0")
         assert "another version of jaxvision; add --fresh" in run(*command)[2]
     (tmp_path / "b.toml").write_text(SCENE.replace("radius = 1", "radius = 0.9"))
     _, _, error = run(tmp_path / "b.toml", "--out", tmp_path / "a.exr")

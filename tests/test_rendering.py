@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from jaxvision import (
-    AmbientLight,
     DirectionalLight,
     Lambert,
     MonteCarlo,
+    OrenNayar,
     Orthographic,
     PointLight,
     Quadrature,
@@ -21,15 +21,24 @@ from jaxvision import (
     Scene,
     Sphere,
     Surface,
+    ThinLens,
     as_dtype,
     rectangle_irradiance,
-    rendering,
 )
+from jaxvision._random import Stream
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
 from jaxvision.lights import Balanced
-from jaxvision.rendering import PixelSamples, bake, radiance_along, render, shade_baked
+from jaxvision.rendering import (
+    PixelSamples,
+    direct_along,
+    photograph,
+    radiance_along,
+    render,
+    sample_ray,
+)
 from jaxvision.scene import Plane, Quad, TriangleMesh
+from jaxvision.shadows import Leaving, visibility
 
 KD = [0.3, 0.2]
 FLOOR = Surface(Plane([0, 0, 0], [0, 0, 1]), Lambert(KD))
@@ -120,8 +129,9 @@ def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
     assert (np.abs(cuts) < 1).sum() >= 4
 
 
-def operations(jaxpr):
-    """How many operations a trace holds, those inside its calls and loops too."""
+def operations(jaxpr, call=None):
+    """How many operations a trace holds, or how many calls of one name, those inside its calls and
+    loops too."""
     inner = (
         value
         for equation in jaxpr.eqns
@@ -130,23 +140,107 @@ def operations(jaxpr):
         )
     )
     jaxprs = [getattr(value, "jaxpr", value) for value in inner]
-    return len(jaxpr.eqns) + sum(operations(x) for x in jaxprs if hasattr(x, "eqns"))
+    own = sum(call in (None, equation.params.get("name")) for equation in jaxpr.eqns)
+    return own + sum(operations(x, call) for x in jaxprs if hasattr(x, "eqns"))
 
 
 def test_an_absent_shadow_is_not_traced():
     """From the jaxpr: without shadows fewer operations, and one shape that cannot shade itself
     has none to begin with."""
     light = [PointLight([1.5, 1, 3.0], [5.0, 4])]
-    two = Scene([FLOOR, Surface(BALL, Lambert(KD))], light)
 
-    def count(scene, **options):
-        return operations(jax.make_jaxpr(partial(render, **options))(scene, VIEW).jaxpr)
+    def count(surfaces, occluders=None):
+        scene = Scene(surfaces, light, occluders=occluders)
+        return operations(jax.make_jaxpr(render)(scene, VIEW).jaxpr)
 
-    assert count(two) > count(two, shadows=False) + 30
-    for alone in (FLOOR, Surface(BALL, Lambert(KD))):
-        assert count(Scene([alone], light)) == count(Scene([alone], light), shadows=False)
-    both_sides = Scene([Surface(BALL, Lambert(KD), two_sided=True)], light)
-    assert count(both_sides) > count(both_sides, shadows=False) + 30
+    ball = Surface(BALL, Lambert(KD))
+    assert count([FLOOR, ball]) > count([FLOOR, ball], [1]) > count([FLOOR, ball], ()) + 30
+    for alone in (FLOOR, ball):
+        assert count([alone]) == count([alone], ())
+    both_sides = [Surface(BALL, Lambert(KD), two_sided=True)]
+    assert count(both_sides) > count(both_sides, ()) + 30
+
+
+@pytest.mark.parametrize("rule", [Quadrature(2), MonteCarlo(jax.random.key(1), 3)])
+def test_shadows_are_asked_for_once_however_many_kinds_of_material(rule):
+    """The program of four kinds of material tests shapes for blocking as often as that of one."""
+    lights = [PointLight([1.5, 1, 3.0], [5.0, 4]), LAMP]
+    kinds = [Lambert(KD), PhongBRDF(KD, KD, 9.0), NormalisedPhong(KD, KD, 9.0), OrenNayar(KD, 0.3)]
+
+    def count(materials):
+        spheres = [Sphere([x, 0.0, 1], 0.4) for x in (-1.5, -0.5, 0.5, 1.5)]
+        scene = Scene([Surface(*pair) for pair in zip(spheres, materials, strict=True)], lights)
+        program = jax.make_jaxpr(lambda scene: render(scene, VIEW, rule=rule))(scene)
+        return operations(program.jaxpr, "_blocks")
+
+    assert count(kinds) == count([kinds[0]] * 4) > 0
+
+
+def test_occluders_are_the_surfaces_that_block():
+    """A ball and a plate in the way of a lamp: named alone, each leaves its own shadow, which the
+    scene of the other alone does not have; both together are the usual picture."""
+    plate = Surface(Quad([-2.0, 1.0, 1], [1.5, 0, 0], [0, 1.5, 0]), Lambert(KD))
+    surfaces, light = (
+        [FLOOR, Surface(BALL, Lambert(KD)), plate],
+        [PointLight([0, 0, 6.0], [5.0, 4])],
+    )
+    draw = jax.jit(render)
+
+    def picture(occluders):
+        return np.asarray(draw(Scene(surfaces, light, occluders=occluders), VIEW))
+
+    whole, none = picture(None), picture(())
+    np.testing.assert_array_equal(picture([0, 1, 2]), whole)
+    by_ball, by_plate = picture([1]) < 0.5 * none, picture([2]) < 0.5 * none
+    assert by_ball.any()
+    assert by_plate.any()
+    assert not (by_ball & by_plate).any()
+    np.testing.assert_array_equal(by_ball | by_plate, whole < 0.5 * none)
+    for wrong, said in (([3], "numbers of 3 surfaces, got 3"), ([-1], "at least 0, got -1")):
+        with pytest.raises(ValueError, match=said):
+            Scene(surfaces, light, occluders=wrong)
+
+
+def test_each_light_by_its_own_rule():
+    """Light adds up: two lamps of two rules are the pictures of each lamp alone, by its rule; a
+    None stands for the rule of the call. As many lights of one kind, and of one place, as need a
+    loop."""
+    fine, drawn = Quadrature(6), MonteCarlo(jax.random.key(3), 7)
+    other = RectangleLight([1.0, 1, 3], [0, 0.5, 0], [0.5, 0, 0], [3.0, 2])
+    point = PointLight([1.5, 1, 3.0], [5.0, 4])
+    surfaces = [FLOOR, Surface(BALL, PhongBRDF(KD, KD, 9.0))]
+    lights, rules = [LAMP, point, other, LAMP], [fine, drawn, None, drawn]
+
+    @jax.jit
+    def both():
+        whole = render(Scene(surfaces, lights, rules=rules), VIEW, rule=Quadrature(2))
+        parts = [
+            render(Scene(surfaces, [light]), VIEW, rule=rule or Quadrature(2))
+            for light, rule in zip(lights, rules, strict=True)
+        ]
+        return whole, sum(parts)
+
+    np.testing.assert_allclose(*both(), rtol=1e-12)
+    with pytest.raises(ValueError, match="for each of 4 lights, got 1"):
+        Scene(surfaces, lights, rules=[fine])
+    with pytest.raises(ValueError, match=r"Scene\.rules\[1\] must be a record"):
+        render(Scene(surfaces, lights, rules=[fine, "fine", None, None]), VIEW)
+    with pytest.raises(ValueError, match="one for each of 4 lights, got 2"):
+        visibility(lights, jnp.zeros(3), [BALL], Leaving(jnp.eye(3)[2]), rule=(fine, fine))
+
+
+def test_a_thin_lens_wants_samples():
+    """One ray through its middle would be a picture of a pinhole, all in focus."""
+    scene = Scene([Surface(BALL, Lambert(KD))], [PointLight([1.5, 1, -3.0], [5.0, 4])])
+    about = {"resolution": (3, 4), "focus_distance": 0.5}
+    lens = ThinLens([0.3, 0, -1], np.eye(3), 0.05, 1e-2, f_number=2.0, **about)
+    with pytest.raises(ValueError, match="give samples, or use a Pinhole"):
+        render(scene, lens)
+    closed = ThinLens([0.3, 0, -1], np.eye(3), 0.05, 1e-2, f_number=np.inf, **about)
+    image = render(scene, closed)
+    assert (image > 0).any()
+    samples = PixelSamples(jax.random.key(0), 2)
+    assert render(scene, lens, samples=samples).shape == image.shape
 
 
 def ray(origin, direction):
@@ -243,65 +337,42 @@ def test_many_rays_a_pixel_cover_an_edge_by_its_part():
         PixelSamples(jax.random.key(0), 0)
 
 
-@pytest.mark.parametrize("rule", [Quadrature(3), MonteCarlo(jax.random.key(2), 5)])
-def test_baked_geometry_gives_the_same_picture_and_gradient(rule):
-    """With other materials and a brighter lamp than were baked: equal to tracing anew."""
-    plate = Surface(Quad([0.1, -50, 1], [60, 0, 0], [0, 100, 0]), Lambert(KD), [0.5, 0.4])
-    lamps = [PointLight([-1.5, 1, 3.0], [5.0, 4]), LAMP]
-    baked = bake(Scene([FLOOR, Surface(BALL, Lambert(KD)), plate], lamps), VIEW, rule=rule)
-
-    def scene(kd):
-        brighter = [PointLight([-1.5, 1, 3.0], [9.0, 2]), lamps[1]]
-        return Scene([FLOOR, Surface(BALL, Lambert(kd)), plate], brighter)
-
-    def losses(kd):
-        again, traced = shade_baked(baked, scene(kd)), render(scene(kd), VIEW, rule=rule)
-        return (again**2).sum(), (traced**2).sum()
-
-    kd = jnp.asarray([0.25, 0.1])
-    (again, traced), slopes = jax.jit(lambda kd: (losses(kd), jax.jacrev(losses)(kd)))(kd)
-    np.testing.assert_allclose(again, traced, rtol=1e-12)
-    np.testing.assert_allclose(*slopes, rtol=1e-11)
-    with pytest.raises(ValueError, match="Balanced"):
-        bake(scene(kd), VIEW, rule=Balanced(jax.random.key(1), 4))
+LENS = ThinLens(
+    VIEW.position, VIEW.rotation, 0.05, 1e-3, resolution=(5, 7), f_number=0.1, focus_distance=7.0
+)
 
 
-@pytest.mark.parametrize(("kind", "at_once"), [(PhongBRDF, 2), (NormalisedPhong, 2048)])
-def test_baked_angles_serve_the_kinds_that_were_baked_and_others(kind, at_once, monkeypatch):
-    """Of a lobe the angles were baked, shadows among them, the other's were not: both shade as
-    light that is traced, with the same gradients, in parts as in one."""
-    monkeypatch.setattr(rendering, "_BLOCKS", at_once)
-    lamps, dark = [PointLight([-1.5, 1, 3.0], [5.0, 4]), LAMP], AmbientLight([0.2, 0.1])
-    first = PhongBRDF(KD, [0.3], 9.0)
-    baked = bake(Scene([FLOOR, Surface(BALL, first)], lamps, ambient=dark), VIEW)
-    assert baked.angles[baked.kinds.index(PhongBRDF)] is not None
+def test_pixels_do_not_depend_on_the_cut_nor_samples_on_the_call():
+    """Some pixels alone, in another order, equal those of the whole picture to the last bit; six
+    samples are the mean of the first three and the next three."""
+    lamps = [PointLight([1.5, 1, 3.0], [5.0, 4]), LAMP]
+    scene = Scene([FLOOR, Surface(BALL, Lambert(KD))], lamps)
+    rule, key = MonteCarlo(jax.random.key(1), 3), jax.random.key(2)
 
-    def losses(exponent):
-        material = kind([0.2, 0.3], [0.4], exponent, ambient=[0.5, 0.6])
-        scene = Scene([FLOOR, Surface(BALL, material)], lamps, ambient=dark)
-        return (shade_baked(baked, scene) ** 2).sum(), (render(scene, VIEW) ** 2).sum()
+    @partial(jax.jit, static_argnames=("count", "first"))
+    def traced(pixels, count, first):
+        along, samples = direct_along(scene, rule), PixelSamples(key, count)
+        return photograph(along, LENS, samples, pixels=pixels, first_sample=first)
 
-    (again, traced), slopes = jax.jit(lambda n: (losses(n), jax.jacrev(losses)(n)))(
-        jnp.asarray(17.0)
-    )
-    np.testing.assert_allclose(again, traced, rtol=1e-12)
-    np.testing.assert_allclose(*slopes, rtol=1e-11)
+    whole = jax.jit(lambda: photograph(direct_along(scene, rule), LENS, PixelSamples(key, 3)))()
+    rows, columns = np.array([3, 0, 4]), np.array([2, 6, 0])
+    some = traced((rows, columns), 3, 0)
+    np.testing.assert_array_equal(some.radiance, whole.radiance[rows, columns])
+    np.testing.assert_array_equal(some.error, whole.error[rows, columns])
+    after, all_six = traced((rows, columns), 3, 3), traced((rows, columns), 6, 0)
+    mean = (some.radiance + after.radiance) / 2
+    np.testing.assert_allclose(mean, all_six.radiance, rtol=1e-13)
+    assert (some.radiance != after.radiance).any()
 
 
-def test_baked_pictures_are_differentiated_both_ways_and_mapped():
-    """Forward as backward, for one material or a stack of them; black where nothing is seen."""
-    ball = Sphere([0.3, -0.2, 1.0], 0.4)
-    scene = Scene([Surface(ball, Lambert(KD))], [PointLight([1.5, 1, 3.0], [5.0, 4])])
-    view = Orthographic(VIEW.position, VIEW.rotation, 0.2, resolution=(8, 8))
-    baked = bake(scene, view)
+def test_a_view_without_a_lens_draws_two_numbers_a_sample():
+    """From the jaxpr: four only for a lens."""
+    stream = Stream(jnp.uint32(1), jnp.uint32(2), jnp.zeros(2, jnp.uint32))
 
-    def total(kd):
-        picture = shade_baked(baked, Scene([Surface(ball, Lambert(kd))], scene.lights))
-        return jnp.stack([picture.sum(), (picture**2).sum()])
+    def program(view):
+        zero = jnp.zeros(())
+        return str(jax.make_jaxpr(lambda stream: sample_ray(view, zero, zero, stream))(stream))
 
-    kd = jnp.asarray([[0.25, 0.1], [0.5, 0.4]])
-    forward = jax.jit(jax.vmap(jax.jacfwd(total)))(kd)
-    np.testing.assert_allclose(jax.jit(jax.vmap(jax.jacrev(total)))(kd), forward, rtol=1e-13)
-    assert (forward > 0).all()
-    away = Orthographic([9.0, 9, 9], VIEW.rotation, 0.2, resolution=(8, 8))
-    assert (shade_baked(bake(scene, away), scene) == 0).all()
+    assert "f64[2]" in program(VIEW)
+    assert "f64[4]" not in program(VIEW)
+    assert "f64[4]" in program(LENS)

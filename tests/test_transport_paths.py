@@ -1,5 +1,6 @@
 """Path tracing: closed forms, quadrature, conservation, and independence of how it is computed."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -30,6 +31,7 @@ from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
+from jaxvision.rendering import PixelSamples
 from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface
 from jaxvision.transport import Paths, path_radiance, path_sample, path_traced, path_traced_pixels
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
@@ -223,9 +225,11 @@ def test_cornell_box_is_that_of_radiosity():
     paths = jax.jit(partial(path_traced, method=method))(KEY, scene, view)
     plan = plan_patches(scene, size=0.06)
 
+    samples = PixelSamples(KEY, 256)
+
     @jax.jit
     def by_patches(scene, view):
-        return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=256)
+        return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=samples)
 
     patches = np.asarray(by_patches(scene, view))
     seen, noise = np.asarray(paths.radiance), np.asarray(paths.error)
@@ -303,6 +307,28 @@ def test_error_is_the_standard_error():
     )
     claimed = np.sqrt(np.mean(np.square(traced.error)))
     assert np.std(traced.radiance) == pytest.approx(claimed, rel=0.25)
+
+
+def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
+    """A bounce asks a material for the density of the direction drawn and, to weigh both ways of
+    finding light, for that toward the lamp; not where no ray can meet what shines."""
+    pdf, asked = brdf.pdf, []
+    monkeypatch.setattr(brdf, "pdf", lambda *arguments: asked.append(1) or pdf(*arguments))
+    ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
+
+    def densities(light, strategy):
+        asked.clear()
+        scene, method = Scene([Surface(FLOOR, Lambert([0.1]))], [light]), Paths(1, 2)
+        method = dataclasses.replace(method, strategy=strategy)
+        jax.make_jaxpr(lambda ray: path_radiance(KEY, scene, ray, method=method))(ray)
+        return len(asked)
+
+    point = PointLight([0, 0, 1.0], [1.0])
+    lamp = RectangleLight([0, 0, 1.0], [0, 1.0, 0], [1.0, 0, 0], [1.0])
+    drawn = densities(lamp, "lights")
+    assert drawn > 0
+    assert densities(point, "balance") == drawn
+    assert densities(lamp, "balance") == 2 * drawn
 
 
 # ------------------------------------------------ gradients

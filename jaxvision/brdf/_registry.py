@@ -19,11 +19,8 @@ POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
 
 
 class Family(NamedTuple):
-    """The functions of one family; `brdf/__init__` says what each of the first five returns.
+    """The functions of one family; `brdf/__init__` says what each returns.
 
-    `angles(wi, wo)`: what shading needs of the directions, the same for every material of the
-    family, a tree of () numbers; where either lies below the surface, those whose shading is 0.
-    `at_angles(material, angles)`: the shading of it. Both are None for a family that parts nothing.
     `specular(material, w)`: where a ray that came from `w` goes on, of a family of delta functions,
     else None. `absorption(material)`: (bands,) m^-1 or None, of the body behind the surface; None
     for a family that bounds no body.
@@ -34,8 +31,6 @@ class Family(NamedTuple):
     pdf: Callable[[Any, Vector, Vector], Scalar]
     albedo: Callable[[Any, Vector], Colour]
     shading: Callable[[Any, Vector, Vector], Colour]
-    angles: Callable[[Vec, Vec], Any] | None = None
-    at_angles: Callable[[Any, Any], Colour] | None = None
     specular: Callable[[Any, Vec], Specular] | None = None
     absorption: Callable[[Any], Colour | None] | None = None
 
@@ -51,8 +46,6 @@ def register(
     pdf: Callable[[Any, Vector, Vector], Scalar] | None = None,
     albedo: Callable[[Any, Vector], Colour] | None = None,
     shading: Callable[[Any, Vector, Vector], Colour] | None = None,
-    angles: Callable[[Vec, Vec], Any] | None = None,
-    at_angles: Callable[[Any, Any], Colour] | None = None,
 ) -> None:
     """Makes a record of material known to everything that reflects light.
 
@@ -60,19 +53,11 @@ def register(
     are handed directions as `Vec`, in the local frame. Without `sample` and
     `pdf`, which come together, else `ValueError`, directions follow the cosine; without `albedo`
     it is a product quadrature of 32 x 64 directions, good for broad lobes; without `shading` it is
-    the BRDF times the cosine of incidence. `angles` and `at_angles`, which come together in place
-    of `shading`, else `ValueError`, are that function in two steps, as in `Family`: light that was
-    baked then keeps the first.
+    the BRDF times the cosine of incidence.
     """
     if (sample is None) != (pdf is None):
         given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
         raise ValueError(f"{record.__name__}: got {given} without {missing}; they come together.")
-    if (angles is None) != (at_angles is None) or (angles is not None and shading is not None):
-        raise ValueError(
-            f"{record.__name__}: angles and at_angles come together, in place of shading."
-        )
-    if angles is not None and at_angles is not None:
-        shading = _in_two_steps(angles, at_angles)
 
     def shaded(material: Any, wi: Vector, wo: Vector) -> Colour:
         return evaluate(material, wi, wo) * jnp.maximum(as_vec(wi).z, 0)
@@ -86,8 +71,6 @@ def register(
         pdf_cosine if pdf is None else pdf,
         integrated if albedo is None else albedo,
         shaded if shading is None else shading,
-        angles,
-        at_angles,
     )
 
 
@@ -129,12 +112,6 @@ def register_delta(
     _FAMILIES[record] = Family(
         evaluate, sample, pdf, albedo, evaluate, specular=specular, absorption=absorption
     )
-
-
-def _in_two_steps(
-    angles: Callable[[Vec, Vec], Any], at_angles: Callable[[Any, Any], Colour]
-) -> Callable[[Any, Vector, Vector], Colour]:
-    return lambda material, wi, wo: at_angles(material, angles(as_vec(wi), as_vec(wo)))
 
 
 def family(material: Any) -> Family:

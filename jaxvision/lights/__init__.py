@@ -30,7 +30,15 @@ from ._registry import (
     register,
     register_extended,
 )
-from ._samples import incident_sample, light_nodes, rule_for
+from ._samples import (
+    incident_sample,
+    light_nodes,
+    lights_by_rule,
+    rule_for,
+    rule_of_each,
+    rules_of,
+    split_by_rule,
+)
 from .directional import DirectionalLight
 from .environment import EnvironmentMap
 from .environment_tables import environment_map
@@ -69,13 +77,17 @@ __all__ = [
     "incident_samples",
     "irradiance",
     "light_nodes",
+    "lights_by_rule",
     "nearest_seen",
     "radiance_from",
     "register",
     "register_extended",
     "rule_for",
+    "rule_of_each",
+    "rules_of",
     "seen",
     "shifted_lattice",
+    "split_by_rule",
     "square_nodes",
 ]
 

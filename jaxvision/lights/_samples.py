@@ -1,13 +1,18 @@
 """A light sampled by a rule, one node at a time: what a loop over samples runs on."""
 
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Integer
 
+from .._groups import group_by_structure
 from .._types import Scalar, check_kind
 from .._vector import Vector
-from ..scene import Light
+from ..scene import Light, Scene
 from ._nodes import shifted_lattice
 from ._registry import Discrete, Incident, kind_of
 from .rules import Balanced, MonteCarlo, Random, Rule
@@ -40,7 +45,7 @@ def incident_sample(
     return Incident(arriving.direction, arriving.irradiance * weight, arriving.distance)
 
 
-def rule_for(rule: Rule, number: Int[Array, ""]) -> Rule:
+def rule_for(rule: Rule, number: Integer[Array, ""]) -> Rule:
     """The rule for one of many points, pixels by their number: each draws its own random samples;
     fixed nodes stay as they are."""
     match rule:
@@ -49,3 +54,77 @@ def rule_for(rule: Rule, number: Int[Array, ""]) -> Rule:
         case Balanced():
             return Balanced(jax.random.fold_in(rule.key, number), rule.samples)
     return rule
+
+
+def rules_of(
+    scene: Scene, rule: Rule, *, numbers: Sequence[Array] = (), count: int | None = None
+) -> tuple[Rule, ...]:
+    """The rule of each light of a scene: its own where `Scene.rules` has one, else `rule`.
+
+    Args:
+        scene: its lights, and their rules or None.
+        rule: of all lights without a rule of their own.
+        numbers: () each, what tells a pixel and its sample, or another point, from all others:
+            random rules draw anew for each; empty: the rules as they are.
+        count: how many sources there are, the scene's lights first, of which the others (surfaces
+            that shine) take `rule`; None: the lights alone.
+
+    Returns:
+        One rule for each source.
+
+    Raises:
+        ValueError: if an entry of `Scene.rules` is neither a rule nor None.
+    """
+
+    def anew(rule: Rule) -> Rule:
+        return reduce(rule_for, numbers, rule)
+
+    shared, own_rules = anew(rule), scene.rules or ()
+    for i, own in enumerate(own_rules):
+        check_kind(f"Scene.rules[{i}]", own, Rule)
+    rules = [shared if own is None else anew(own) for own in own_rules]
+    count = len(scene.lights) if count is None else count
+    return (*rules, *(shared,) * (count - len(rules)))
+
+
+def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[Rule, ...]:
+    """One rule for each light: a sequence of them as it is, a single one repeated.
+
+    Raises:
+        ValueError: if there are not as many rules as lights.
+    """
+    if not isinstance(rule, Sequence):
+        return (rule,) * len(lights)
+    if len(rule) != len(lights):
+        raise ValueError(
+            f"rule must be one, or one for each of {len(lights)} lights, got {len(rule)}."
+        )
+    return tuple(rule)
+
+
+def lights_by_rule(
+    lights: Sequence[Light], rules: Sequence[Rule]
+) -> list[tuple[tuple[int, ...], Light, Rule]]:
+    """Lights of one structure under one rule, stacked: (their numbers, the stack, the rule)."""
+    groups = group_by_structure(lights)
+    return [part for members, group in groups for part in split_by_rule(members, group, rules)]
+
+
+def split_by_rule(
+    members: tuple[int, ...], group: Any, rules: Sequence[Rule]
+) -> list[tuple[tuple[int, ...], Any, Rule]]:
+    """A stack of sources, cut by their rules: (numbers, stack, rule) of each part."""
+    shared: dict[tuple, list[int]] = {}
+    for place, i in enumerate(members):
+        leaves, kind = jax.tree.flatten(rules[i])
+        shared.setdefault((kind, *map(id, leaves)), []).append(place)
+    if len(shared) == 1:
+        return [(members, group, rules[members[0]])]
+    return [
+        (
+            tuple(members[place] for place in places),
+            jax.tree.map(lambda leaf, at=tuple(places): leaf[jnp.asarray(at)], group),
+            rules[members[places[0]]],
+        )
+        for places in shared.values()
+    ]

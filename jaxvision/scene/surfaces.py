@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from .._types import Colour, as_optional_float, check_kind, check_shape
+from .._types import Colour, as_optional_float, check_count, check_kind, check_shape
 from .light import AmbientLight, Light
 from .shapes import Shape
 
@@ -50,6 +50,10 @@ def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:
     return (records,) if isinstance(records, eqx.Module) else tuple(records)
 
 
+def _as_optional_tuple(values: Iterable[Any] | None) -> tuple[Any, ...] | None:
+    return None if values is None else tuple(values)
+
+
 class Scene(eqx.Module):
     """Surfaces and the lights on them.
 
@@ -60,11 +64,22 @@ class Scene(eqx.Module):
         surfaces: at least one; a single record is accepted too.
         lights: any number; a single record is accepted too.
         ambient: uniform light from all directions, or None.
+        occluders: numbers of the surfaces that may block direct light; None: all of them; (): none,
+            and no shadow is traced. `transport`, which follows light from surface to surface, lets
+            every surface block. Static.
+        rules: how each light is sampled, one `lights.Rule` or None (the rule of the call) for each
+            light; None: the rule of the call for all.
     """
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=_as_tuple)
     lights: tuple[Light, ...] = eqx.field(converter=_as_tuple)
     ambient: AmbientLight | None = None
+    occluders: tuple[int, ...] | None = eqx.field(
+        converter=_as_optional_tuple, static=True, default=None, kw_only=True
+    )
+    rules: tuple[Any, ...] | None = eqx.field(
+        converter=_as_optional_tuple, default=None, kw_only=True
+    )
 
     def __check_init__(self) -> None:
         if not self.surfaces:
@@ -74,6 +89,16 @@ class Scene(eqx.Module):
         for i, light in enumerate(self.lights):
             check_kind(f"Scene.lights[{i}]", light, Light)
         check_kind("Scene.ambient", self.ambient, AmbientLight)
+        count = len(self.surfaces)
+        for i in self.occluders or ():
+            check_count("Scene.occluders", i, 0)
+            if i >= count:
+                raise ValueError(f"Scene.occluders must be numbers of {count} surfaces, got {i}.")
+        if self.rules is not None and len(self.rules) != len(self.lights):
+            raise ValueError(
+                f"Scene.rules must hold a rule or None for each of {len(self.lights)} lights, got "
+                f"{len(self.rules)}."
+            )
         _check_bands(self)
 
 

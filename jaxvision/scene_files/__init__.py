@@ -107,7 +107,8 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
             radiance = in_bands(entry.ambient.radiance, bands, folder, quantity="light")
             ambient = AmbientLight(radiance)
     with _named(file, ""):
-        scene = Scene(surfaces, lights, ambient)
+        occluders = None if entry.render.shadows else ()
+        scene = Scene(surfaces, lights, ambient, occluders=occluders)
     for problem in scene_problems(scene, view, names, light_names):
         raise InputError(f"{file}: {problem}")
     kept, kept_view = _in_dtype(file, (scene, view), entry.render.dtype)

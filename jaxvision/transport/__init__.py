@@ -12,9 +12,17 @@ Each has its own reach and cost, which its file states.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ..rendering import Traced
 from .light_paths import light_traced
-from .paths import Paths, Traced, path_radiance, path_sample, path_traced, path_traced_pixels
-from .ray_tree import ray_traced, ray_tree_radiance, ray_tree_radiances
+from .paths import (
+    Paths,
+    path_along,
+    path_radiance,
+    path_sample,
+    path_traced,
+    path_traced_pixels,
+)
+from .ray_tree import ray_traced, ray_tree_along, ray_tree_radiance, ray_tree_radiances
 
 if TYPE_CHECKING:
     from . import radiosity
@@ -23,12 +31,14 @@ __all__ = [
     "Paths",
     "Traced",
     "light_traced",
+    "path_along",
     "path_radiance",
     "path_sample",
     "path_traced",
     "path_traced_pixels",
     "radiosity",
     "ray_traced",
+    "ray_tree_along",
     "ray_tree_radiance",
     "ray_tree_radiances",
 ]

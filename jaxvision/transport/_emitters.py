@@ -7,7 +7,8 @@ of mirrors and glass, stops at the nearest. A surface that shines is a surface: 
 in W m^-2 sr^-1, lengths in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import equinox as eqx
@@ -33,6 +34,7 @@ from ..lights import (
     light_nodes,
     nearest_seen,
     seen,
+    split_by_rule,
     square_nodes,
 )
 from ..scene import Light, Scene, Shape
@@ -178,15 +180,17 @@ def toward_each(
     emitters: Emitters,
     point: Vec,
     *,
-    rule: Quadrature,
+    rules: Sequence[Quadrature],
     shine: Callable[[Toward], Colour],
     bands: int,
 ) -> Colour:
     """The sum of `shine`, (bands,) W m^-2 sr^-1 of a direction toward an emitter, over all
-    emitters from `point`, m, each looked at where the rule says, which is in its irradiances."""
+    emitters from `point`, m, each sampled by its rule, whose weights are in its irradiances."""
     dtype = point.x.dtype
 
-    def of_emitter(total: Colour, emitter: Light | Emissive) -> tuple[Colour, None]:
+    def of_emitter(
+        rule: Quadrature, total: Colour, emitter: Light | Emissive
+    ) -> tuple[Colour, None]:
         if isinstance(emitter, Emissive):
             nodes, weights = (jnp.asarray(x, dtype) for x in square_nodes(rule.order))
         else:
@@ -206,8 +210,9 @@ def toward_each(
         return jax.lax.scan(of_node, total, (nodes, weights))
 
     total = jnp.zeros(bands, dtype)
-    for group in emitters.groups:
-        total, _ = jax.lax.scan(of_emitter, total, group)
+    for members, group in zip(emitters.members, emitters.groups, strict=True):
+        for _, part, rule in split_by_rule(members, group, rules):
+            total, _ = jax.lax.scan(partial(of_emitter, rule), total, part)
     return total
 
 

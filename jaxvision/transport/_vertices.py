@@ -143,19 +143,22 @@ def vertex(
     *,
     carries: Carries,
     bands: int,
+    weighed: bool = True,
 ) -> Vertex:
     """What the surface that was met sends toward `asked`, and where the path goes by `u`, uniform
     in [0, 1); `back`, `asked`: unit, world. All is 0 where the surface is seen from behind.
 
     The drawn direction is a constant to gradients, in its place and in its density: they are then
     right for every parameter of a material, though a draw by other parameters would have gone
-    elsewhere.
+    elsewhere. `weighed`: static; without it the density toward `asked` is not computed, and 0.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     chosen = None
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
-        here = _vertex(material, viewer, light, u, flat, carries=carries, bands=bands)
+        here = _vertex(
+            material, viewer, light, u, flat, carries=carries, bands=bands, weighed=weighed
+        )
         chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
     # stored, for else all that is computed of it would draw it again
@@ -232,6 +235,7 @@ def _vertex(
     *,
     carries: Carries,
     bands: int,
+    weighed: bool,
 ) -> Vertex:
     """`vertex` in the local frame, of one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
@@ -241,7 +245,6 @@ def _vertex(
     onward, density = together(jax.lax.stop_gradient(_drawn(material, back, u)))
     weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
-    chance = jax.lax.stop_gradient(brdf.pdf(material, asked, back))
     front = back.z > 0
     shows, goes = front, front
     if flat is not None:
@@ -249,7 +252,9 @@ def _vertex(
         shows, goes = front & (dot(asked, flat) > 0), front & (dot(onward, flat) > 0)
     return Vertex(
         apart(jnp.where(shows, shaded, 0), bands),
-        jnp.where(front, chance, 0),
+        jnp.where(front, jax.lax.stop_gradient(brdf.pdf(material, asked, back)), 0)
+        if weighed
+        else zero,
         Onward(onward, apart(jnp.where(goes, weight, 0), bands), density),
     )
 

@@ -28,12 +28,13 @@ from ..optics import (
     focus_vergence,
     sensor_vergence,
 )
+from ..rendering import Traced
 from ..scene import Orthographic, Scene, ThinLens, View
 from ._emission import emitted
 from ._emitters import transmitted
 from ._vertices import absorption_after, absorption_around, hidden, leave, meet, vertex
 from ._world import World, world_of
-from .paths import Paths, Traced, path_traced
+from .paths import Paths, path_traced
 
 
 class _Arrival(eqx.Module):
@@ -51,14 +52,25 @@ class _Arrival(eqx.Module):
 def light_traced(
     key: Key, scene: Scene, view: View, *, paths: int, depth: int = 6, samples: int = 16
 ) -> Traced:
-    """The picture in radiance: (h, w, bands) in W m^-2 sr^-1, and its standard error, for which the
-    vertices of a path are taken as independent.
+    """The picture in radiance, by paths from what shines.
 
-    `paths`: static, how many leave the emitters, >= 1; the error falls as 1 / sqrt(paths). `depth`:
-    static, the most straight pieces between emitter and eye, >= 1, as `Paths.depth`. `samples`:
-    static, rays a pixel by which what shines is seen itself, >= 1. The numbers of a path are a
-    function of the key and its own number. `ValueError` for light from infinitely far away in a
-    scene that has no end, and for a surface without end that shines.
+    The numbers of a path are a function of the key and its own number.
+
+    Args:
+        key: random key.
+        scene: bounded, if light comes from infinitely far away.
+        view: any view.
+        paths: static, how many leave the emitters, >= 1; the error falls as 1 / sqrt(paths).
+        depth: static, the most straight pieces between emitter and eye, >= 1, as `Paths.depth`.
+        samples: static, rays a pixel by which what shines is seen itself, >= 1.
+
+    Returns:
+        (h, w, bands) W m^-2 sr^-1, and the standard error, for which the vertices of a path are
+        taken as independent.
+
+    Raises:
+        ValueError: for a count below 1, for light from infinitely far away in a scene without end,
+            and for a surface without end that shines.
     """
     for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
         if value < 1:
@@ -127,6 +139,7 @@ def _light_path(
             of_surface[:3],
             carries="light",
             bands=world.bands,
+            weighed=False,
         )
         at = together(at)
         dark = hidden(world.surfaces, met, arrival.toward, arrival.distance)

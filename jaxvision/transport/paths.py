@@ -17,22 +17,23 @@ gradient sees an edge move: the position of a lamp has its right gradient under 
 shadows that it throws, and with the other strategies also lacks the lamp's own edge.
 """
 
-from collections.abc import Callable
+import dataclasses
 from functools import reduce
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, UInt32
+from jaxtyping import Array, Bool
 
 from .._bands import Bands, apart, plus, times
-from .._numerics import divide, dot, safe_sqrt
+from .._numerics import divide, dot
 from .._random import Stream, seed_of, uniforms
-from .._staging import LANES, stored
-from .._types import Colour, Key, Scalar, Scalars, Spectrum
+from .._staging import stored
+from .._types import Colour, Key, Scalar
 from ..brdf import is_delta
 from ..geometry import Ray
-from ..optics import view_ray
+from ..rendering import Along, PixelSamples, Traced, each, photograph
+from ..rendering.pixel_loop import mean_of_samples
 from ..scene import Scene, View
 from ._emitters import (
     Strategy,
@@ -53,26 +54,30 @@ from ._vertices import (
 )
 from ._world import World, world_of
 
-Samples = tuple[Scalars, ...]  # of many rays, one array a band
-
 # Pieces of a path of which a gradient keeps all that it needs, up to 400 bytes a ray and piece: of
 # more, it computes them again.
 _KEPT = 8
-_BLOCK = 65536  # pixels at once: a bounce is many small loops, and to start each one costs
 
 
 class Paths(eqx.Module):
     """How finely light is followed; all static.
 
-    `samples`: paths a pixel, >= 1; the error falls as 1 / sqrt(samples). `depth`: the most straight
-    pieces between eye and emitter, >= 1: 1 shows only what shines, 2 direct light; longer paths are
-    left out, which darkens by the albedo to the power of `depth`, about. `strategy`: how light is
-    found: "balance" or "power", both ways joined by that heuristic; "lights", only on purpose: the
-    fastest, and as good for diffuse surfaces under lamps that are not large; "surfaces", only by
-    chance, except for lights without size. `roulette`: from which vertex on (0 is the first) a path
-    ends at random, with the probability that its weight falls short of 1, or None. With it the walk
-    is a loop that stops when the last path has ended: unbiased at any `depth`, but reverse-mode
-    gradients need None.
+    Attributes:
+        samples: paths a pixel, >= 1; the error falls as 1 / sqrt(samples).
+        depth: the most straight pieces between eye and emitter, >= 1: 1 shows only what shines, 2
+            direct light. Longer paths are left out, which darkens by about the albedo to the power
+            of `depth`.
+        strategy: how light is found. "balance" or "power": on purpose and by chance, joined by that
+            heuristic. "lights": only on purpose; the fastest, and as good for diffuse surfaces
+            under lamps that are not large. "surfaces": only by chance, except for lights without
+            size.
+        roulette: from which vertex on (0 is the first) a path ends at random, with the probability
+            that its weight falls short of 1; None: never. With it the walk is a loop that stops
+            when the last path has ended: unbiased at any `depth`, but without reverse-mode
+            gradients.
+
+    Raises:
+        ValueError: for a count below its least value or an unknown strategy.
     """
 
     samples: int = eqx.field(static=True, default=16)
@@ -93,15 +98,6 @@ class Paths(eqx.Module):
             raise ValueError(f"Paths.roulette must be at least 0 or None, got {self.roulette}.")
 
 
-class Traced(eqx.Module):
-    """`radiance`: (..., bands) W m^-2 sr^-1, the mean of the samples. `error`: (..., bands), its
-    standard error, in the same unit: low whenever a rare bright path was not met; inf of one
-    sample."""
-
-    radiance: Spectrum
-    error: Spectrum
-
-
 class _Path(eqx.Module):
     """A path under way: what it looks along, what its light will count, what it has found, the
     density of its direction (inf where it looks), what absorbs, None where nothing can, and whether
@@ -116,13 +112,23 @@ class _Path(eqx.Module):
 
 
 def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Colour:
-    """The radiance of ONE random path that begins along `ray`: (bands,) in W m^-2 sr^-1, whose
-    mean over streams is the radiance along the ray."""
+    """The radiance of ONE random path.
+
+    Args:
+        scene: any scene; `Scene.ambient` is not added.
+        ray: origin (3,) m, direction (3,) unit length.
+        stream: the random numbers of this path.
+        method: how finely light is followed; `samples` plays no part.
+
+    Returns:
+        (bands,) W m^-2 sr^-1, the mean of which over streams is the radiance along the ray.
+    """
     return jnp.stack(_walk(world_of(scene), ray, stream, method))
 
 
 def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
-    # a zero of its own for each path: a loop that has to find that out batches its body twice
+    # a per-path zero: otherwise `vmap` traces the loop body twice to discover that it is batched
+    method = _simplest(world, method)
     zero = (0 * stream.pixel).astype(ray.origin.x.dtype)
     path = _Path(
         ray,
@@ -157,10 +163,19 @@ def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
     return path.radiance
 
 
+def _simplest(world: World, method: Paths) -> Paths:
+    """The method that needs no densities, where no ray can meet what shines: every weight is 1."""
+    if world.emitters.lights or world.emitters.emission is not None:
+        return method
+    return dataclasses.replace(method, strategy="lights")
+
+
 def _has_chance_only(world: World) -> bool:
     """Whether some light can only be found by chance: by way of a mirror or glass, or on a plane
     that shines, which has no place to draw."""
-    return any(map(is_delta, world.surfaces.materials)) or world.emitters.endless
+    met_by_mirrors = world.emitters.lights or world.emitters.emission is not None
+    mirrors = any(map(is_delta, world.surfaces.materials))
+    return bool(met_by_mirrors and mirrors) or world.emitters.endless
 
 
 def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
@@ -201,13 +216,20 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
     else:
         light, asked = None, back
     at = vertex(
-        world.surfaces, met, back, asked, of_surface[:3], carries="radiance", bands=world.bands
+        world.surfaces,
+        met,
+        back,
+        asked,
+        of_surface[:3],
+        carries="radiance",
+        bands=world.bands,
+        weighed=method.strategy in ("balance", "power"),
     )
     radiance = path.radiance
     if light is not None:
         blocked = hidden(world.surfaces, met, light.direction, light.clear)
-        counts = purpose_weight(method.strategy, light.density, at.density)
-        arriving = light.irradiance * transmitted(path.absorption, light.distance) * counts
+        arriving = light.irradiance * transmitted(path.absorption, light.distance)
+        arriving = arriving * purpose_weight(method.strategy, light.density, at.density)
         shown = times(times(path.weight, at.shaded), apart(arriving, world.bands))
         radiance = plus(radiance, _where(path.alive & ~blocked, shown))
     onward = at.onward
@@ -228,14 +250,28 @@ def _where(counts: Bool[Array, ""], bands: Bands) -> Bands:
 
 
 def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
-    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1."""
-    world, seed = world_of(scene), seed_of(key)
+    """Radiance that arrives along one ray, against its direction.
 
-    def sample(number: UInt32[Array, ""]) -> Bands:
-        return _walk(world, ray, Stream(jnp.zeros((), jnp.uint32), number, seed), method)
+    Args:
+        key: random key.
+        scene: any scene; `Scene.ambient` is not added.
+        ray: origin (3,) m, direction (3,) unit length.
+        method: how finely light is followed.
 
-    dark = (jnp.zeros((), ray.origin.x.dtype),) * world.bands
-    return _mean(sample, 0, method.samples, dark)
+    Returns:
+        (bands,) W m^-2 sr^-1, and the standard error.
+    """
+    world, seed, pixel = world_of(scene), seed_of(key), jnp.zeros((), jnp.uint32)
+    radiance, error = mean_of_samples(
+        lambda number: _walk(world, ray, Stream(pixel, number, seed), method), method.samples
+    )
+    return Traced(jnp.stack(radiance), jnp.stack(error))
+
+
+def path_along(scene: Scene, method: Paths) -> Along:
+    """One path for each ray of `photograph`, W m^-2 sr^-1; `method.samples` plays no part."""
+    world = world_of(scene)
+    return each(lambda ray, stream: _walk(world, ray, stream, method))
 
 
 def path_traced_pixels(
@@ -248,72 +284,47 @@ def path_traced_pixels(
     method: Paths,
     first_sample: int = 0,
 ) -> Traced:
-    """The radiance, W m^-2 sr^-1, of some pixels of a picture: (n, bands).
+    """Some pixels of a picture.
 
-    `rows`, `columns`: (n,) whole numbers, pixels. Each sample goes through a random place of its
-    pixel. What a pixel gets depends on the key, the pixel and the numbers of its samples, which
-    start at `first_sample`, and not on which others are asked for with it.
+    Args:
+        key: random key.
+        scene: any scene; `Scene.ambient` is not added.
+        view: any view. Each sample goes through another place of its pixel, and of a lens.
+        rows, columns: (n,) whole numbers of pixels.
+        method: how finely light is followed.
+        first_sample: static, the number of the first sample. What a pixel gets depends on the key,
+            the pixel and the numbers of its samples, and on nothing else.
+
+    Returns:
+        (n, bands) W m^-2 sr^-1, and the standard error.
     """
-    world, seed = world_of(scene), seed_of(key)
-    dtype = view.pixel_pitch.dtype
-
-    def of_pixel(row: Array, column: Array, count: UInt32[Array, ""]) -> Bands:
-        stream = Stream((row * view.resolution[1] + column).astype(jnp.uint32), count, seed)
-        u = uniforms(stream, 0, dtype)
-        down, right = row.astype(dtype) + u[0] - 0.5, column.astype(dtype) + u[1] - 0.5
-        return _walk(world, view_ray(view, down, right, u=u[2:]), stream, method)
-
-    def of_block(rows: Array, columns: Array) -> Traced:
-        def sample(count: UInt32[Array, ""]) -> Samples:
-            return jax.vmap(of_pixel, in_axes=(0, 0, None))(rows, columns, count)
-
-        dark = jnp.zeros(rows.shape, dtype)
-        return _mean(sample, first_sample, method.samples, (dark,) * world.bands)
-
-    return _in_blocks(of_block, rows, columns)
-
-
-def _in_blocks(of_block: Callable[[Array, Array], Traced], rows: Array, columns: Array) -> Traced:
-    """All pixels, a block at a time. Blocks are full, if need be with pixels
-    that are thrown away: where vector code ends and leaves a rest to plain code, the last bit of a
-    pixel would tell how the picture was cut."""
-    count = len(rows)
-    size = min(_BLOCK, -(-count // LANES) * LANES)
-    blocks = -(-count // size)
-    padded = [
-        jnp.pad(jnp.asarray(x), (0, blocks * size - count), mode="edge").reshape(blocks, size)
-        for x in (rows, columns)
-    ]
-    if blocks == 1:  # each loop around a loop takes a gradient about as long again to compile
-        traced = of_block(*(x[0] for x in padded))
-    else:
-        traced = jax.lax.map(lambda block: of_block(*block), tuple(padded))
-    return jax.tree.map(lambda x: x.reshape(blocks * size, -1)[:count], traced)
+    samples = PixelSamples(key, method.samples)
+    along, pixels = path_along(scene, method), (jnp.asarray(rows), jnp.asarray(columns))
+    return photograph(along, view, samples, pixels=pixels, first_sample=first_sample)
 
 
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
-    """The picture in radiance: (h, w, bands) in W m^-2 sr^-1, and its standard error."""
-    rows, columns = (jnp.arange(size) for size in view.resolution)
-    grid = jnp.meshgrid(rows, columns, indexing="ij")
-    pixels = path_traced_pixels(key, scene, view, *(x.reshape(-1) for x in grid), method=method)
-    return jax.tree.map(lambda x: x.reshape(*view.resolution, -1), pixels)
+    """The picture in radiance.
 
+    Args:
+        key: random key.
+        scene: any scene; `Scene.ambient` is not added.
+        view: any view.
+        method: how finely light is followed.
 
-def _mean(sample: Callable[[Array], Samples], first: int, count: int, dark: Samples) -> Traced:
-    """The mean of samples, one after another, and its standard error (Welford, Technometrics 4(3)
-    (1962)): no sum of squares cancels. `dark`: zeros of the shape of a sample."""
+    Returns:
+        (h, w, bands) W m^-2 sr^-1, and the standard error.
 
-    @jax.checkpoint
-    def add(state: tuple[Samples, Samples], k: Array) -> tuple[tuple[Samples, Samples], None]:
-        value, number = sample(k + jnp.uint32(first)), (k + 1).astype(dark[0].dtype)
-        means, squares = [], []
-        for x, mean, square in zip(value, *state, strict=True):
-            means.append(mean + (x - mean) / number)
-            squares.append(square + (x - mean) * (x - means[-1]))
-        return (tuple(means), tuple(squares)), None
+    Example:
+        A closed sphere of albedo 0.5 that shines 0.5 W m^-2 sr^-1 everywhere holds radiance 1.
 
-    state, _ = jax.lax.scan(add, (dark, dark), jnp.arange(count, dtype=jnp.uint32))
-    mean, squares = (jnp.stack(x, axis=-1) for x in state)
-    if count == 1:
-        return Traced(mean, jnp.full_like(mean, jnp.inf))
-    return Traced(mean, safe_sqrt(squares / (float(count) * (count - 1))))
+        >>> grey = jv.Lambert([0.5 / np.pi])
+        >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(2, 2))
+        >>> method = jv.transport.Paths(samples=4, depth=20, strategy="surfaces")
+        >>> key = jax.random.key(0)
+        >>> picture = jv.transport.path_traced(key, jv.Scene(wall, []), view, method=method)
+        >>> print(picture.radiance.round(3).ravel())
+        [1. 1. 1. 1.]
+    """
+    return photograph(path_along(scene, method), view, PixelSamples(key, method.samples))

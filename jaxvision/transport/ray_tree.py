@@ -12,8 +12,6 @@ that of an environment) for each ray that is followed: one of most pixels, up to
 that see a mirror or glass, for trees without a ray left are passed over, a block at a time.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,8 +23,9 @@ from .._types import Colour, Image
 from .._vector import Vec, as_array
 from ..brdf import is_delta
 from ..geometry import Ray
-from ..lights import Quadrature
-from ..optics import pixel_grid, view_ray
+from ..lights import Quadrature, rules_of
+from ..rendering import Along, PixelSamples, photograph
+from ..rendering.pixel_loop import in_blocks
 from ..scene import Scene, View
 from ._emitters import Toward, shining_ahead, toward_each, transmitted
 from ._vertices import (
@@ -42,6 +41,7 @@ from ._vertices import (
 from ._world import World, world_of
 
 DEFAULT_RULE = Quadrature(4)
+Rules = tuple[Quadrature, ...]
 _BLOCK = 512  # rays that are followed or passed over together
 
 
@@ -59,18 +59,28 @@ class _Tree(eqx.Module):
 def ray_tree_radiance(
     scene: Scene, ray: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Colour:
-    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
+    """Radiance that arrives along one ray, against its direction.
 
-    `rays`: static, how many rays of the tree are followed, >= 1, else `ValueError`. A scene
-    without glass has no branches: there it is the number of mirrors in a row and one more. `rule`:
-    how finely what shines is taken apart where it lights a surface.
+    Args:
+        scene: any scene; `Scene.ambient` is not added.
+        ray: origin (3,) m, direction (3,) unit length.
+        rays: static, how many rays of the tree are followed, >= 1. A scene without glass has no
+            branches: there it is the number of mirrors in a row and one more.
+        rule: how what shines is sampled where it lights a surface; a light may have its own in
+            `Scene.rules`.
+
+    Returns:
+        (bands,) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: for fewer than one ray, or a random rule in `Scene.rules`.
     """
     world = world_of(scene)
-    rays = _followed(world, rays)
+    rays, rules = _followed(world, rays), _rules(scene, world, rule)
 
     @jax.checkpoint
     def follow(tree: _Tree, k: Array) -> tuple[_Tree, None]:
-        return _follow(world, rule, k, tree), None
+        return _follow(world, rules, k, tree), None
 
     tree, _ = jax.lax.scan(follow, _planted(world, ray, rays), jnp.arange(rays))
     return tree.radiance
@@ -79,41 +89,40 @@ def ray_tree_radiance(
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
-    """`ray_tree_radiance` of many rays, of components (n,), in W m^-2 sr^-1: sooner than one by
-    one where few of them meet mirrors or glass."""
+    """`ray_tree_radiance` for many rays, faster than one by one where few of them meet mirrors or
+    glass.
+
+    Args:
+        scene, rays, rule: as in `ray_tree_radiance`.
+        along: origins and directions, components (n,).
+
+    Returns:
+        (n, bands) W m^-2 sr^-1.
+    """
     world = world_of(scene)
-    rays = _followed(world, rays)
+    rays, rules = _followed(world, rays), _rules(scene, world, rule)
 
     def tile(along: Ray) -> Float[Array, "n bands"]:
         forest = jax.vmap(lambda ray: _planted(world, ray, rays))(along)
-        count = len(along.origin.x)
-        numbers = jnp.arange(count)
+        numbers = jnp.arange(len(along.origin.x))
 
         @jax.checkpoint
         def follow(state: tuple[_Tree, Array], k: Array) -> tuple[tuple[_Tree, Array], None]:
-            return _follow_living(world, rule, k, *state), None
+            return _follow_living(world, rules, k, *state), None
 
         (forest, numbers), _ = jax.lax.scan(follow, (forest, numbers), jnp.arange(rays))
         return jnp.zeros_like(forest.radiance).at[numbers].set(forest.radiance)
 
-    return _in_full_tiles(tile, along)
+    leaves, tree = jax.tree.flatten(along)
 
+    def block(*leaves: Array) -> Float[Array, "n bands"]:
+        return tile(tree.unflatten(leaves))
 
-def _in_full_tiles(tile: Callable[[Ray], Array], along: Ray) -> Array:
-    """Rays a tile at a time, filled up to whole blocks with copies of the last."""
-    count = len(along.origin.x)
-    size = min(TILE, -(-count // _BLOCK) * _BLOCK)
-    tiles = -(-count // size)
-
-    def filled(x: Array) -> Array:
-        return jnp.pad(x, (0, tiles * size - count), mode="edge").reshape(tiles, size)
-
-    found = jax.lax.map(tile, jax.tree.map(filled, along))
-    return found.reshape(tiles * size, -1)[:count]
+    return in_blocks(block, *leaves, size=TILE, lanes=_BLOCK)
 
 
 def _follow_living(
-    world: World, rule: Quadrature, k: Array, forest: _Tree, numbers: Array
+    world: World, rules: Rules, k: Array, forest: _Tree, numbers: Array
 ) -> tuple[_Tree, Array]:
     """One ray of each tree that has one left: those trees first, so that the blocks behind them
     are passed over. `numbers`: where each tree stood at first."""
@@ -125,7 +134,7 @@ def _follow_living(
 
     def block(entry: tuple[_Tree, Array]) -> _Tree:
         trees, alive = entry
-        follow = jax.vmap(lambda tree: _follow(world, rule, k, tree))
+        follow = jax.vmap(lambda tree: _follow(world, rules, k, tree))
         return jax.lax.cond(alive.any(), follow, lambda trees: trees, trees)
 
     followed = jax.lax.map(block, jax.tree.map(in_blocks, (forest, alive)))
@@ -138,6 +147,18 @@ def _followed(world: World, rays: int) -> int:
     if rays < 1:
         raise ValueError(f"rays must be at least 1, got {rays}.")
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
+
+
+def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
+    """One rule for each emitter."""
+    rules = rules_of(scene, rule, count=world.emitters.count)
+    for i, own in enumerate(rules):
+        if not isinstance(own, Quadrature):
+            raise ValueError(
+                "ray trees leave nothing to chance: rules must be Quadrature, got "
+                f"{type(own).__name__} for emitter {i}."
+            )
+    return rules
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
@@ -155,7 +176,7 @@ def _planted(world: World, ray: Ray, rays: int) -> _Tree:
     )
 
 
-def _follow(world: World, rule: Quadrature, k: Array, tree: _Tree) -> _Tree:
+def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
     """The tree after the ray of it that counts most, its `k`-th, has been followed."""
     slots, dtype = len(tree.weight), tree.weight.dtype
     next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
@@ -178,7 +199,7 @@ def _follow(world: World, rule: Quadrature, k: Array, tree: _Tree) -> _Tree:
     radiance = tree.radiance + weight * jnp.stack(found)
     on_surface = (met.surface >= 0) & ~ends
     weight = jnp.where(on_surface, weight * transmitted(absorption, met.hit.distance), 0)
-    radiance = radiance + weight * _direct(world, met, back, absorption, rule)
+    radiance = radiance + weight * _direct(world, met, back, absorption, rules)
     tree = eqx.tree_at(lambda t: t.radiance, tree, radiance)
     way = branches(world.surfaces, met, back, bands=world.bands)
     for slot, direction, part in (
@@ -201,9 +222,7 @@ def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour 
     )
 
 
-def _direct(
-    world: World, met: Met, back: Vec, absorption: Colour | None, rule: Quadrature
-) -> Colour:
+def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules: Rules) -> Colour:
     """Light from all emitters, less what is in shadow."""
 
     def shine(toward: Toward) -> Colour:
@@ -212,15 +231,36 @@ def _direct(
         arriving = toward.irradiance * transmitted(absorption, toward.distance)
         return jnp.where(dark, 0, shaded * arriving)
 
-    return toward_each(world.emitters, met.hit.point, rule=rule, shine=shine, bands=world.bands)
+    return toward_each(world.emitters, met.hit.point, rules=rules, shine=shine, bands=world.bands)
+
+
+def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) -> Along:
+    """`ray_tree_radiances` for the rays of `photograph`, W m^-2 sr^-1."""
+    return lambda along, stream: ray_tree_radiances(scene, along, rays=rays, rule=rule)
 
 
 def ray_traced(
-    scene: Scene, view: View, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
+    scene: Scene,
+    view: View,
+    *,
+    rays: int = 16,
+    rule: Quadrature = DEFAULT_RULE,
+    samples: PixelSamples | None = None,
 ) -> Image:
-    """The picture in radiance, one ray through each pixel's centre: (h, w, bands) in
-    W m^-2 sr^-1. `rays`, `rule`: as in `ray_tree_radiance`."""
-    rows, columns = jnp.meshgrid(*pixel_grid(view), indexing="ij")
-    along = jax.vmap(lambda row, column: view_ray(view, row, column))(rows.ravel(), columns.ravel())
-    pixels = ray_tree_radiances(scene, along, rays=rays, rule=rule)
-    return pixels.reshape(*view.resolution, -1)
+    """The picture in radiance by ray trees.
+
+    Args:
+        scene: any scene; `Scene.ambient` is not added.
+        view: any view; a thin lens needs `samples` to defocus.
+        rays: static, >= 1, how many rays of each tree are followed.
+        rule: how what shines is sampled where it lights a surface.
+        samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
+
+    Returns:
+        (h, w, bands) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: for fewer than one ray, for a random rule in `Scene.rules`, and for a thin lens
+            without samples, unless its f_number is inf or traced.
+    """
+    return photograph(ray_tree_along(scene, rays=rays, rule=rule), view, samples).radiance

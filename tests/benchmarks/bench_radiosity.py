@@ -22,6 +22,7 @@ from oracles import cornell_box
 from turns import in_turns
 
 from jaxvision import MonteCarlo, as_dtype
+from jaxvision.rendering import PixelSamples
 from jaxvision.transport.radiosity import (
     form_factor_table,
     plan_patches,
@@ -91,7 +92,9 @@ def test_cornell_box():
         )
         draw = compiled(
             f"{name}, picture",
-            lambda s, x, v, p=plan, r=rule, n=rays: radiosity_image(s, p, x, v, rule=r, samples=n),
+            lambda s, x, v, p=plan, r=rule, n=rays: radiosity_image(
+                s, p, x, v, rule=r, samples=PixelSamples(jax.random.key(0), n)
+            ),
             scene,
             solve(),
             view,

@@ -3,13 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import Lambert, PointLight, Vec
+from jaxvision import PointLight
 from jaxvision import scene as s
-from jaxvision.brdf.phong import PhongBRDF
 from jaxvision.geometry import Encounter, Ray
 from jaxvision.geometry.flat import flat_quad
-from jaxvision.lights import Quadrature
-from jaxvision.rendering import Baked
 from jaxvision.shadows import Leaving
 
 
@@ -35,28 +32,6 @@ SHAPES = [PLANE, SPHERE, MESH]
 LAMPS = [PointLight([1, 2, -3], [0.3, 0.2]), PointLight([-1, 2, -2], [0.1, 0.4])]
 
 
-def repeated(v):
-    """A block of two equal pixels."""
-    return Vec(*(jnp.full((1, 2), x) for x in v))
-
-
-SCENE = s.Scene([s.Surface(SPHERE, Lambert([0.2, 0.1]))], LAMPS)
-BAKED = Baked(
-    jnp.asarray([[2, 0]]),
-    jnp.asarray([1, 2, 0]),
-    jnp.asarray([0]),
-    repeated(POINT),
-    repeated(N),
-    repeated(N),
-    repeated(W),
-    (jnp.asarray([[[True], [False]]]), jnp.asarray([[[True], [True]]])),
-    (None,),
-    jnp.full((3, 2), 0.7),
-    Quadrature(2),
-    (Lambert,),
-    (1, 3),
-)
-
 EXAMPLES = {
     "geometry.rays.mirror_direction": ((N, W), {}),
     "geometry.rays.offset_origin": ((POINT, N, W), {}),
@@ -80,7 +55,5 @@ EXAMPLES = {
         {},
     ),
     "shadows.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
-    "shading.light_angles": ((PhongBRDF([0.2, 0.1], [0.3], 9.0), LAMPS, POINT, N, W), {}),
-    "rendering.shade_baked": ((BAKED, SCENE), {}),
     "geometry.nearest.occluded": ((POINT, N, W, FAR, SHAPES), {}),
 }

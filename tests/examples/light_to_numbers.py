@@ -46,8 +46,8 @@ KEY, DIE = jax.random.split(jax.random.key(0))
 INDEX = jnp.asarray(1)
 
 EXAMPLES = {
-    "rendering.radiance_along": ((SCENE, RAY), {}),
-    "rendering.render": ((SCENE, PINHOLE), {}),
+    "rendering.direct.radiance_along": ((SCENE, RAY), {}),
+    "rendering.direct.render": ((SCENE, PINHOLE), {}),
     "shot.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),
     "point_ops.gain_bias": ((X, TWO, ONE), {}),
     "point_ops.gamma_encode": ((X, TWO), {}),

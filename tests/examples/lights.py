@@ -57,7 +57,7 @@ def arriving(wi):
 OPTIONS = {"incident_radiance": arriving, "normal": N, "wo": WO}
 
 EXAMPLES = {
-    "rendering.render_light_field": (
+    "rendering.light_field.render_light_field": (
         (BALL, WINDOW, FOCAL),
         {"resolution": (1, 2, 1, 2), "rule": RULE},
     ),

@@ -10,7 +10,6 @@ from jaxvision._random import Stream
 from jaxvision._vector import as_vec
 from jaxvision.brdf.glass import Glass
 from jaxvision.geometry import Ray
-from jaxvision.rendering import PixelSamples
 from jaxvision.transport import Paths
 
 KEY = jax.random.key(3)
@@ -44,10 +43,7 @@ METHOD = {"method": Paths(2, 3, strategy="lights")}
 ROW, COLUMN = jnp.asarray([1, 0]), jnp.asarray([2, 1])
 
 EXAMPLES = {
-    "rendering.sample_ray": (
-        (PixelSamples(KEY, 4), VIEW, *jnp.asarray([1.0, 2.0]), jnp.asarray(5), jnp.asarray(2)),
-        {},
-    ),
+    "rendering.pixel_loop.sample_ray": ((VIEW, *jnp.asarray([1.0, 2.0]), STREAM), {}),
     "brdf.glass.refracted_direction": ((W, jnp.asarray(1.4)), {}),
     "brdf.glass.specular": ((GLASS, as_vec(W)), {}),
     "transport.paths.path_sample": ((DIFFUSE, RAY, STREAM), METHOD),

@@ -7,6 +7,7 @@ image = radiosity_image(scene, plan, solution, view)
 """
 
 from ._grid import Face, Plan
+from ._trapped import trapping_surface
 from .exchange import closure_error, form_factor_table, reciprocity_error
 from .form_factors import (
     Exchange,
@@ -17,7 +18,7 @@ from .form_factors import (
     point_to_polygon,
     polygon_to_polygon,
 )
-from .gather import radiosity_along, radiosity_image
+from .gather import radiosity_along, radiosity_image, radiosity_rays
 from .patches import Patches, by_patch, patches_of, plan_patches
 from .solution import Solution, direct_irradiance, radiosity
 from .solve import ambient_estimate, bounce, shoot, solve_radiosity
@@ -45,7 +46,9 @@ __all__ = [
     "radiosity",
     "radiosity_along",
     "radiosity_image",
+    "radiosity_rays",
     "reciprocity_error",
     "shoot",
     "solve_radiosity",
+    "trapping_surface",
 ]

@@ -13,9 +13,16 @@ from ..._types import Scalar
 
 
 class Face(NamedTuple):
-    """One side of surface number `surface`: its `part` (a box's side, a mesh's triangle), whether
-    it is the `front`, and the `rows` and `columns` of its grid. `graded`: whether cells narrow
-    toward its edges. `wraps`: whether the last column adjoins the first."""
+    """One side of a surface, and how it is cut into a grid of cells.
+
+    Attributes:
+        surface: number of the surface in its scene.
+        part: which side of a box, or which triangle of a mesh; else 0.
+        front: whether it is the front of the surface.
+        rows, columns: size of the grid.
+        graded: whether cells narrow toward the edges.
+        wraps: whether the last column adjoins the first.
+    """
 
     surface: int
     part: int
@@ -27,8 +34,15 @@ class Face(NamedTuple):
 
 
 class Plan(eqx.Module):
-    """How surfaces are cut. `faces`: static. `split`: static; each patch, which sends light, is
-    split^2 elements, which receive it."""
+    """How the surfaces of a scene are cut.
+
+    Attributes:
+        faces: all faces, surface by surface; static.
+        split: each patch, which sends light, is split^2 elements, which receive it; static, >= 1.
+
+    Raises:
+        ValueError: for a split below 1.
+    """
 
     faces: tuple[Face, ...] = eqx.field(static=True)
     split: int = eqx.field(static=True)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._groups import group_by_structure
 from ..._numerics import divide, dot, normalize
 from ..._staging import stored
 from ..._types import Colour, Scalar
@@ -19,7 +18,7 @@ from ..._vector import Vec, as_array, as_vec
 from ...brdf.lambert import Lambert
 from ...geometry import Shapes, Sorted, occluded, offset_origin, sorted_shapes
 from ...hemisphere import cross
-from ...lights import RectangleLight, Rule, incident_sample, light_nodes
+from ...lights import RectangleLight, Rule, incident_sample, light_nodes, lights_by_rule
 from ...lights.polygon import rectangle_irradiance
 from ...scene import Light, Quad, Scene
 
@@ -73,17 +72,17 @@ def sources_of(scene: Scene, size: Scalar) -> list[Light]:
 
 
 def irradiance_at(
-    lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rule: Rule
+    lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
     """Irradiance of one point straight from all lights, with shadows: (bands,).
 
-    Of a rectangle it is the exact contour integral times the part that `rule` finds in sight: the
-    rule matters in half shadows alone, and there visibility has no gradient.
+    For a rectangle it is the exact contour integral times the part that its rule finds in sight:
+    the rule matters in half shadows alone, and there visibility has no gradient.
     """
     total = jnp.zeros(1, point.x.dtype)
-    for _, group in group_by_structure(lights):
+    for _, group, rule in lights_by_rule(lights, rules):
 
-        def from_light(_: None, light: Light) -> tuple[None, Colour]:
+        def from_light(_: None, light: Light, rule: Rule = rule) -> tuple[None, Colour]:
             if not isinstance(light, RectangleLight):
                 return None, _by_nodes(light, shapes, point, normal, rule)[1]
             white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))

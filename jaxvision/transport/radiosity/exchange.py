@@ -40,16 +40,25 @@ Numbered = tuple[Patches, Int[Array, "..."]]
 def form_factor_table(
     scene: Scene, plan: Plan, *, rays: int = 1
 ) -> Float[Array, "elements patches"]:
-    """F from each element to each patch of a plan: (elements, patches), no unit.
+    """The form factor from each element to each patch of a plan.
 
-    `rays`: static, how many shadow rays decide how much of a patch an element sees, at least 1
-    else `ValueError`; they go to places spread over the patch, and differently for each pair, so
-    that a patch, split into elements, sees others by split^2 `rays` rays. The error of a
-    half-hidden factor is of the order of itself over sqrt(rays), and averages out over patches.
     Elements receive at their centres, those covered in part where they are open: reciprocity holds
     to 2 % of the largest exchange in a cube of 3 x 3 patches a wall, split by 2, and better with a
-    finer split.
-    Gradients in the geometry are those of the unoccluded factors: none reaches visibility.
+    finer split. Gradients in the geometry are those of the unoccluded factors: visibility has none.
+
+    Args:
+        scene: the scene of the plan.
+        plan: from `plan_patches`.
+        rays: static, >= 1: how many shadow rays decide how much of a patch an element sees. They go
+            to places spread over the patch, differently for each pair, so that a patch split into
+            elements sees others by split^2 `rays` rays. The error of a half-hidden factor is of the
+            order of itself over sqrt(rays), and averages out over patches.
+
+    Returns:
+        (elements, patches), no unit.
+
+    Raises:
+        ValueError: for fewer than one ray, or a scene without surfaces.
     """
     if rays < 1:
         raise ValueError(f"rays must be at least 1, got {rays}.")
@@ -172,14 +181,29 @@ def _place_above(
 
 
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
-    """How far each row's sum is from 1, no unit: in a closed scene all light arrives somewhere;
-    in an open one it is what escapes."""
+    """How far the sum of each row is from 1.
+
+    Args:
+        table: (n, patches), no unit.
+
+    Returns:
+        (n,), no unit: 0 in a closed scene, where all light arrives somewhere; in an open one, minus
+        the fraction that escapes.
+    """
     return table.sum(axis=1) - 1
 
 
 def reciprocity_error(
     table: Float[Array, "patches patches"], area: Float[Array, " patches"]
 ) -> Float[Array, "patches patches"]:
-    """A_i F_ij - A_j F_ji in m^2, which is 0 of exact factors."""
+    """A_i F_ij - A_j F_ji, which is 0 for exact factors.
+
+    Args:
+        table: (patches, patches), no unit.
+        area: (patches,) m^2.
+
+    Returns:
+        (patches, patches) m^2.
+    """
     exchange = area[:, None] * table
     return exchange - exchange.T

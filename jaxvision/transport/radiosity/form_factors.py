@@ -23,12 +23,24 @@ _LARGEST = 1e8  # side over distance: its square is still far from overflow in f
 
 
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
-    """F between two equal rectangles that face each other, each `width` x `height` m, `gap` m
-    apart: () in [0, 1].
+    """F between two equal rectangles that face each other.
 
-    Source: Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-11. Written as
-    a sum of positive terms, it keeps its digits for any sizes, however tiny. Sides beyond 1e8
-    gaps count as 1e8; an area of less than 6e-15 gap^2 in float32, 1e-115 in float64, receives 0.
+    Written as a sum of positive terms, it keeps its digits for any sizes, however tiny.
+
+    Args:
+        width, height: () m each, of both rectangles; sides beyond 1e8 gaps count as 1e8.
+        gap: () m between them.
+
+    Returns:
+        () in [0, 1], no unit; 0 for an area of less than 6e-15 gap^2 in float32, 1e-115 in float64.
+
+    Source:
+        Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-11.
+
+    Example:
+        >>> from jaxvision.transport.radiosity import parallel_rectangles
+        >>> print(parallel_rectangles(jnp.array(1.0), jnp.array(1.0), jnp.array(1.0)).round(4))
+        0.1998
     """
     x, y = (_ratio(side, gap) for side in (width, height))
     area = x * y
@@ -37,12 +49,21 @@ def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
 
 
 def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
-    """F from a rectangle `edge` x `width` m to one of `edge` x `other` m that stands on their
-    common edge at a right angle: () in [0, 0.5].
+    """F between two rectangles that meet at a right angle in a common edge.
 
-    Source: Howell, C-14; symmetrically `width` F = `other` F'. The terms are arranged so that
-    none cancels another, however unequal the sides. Sides beyond 1e8 edges count as 1e8; a width
-    of less than 3e-10 edges in float32, 1e-77 in float64, receives 0.
+    The terms are arranged so that none cancels another, however unequal the sides; by symmetry
+    `width` F = `other` F'.
+
+    Args:
+        edge: () m, the common edge; sides beyond 1e8 edges count as 1e8.
+        width: () m, the other side of the rectangle that sends.
+        other: () m, that of the one that receives.
+
+    Returns:
+        () in [0, 0.5], no unit; 0 for a width below 3e-10 edges in float32, 1e-77 in float64.
+
+    Source:
+        Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-14.
     """
     w, h = (_ratio(side, edge) for side in (width, other))
     wide = w > smallest_divisor(w.dtype)
@@ -101,14 +122,22 @@ def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
 def parallel_exchange(
     first: Float[Array, "2 2"], second: Float[Array, "2 2"], gap: Scalar
 ) -> Scalar:
-    """A_1 F_12 = A_2 F_21 in m^2 between rectangles in parallel planes `gap` m apart, front to
-    front, their sides along the axes x and y.
+    """A_1 F_12 = A_2 F_21 between rectangles in parallel planes, front to front, with sides along
+    the axes x and y.
 
-    `first`, `second`: (2, 2) m, rows x and y, columns where the side starts and ends. Source:
-    Howell, C-13, as second differences of the function that C-11 is made of. Differences lose
-    about 10 eps (d / s)^4 for rectangles of size s at distance d: beyond d / s = 2.4 in float32
-    and 11 in float64, 4^4 Gauss-Legendre nodes replace them. Off by 1e-4 and 1e-9 at worst,
-    relative.
+    Second differences of the function that C-11 is made of. They lose about 10 eps (d / s)^4 for
+    rectangles of size s at distance d: beyond d / s = 2.4 in float32 and 11 in float64, 4^4
+    Gauss-Legendre nodes replace them. Off by 1e-4 and 1e-9 at worst, relative.
+
+    Args:
+        first, second: (2, 2) m, rows x and y, columns where the side starts and ends.
+        gap: () m between the planes.
+
+    Returns:
+        () m^2.
+
+    Source:
+        Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-13.
     """
     scale = jnp.where(gap > 0, gap, 1)
     x, y = (jnp.abs(_differences(first[i], second[i])) / scale for i in range(2))
@@ -123,13 +152,21 @@ def parallel_exchange(
 
 
 def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2"]) -> Scalar:
-    """A_1 F_12 = A_2 F_21 in m^2 between rectangles in planes that meet at a right angle, their
-    sides along the line in which the planes meet and across it.
+    """A_1 F_12 = A_2 F_21 between rectangles in planes that meet at a right angle, with sides along
+    the line in which the planes meet and across it.
 
-    `first`, `second`: (2, 2) m, rows along the line and away from it, columns where the side
-    starts and ends; what lies behind the other plane (away < 0) does not count. Source: Howell,
-    C-15, as differences of the function that C-14 is made of; by nodes far away and as exact as
+    Differences of the function that C-14 is made of; far away by nodes, and as exact as
     `parallel_exchange`.
+
+    Args:
+        first, second: (2, 2) m, rows along the line and away from it, columns where the side starts
+            and ends; what lies behind the other plane (away < 0) does not count.
+
+    Returns:
+        () m^2.
+
+    Source:
+        Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-15.
     """
     first, second = (jnp.stack([side[0], jnp.maximum(side[1], 0)]) for side in (first, second))
     along = jnp.maximum(jnp.abs(_differences(first[0], second[0])), smallest_divisor(first.dtype))
@@ -193,26 +230,41 @@ class Exchange(eqx.Module):
 
 
 def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """F from a surface element at `point`, m, that faces `normal`, unit, to a polygon: () in
-    [0, 1].
+    """F from a surface element to a polygon.
 
-    `corners`: four `Vec`, m, counterclockwise where the polygon is seen from its front; a
-    triangle repeats one. Lambert's contour integral, exact where the polygon is flat and convex;
-    what lies below the element's horizon does not count, and from behind it is 0. In rounding it
-    loses some 15 eps (d / s)^2 for a polygon of size s at distance d, relative: beyond
-    `FAR` sizes the 2 x 2 Gauss-Legendre nodes of `far_factor`, which miss about .03 (s / d)^4,
-    replace it. Off by 1e-4 at worst in float32.
+    Lambert's contour integral, exact where the polygon is flat and convex. In rounding it loses
+    some 15 eps (d / s)^2 for a polygon of size s at distance d, relative: beyond `FAR` sizes the
+    2 x 2 Gauss-Legendre nodes of `far_factor`, which are off by about .03 (s / d)^4, replace it.
+    Off by 1e-4 at worst in float32.
+
+    Args:
+        point: (3,) m, the element.
+        normal: (3,) unit length; what lies below its horizon does not count.
+        corners: four `Vec`, m, counterclockwise seen from the front of the polygon; a triangle
+            repeats one.
+
+    Returns:
+        () in [0, 1], no unit; 0 from behind the polygon.
     """
     contour = near_factor(point, normal, corners)
     return jnp.where(is_far(point, corners), far_factor(point, normal, corners), contour)
 
 
 def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Exchange:
-    """F from one flat convex polygon to another, corners in m: the contour integral over the
-    second at `order`^2 Gauss-Legendre nodes of the first.
+    """F from one flat convex polygon to another.
 
-    `order`: static, at least 2, else `ValueError`. The error is the difference to one order less:
-    far above the truth for polygons apart, about it where they touch.
+    The contour integral over the second at `order`^2 Gauss-Legendre nodes of the first.
+
+    Args:
+        first, second: corners as in `point_to_polygon`, m.
+        order: static, >= 2.
+
+    Returns:
+        The factor, no unit, and as its error the difference to one order less: far above the true
+        error for polygons apart, about it where they touch.
+
+    Raises:
+        ValueError: for an order below 2.
     """
     if order < 2:
         raise ValueError(f"order must be at least 2, got {order}.")

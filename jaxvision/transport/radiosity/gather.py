@@ -6,7 +6,7 @@ elements, or gathered: a final gather sends rays from the point and looks up whe
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._groups import group_by_structure, take
 from ..._numerics import dot
-from ..._random import Stream, uniforms
-from ..._staging import TILE, in_tiles, stored
+from ..._random import Stream
+from ..._staging import stored
 from ..._types import Colour, Image, Scalar
 from ..._vector import Vec, where
 from ...geometry import (
@@ -31,8 +31,16 @@ from ...geometry import (
     offset_origin,
 )
 from ...hemisphere import cosine_direction, local_frame, to_world
-from ...lights import MonteCarlo, Rule, can_be_seen, nearest_seen, rule_for, shifted_lattice
-from ...optics import pixel_grid, view_ray
+from ...lights import (
+    MonteCarlo,
+    Rule,
+    can_be_seen,
+    nearest_seen,
+    rule_for,
+    rules_of,
+    shifted_lattice,
+)
+from ...rendering import Along, PixelSamples, each, numbers_of, photograph
 from ...scene import Light, Scene, Shape, View
 from ._faces import face_place
 from ._grid import Plan, around_place
@@ -58,15 +66,44 @@ def radiosity_along(
     rule: Rule = DEFAULT_RULE,
     gather: MonteCarlo | None = None,
 ) -> Colour:
-    """Radiance that arrives along one ray, against its direction: (bands,) in W m^-2 sr^-1.
+    """Radiance that arrives along one ray, against its direction.
 
-    `rule`: how finely extended lights are taken apart, see `direct_irradiance`. `gather`: how many
-    rays look for what surfaces send to the point, or None: it is interpolated between the elements
-    around it. The gather shows contacts and creases as finely as the picture, for as many rays a
-    point as noise allows: about .7 / sqrt(rays) of the light that is not direct. For another point
-    other numbers are wanted: `lights.rule_for` draws both `rule` and `gather` anew.
+    Args:
+        scene, plan, solution: a solved scene; the plan and solution are those of this scene.
+        ray: origin (3,) m, direction (3,) unit length.
+        rule: how extended lights without a rule of their own are sampled, see `direct_irradiance`.
+        gather: how many rays collect what surfaces send to the point; None: it is interpolated
+            between the elements around it. The gather shows contacts and creases as finely as the
+            picture, with noise of about .7 / sqrt(rays) of the light that is not direct. For
+            another point, `lights.rule_for` draws both `rule` and `gather` anew.
+
+    Returns:
+        (bands,) W m^-2 sr^-1.
     """
-    return _along(_world_of(scene, solution), plan, solution, ray, rule, gather)
+    enclosure = _enclosure_of(scene, plan, solution)
+    rules = rules_of(scene, rule, count=len(enclosure.sources))
+    return _along(enclosure, ray, rules, gather)
+
+
+def radiosity_rays(
+    scene: Scene,
+    plan: Plan,
+    solution: Solution,
+    *,
+    rule: Rule = DEFAULT_RULE,
+    gather: MonteCarlo | None = None,
+) -> Along:
+    """`radiosity_along` for the rays of `photograph`, W m^-2 sr^-1; what is random draws anew for
+    each sample."""
+    enclosure = _enclosure_of(scene, plan, solution)
+
+    def along(ray: Ray, stream: Stream) -> Colour:
+        numbers = numbers_of(stream)
+        rules = rules_of(scene, rule, numbers=numbers, count=len(enclosure.sources))
+        own_gather = None if gather is None else reduce(rule_for, numbers, gather)
+        return _along(enclosure, ray, rules, own_gather)
+
+    return each(along)
 
 
 def radiosity_image(
@@ -76,60 +113,36 @@ def radiosity_image(
     view: View,
     *,
     rule: Rule = DEFAULT_RULE,
-    samples: int = 1,
+    samples: PixelSamples | None = None,
     gather: MonteCarlo | None = None,
 ) -> Image:
-    """The picture of a solved scene: (h, w, bands) in W m^-2 sr^-1.
+    """The picture of a solved scene.
 
-    `rule`, `gather`: as in `radiosity_along`; random ones draw for each sample anew. `samples`:
-    static, rays a pixel, one through its centre or several spread over it and over the lens.
+    Args:
+        scene, plan, solution, rule, gather: as in `radiosity_along`; what is random draws anew for
+            each pixel and sample.
+        view: any view; a thin lens needs `samples` to defocus.
+        samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
+
+    Returns:
+        (h, w, bands) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: for a thin lens without samples, unless its f_number is inf or traced.
     """
-    if samples < 1:
-        raise ValueError(f"samples must be at least 1, got {samples}.")
-    rows, columns = pixel_grid(view)
-    height, width = view.resolution
-    dtype = view.pixel_pitch.dtype
-    world = _world_of(scene, solution)
-
-    def sample(row: Scalar, column: Scalar, number: Int[Array, ""], k: Int[Array, ""]) -> Colour:
-        if samples == 1:
-            ray = view_ray(view, row, column)
-        else:
-            pixel, none = number.astype(jnp.uint32), jnp.zeros((), jnp.uint32)
-            u = uniforms(Stream(pixel, none, jnp.asarray(_SEED)), 0, dtype)
-            u = (u + k.astype(dtype) * jnp.asarray(_STEPS, dtype)) % 1
-            ray = view_ray(view, row + u[0] - 0.5, column + u[1] - 0.5, u=u[2:])
-        own = number * samples + k
-        own_rule, own_gather = rule_for(rule, own), gather
-        if gather is not None:
-            own_gather = MonteCarlo(jax.random.fold_in(gather.key, own), gather.samples)
-        return _along(world, plan, solution, ray, own_rule, own_gather)
-
-    def pixel(number: Int[Array, ""]) -> Colour:
-        place = rows[number // width], columns[number % width]
-        if samples == 1:
-            return sample(*place, number, jnp.zeros_like(number))
-
-        def add(total: Colour, k: Int[Array, ""]) -> tuple[Colour, None]:
-            return total + sample(*place, number, k), None
-
-        nothing = jnp.zeros(solution.irradiance.shape[1], solution.irradiance.dtype)
-        return jax.lax.scan(jax.checkpoint(add), nothing, jnp.arange(samples))[0] / samples
-
-    numbers = jnp.arange(height * width)
-    return in_tiles(pixel, numbers, size=TILE).reshape(height, width, -1)
+    along = radiosity_rays(scene, plan, solution, rule=rule, gather=gather)
+    return photograph(along, view, samples).radiance
 
 
-_SEED = np.array([0x2545F491, 0x4F6CDD1D], np.uint32)
-# powers of the root of x^5 = x + 1: a Kronecker sequence in four dimensions (Roberts, 2018)
-_STEPS = np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101])
+class _Enclosure(NamedTuple):
+    """A solved scene as rays ask for it, computed once for all of them.
 
+    `groups`: its shapes by structure. `sources`: its lights and the quads that emit. `diffuse`
+    sr^-1, `emission` W m^-2 sr^-1 and `two_sided`: for each surface.
+    """
 
-class _World(NamedTuple):
-    """What rays ask of a scene, computed once for all of them. `groups`: its shapes by structure.
-    `sources`: its lights and the quads that emit. `diffuse` sr^-1, `emission` W m^-2 sr^-1 and
-    `two_sided`: by the surface."""
-
+    plan: Plan
+    solution: Solution
     shapes: Sorted
     groups: Sequence[tuple[tuple[int, ...], Shape]]
     lights: Sequence[Light]
@@ -139,9 +152,11 @@ class _World(NamedTuple):
     two_sided: Bool[Array, " surfaces"]
 
 
-def _world_of(scene: Scene, solution: Solution) -> _World:
+def _enclosure_of(scene: Scene, plan: Plan, solution: Solution) -> _Enclosure:
     shapes = shapes_of(scene)
-    return _World(
+    return _Enclosure(
+        plan,
+        solution,
         shapes,
         group_by_structure([surface.shape for surface in scene.surfaces], largest=_LARGEST),
         scene.lights,
@@ -166,69 +181,62 @@ class _Met(eqx.Module):
 
 
 def _along(
-    world: _World,
-    plan: Plan,
-    solution: Solution,
-    ray: Ray,
-    rule: Rule,
-    gather: MonteCarlo | None,
+    enclosure: _Enclosure, ray: Ray, rules: Sequence[Rule], gather: MonteCarlo | None
 ) -> Colour:
-    met = _meet(world, plan, solution, ray)
-    direct = irradiance_at(world.sources, world.shapes, met.point, met.normal, rule)
+    met = _meet(enclosure, ray)
+    direct = irradiance_at(enclosure.sources, enclosure.shapes, met.point, met.normal, rules)
     if gather is None:
-        exchanged = _interpolated(solution.irradiance, met)
+        exchanged = _interpolated(enclosure.solution.irradiance, met)
     else:
-        exchanged = _gathered(world, plan, solution, met, gather)
-    reflected = world.diffuse[met.surface] * (direct + exchanged)
-    own = jnp.where(met.seen, reflected + world.emission[met.surface], 0)
-    if not any(can_be_seen(light) for light in world.lights):
+        exchanged = _gathered(enclosure, met, gather)
+    reflected = enclosure.diffuse[met.surface] * (direct + exchanged)
+    own = jnp.where(met.seen, reflected + enclosure.emission[met.surface], 0)
+    if not any(can_be_seen(light) for light in enclosure.lights):
         return own
-    light = nearest_seen(world.lights, ray)
+    light = nearest_seen(enclosure.lights, ray)
     missed = jnp.isinf(met.distance)
     return jnp.where((light.distance < met.distance) | missed, light.radiance, own)
 
 
-def _meet(world: _World, plan: Plan, solution: Solution, ray: Ray) -> _Met:
-    encounter = stored(nearest_shape, ray, world.shapes)
-    hit = stored(hit_shape, ray, world.shapes, encounter)
+def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
+    encounter = stored(nearest_shape, ray, enclosure.shapes)
+    hit = stored(hit_shape, ray, enclosure.shapes, encounter)
     surface = jnp.maximum(encounter.shape, 0)
     behind = dot(hit.normal, ray.direction) > 0
     around, weights = stored(
-        partial(_around, world, plan), solution.covered, hit, encounter, behind
+        partial(_around, enclosure), enclosure.solution.covered, hit, encounter, behind
     )
     return _Met(
         hit.distance,
         hit.point,
         where(behind, -hit.normal, hit.normal),
         surface,
-        (encounter.shape >= 0) & (world.two_sided[surface] | ~behind),
+        (encounter.shape >= 0) & (enclosure.two_sided[surface] | ~behind),
         around,
         weights,
     )
 
 
-def _gathered(
-    world: _World, plan: Plan, solution: Solution, met: _Met, gather: MonteCarlo
-) -> Colour:
+def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
     """The irradiance by rays that are as dense as the cosine: the mean of what is sent where they
     arrive."""
-    frame, size = local_frame(met.normal), world.shapes.size
+    sent = enclosure.solution.sent
+    frame, size = local_frame(met.normal), enclosure.shapes.size
 
     def add(total: Colour, u: Float[Array, "2"]) -> tuple[Colour, None]:
         wi = to_world(frame, cosine_direction(u))
         onward = Ray(offset_origin(met.point, met.normal, wi, size=size), wi)
-        there = _meet(world, plan, solution, onward)
-        arriving = _interpolated(solution.sent, there)
+        there = _meet(enclosure, onward)
+        arriving = _interpolated(sent, there)
         return total + jnp.where(there.seen, arriving, 0), None
 
-    nothing = jnp.zeros(solution.sent.shape[1], solution.sent.dtype)
+    nothing = jnp.zeros(sent.shape[1], sent.dtype)
     points, _ = shifted_lattice(gather.key, gather.samples, nothing.dtype)
     return jax.lax.scan(jax.checkpoint(add), nothing, points)[0] / gather.samples
 
 
 def _around(
-    world: _World,
-    plan: Plan,
+    enclosure: _Enclosure,
     covered: Bool[Array, " elements"],
     hit: Hit,
     encounter: Encounter,
@@ -237,18 +245,21 @@ def _around(
     """The elements around a hit and their weights."""
     zero = jnp.zeros((), jnp.int32)
     place = zero, jnp.zeros_like(hit.distance), jnp.zeros_like(hit.distance)
-    for members, group in world.groups:
+    for members, group in enclosure.groups:
         shape, among = take(members, group, encounter.shape)
         found = face_place(shape, hit.point, encounter.primitive)
         place = jax.tree.map(lambda new, old, here=among: jnp.where(here, new, old), found, place)
     part, u, v = place
-    of_surface = [[f for f in plan.faces if f.surface == i] for i in range(len(world.two_sided))]
-    firsts = np.cumsum([0, *(len(faces) for faces in of_surface)])[:-1]
-    fronts = [sum(f.front for f in faces) for faces in of_surface]
+    of_surface = [
+        [f for f in enclosure.plan.faces if f.surface == i] for i in range(len(enclosure.two_sided))
+    ]
+    firsts = np.cumsum([0, *map(len, of_surface)])[:-1]
+    fronts = [sum(f.front for f in own) for own in of_surface]
     surface = jnp.maximum(encounter.shape, 0)
     to_back = jnp.where(behind, jnp.asarray(fronts, jnp.int32)[surface], 0)
     face = jnp.asarray(firsts, jnp.int32)[surface] + part + to_back
-    return around_place(plan, covered, jnp.minimum(face, len(plan.faces) - 1), u, v)
+    face = jnp.minimum(face, len(enclosure.plan.faces) - 1)
+    return around_place(enclosure.plan, covered, face, u, v)
 
 
 def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:

@@ -27,10 +27,17 @@ from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of, surf
 
 
 class Patches(eqx.Module):
-    """`corners`: four (n,) `Vec`, m, counterclockwise seen from the front (a triangle repeats
-    one). `centre`: (n,) m. `normal`: (n,) unit. `area`: (n,) m^2. `bulge`: (n,) m, how high the
-    surface rises above the flat patch. `surface`: (n,) its number in the scene. `plane`: (n,) a
-    number that patches of one flat face share: they do not see each other."""
+    """Flat cells of surfaces.
+
+    Attributes:
+        corners: four (n,) `Vec`, m, counterclockwise seen from the front; a triangle repeats one.
+        centre: (n,) m.
+        normal: (n,) unit length.
+        area: (n,) m^2.
+        bulge: (n,) m, how high the surface rises above the flat patch.
+        surface: (n,) number of the surface in the scene.
+        plane: (n,) a number that patches of one flat face share: they do not see each other.
+    """
 
     corners: tuple[Vec, Vec, Vec, Vec]
     centre: Vec
@@ -45,12 +52,23 @@ class Patches(eqx.Module):
 
 
 def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = False) -> Plan:
-    """A plan whose patches are no longer than `size` m, each split into `split`^2 elements.
+    """A plan whose patches are no longer than a given size.
 
-    `graded`: cells narrow toward the edges of quads and boxes, as the cosine does, where light
-    between adjoining surfaces changes fast. Needs numbers at hand: call it before `jit`, which the
-    plan, being static, then knows. `ValueError` for a surface that is not bounded or not
-    `Lambert`, by its number, and for a size that is not positive.
+    It needs known numbers: call it before `jit`, to which the plan is static.
+
+    Args:
+        scene: bounded surfaces of `Lambert` material.
+        size: longest side of a patch, m, > 0.
+        split: each patch is split^2 elements, >= 1.
+        graded: whether cells narrow toward the edges of quads and boxes, as the cosine does, where
+            light between adjoining surfaces changes fast.
+
+    Returns:
+        The faces of all surfaces with their grids.
+
+    Raises:
+        ValueError: for a surface that is not bounded or not `Lambert`, by its number, and for a
+            size that is not positive.
     """
     if not size > 0:
         raise ValueError(f"size must be positive, got {size}.")
@@ -89,7 +107,16 @@ def _check_surface(number: int, surface: Surface) -> None:
 
 
 def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
-    """The patches of a plan, or with `split` its cells cut split by split: lengths in m."""
+    """Where the patches of a plan are; differentiable in the shapes.
+
+    Args:
+        scene: the scene of the plan.
+        plan: from `plan_patches`.
+        split: static, each patch as split^2 cells.
+
+    Returns:
+        All cells, lengths in m, areas in m^2.
+    """
     return patches_at(scene, plan, (split,))[0]
 
 
@@ -140,8 +167,16 @@ def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
 def by_patch(
     values: Float[Array, "elements n"], elements: Patches, plan: Plan
 ) -> Float[Array, "patches n"]:
-    """The mean over each patch of what its elements have, by their areas in m^2. A patch without
-    any area is 0."""
+    """The mean over each patch of what its elements have, weighted by their areas.
+
+    Args:
+        values: (elements, n), in any unit.
+        elements: their areas, m^2.
+        plan: from `plan_patches`.
+
+    Returns:
+        (patches, n) in the unit of `values`; 0 for a patch without area.
+    """
     of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
     weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
     sums = jax.ops.segment_sum(weighted * elements.area[:, None], of_patch, count)

@@ -12,7 +12,7 @@ from ..._staging import TILE, in_tiles
 from ..._types import Colour
 from ..._vector import Vec
 from ...geometry import Sorted
-from ...lights import Quadrature, Rule, rule_for
+from ...lights import Quadrature, Rule, rules_of
 from ...scene import Quad, Scene
 from ._grid import Plan, parents_of
 from ._receivers import mean_of_parts, receivers_of
@@ -32,10 +32,15 @@ DEFAULT_RULE = Quadrature(4)
 
 
 class Solution(eqx.Module):
-    """`radiosity`: (patches, bands) W m^-2. `irradiance`: (elements, bands) W m^-2, from all
-    patches, but not straight from lights. `sent`: (elements, bands) W m^-2, all that leaves but
-    what a quad emits, which counts as a light. `covered`: (elements,), inside another body, where
-    no light is."""
+    """The light that patches exchange.
+
+    Attributes:
+        radiosity: (patches, bands) W m^-2.
+        irradiance: (elements, bands) W m^-2 from all patches, but not straight from lights.
+        sent: (elements, bands) W m^-2, all that leaves except what a quad emits, which counts as a
+            light.
+        covered: (elements,) whether the element lies inside another body, where no light is.
+    """
 
     radiosity: Float[Array, "patches bands"]
     irradiance: Float[Array, "elements bands"]
@@ -52,13 +57,25 @@ def radiosity(
     method: str = "direct",
     rays: int = 1,
 ) -> Solution:
-    """The light that a scene's patches exchange, W m^-2.
+    """The light that a scene's patches exchange.
 
-    `plan`: from `plan_patches`. `table`: from `form_factor_table`, where geometry is fixed and only
-    colours change; without it, it is made with `rays` shadow rays a pair. `rule`: how finely
-    extended lights are taken apart, see `direct_irradiance`. `method`: see `solve_radiosity`. A
-    quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
+    A quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
     term stands for what is computed here, and is left out.
+
+    Args:
+        scene: bounded surfaces of `Lambert` material, and any lights.
+        plan: from `plan_patches`.
+        table: (elements, patches) from `form_factor_table`, for fixed geometry under changing
+            colours; None: it is made here.
+        rule: how extended lights without a rule of their own are sampled, see `direct_irradiance`.
+        method: static, see `solve_radiosity`.
+        rays: static, shadow rays a pair of the table that is made here.
+
+    Returns:
+        Radiosity and irradiance, W m^-2.
+
+    Raises:
+        ValueError: for a scene without surfaces, or an unknown method.
     """
     shapes = shapes_of(scene)
     receivers = receivers_of(scene, plan, shapes)
@@ -83,9 +100,17 @@ def radiosity(
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
-    """Irradiance of each element straight from lights and quads that emit, with shadows:
-    (elements, bands) in W m^-2. Of rectangles it is exact where nothing stands between; `rule` says
-    by how many rays half shadows are found."""
+    """Irradiance of each element straight from lights and quads that emit, with shadows.
+
+    Args:
+        scene: surfaces and lights.
+        elements: from `patches_of`.
+        rule: by how many rays half shadows are found. Unblocked rectangles are exact under any
+            rule.
+
+    Returns:
+        (elements, bands) W m^-2.
+    """
     return _lit(scene, elements, rule, shapes_of(scene))
 
 
@@ -95,7 +120,8 @@ def _lit(
     lights = sources_of(scene, largest_of(shapes))
 
     def at(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
-        return irradiance_at(lights, shapes, point, normal, rule_for(rule, number))
+        rules = rules_of(scene, rule, numbers=(number,), count=len(lights))
+        return irradiance_at(lights, shapes, point, normal, rules)
 
     start = elements.centre + elements.bulge * elements.normal
     return in_tiles(at, start, elements.normal, jnp.arange(len(elements.area)), size=TILE)

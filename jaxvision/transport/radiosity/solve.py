@@ -30,12 +30,7 @@ def solve_radiosity(
     tolerance: float = 1e-4,
     limit: int = 1_000_000,
 ) -> PatchSpectra:
-    """B of B = `sent` + `albedo` F B, in W m^-2, where `sent` = M + rho E: band by band.
-
-    `method`: static. "direct": LU, exact to rounding; its cost grows as patches^3. "iterative":
-    GMRES, until what is left of the equation is `tolerance` of the brightest that is sent, or for
-    as long as rounding lets it fall. "progressive": shooting, see `shoot`: until no patch is off by
-    `tolerance` of the brightest, or after `limit` shots, which leave what is then unshot.
+    """B of B = M + rho E + rho F B, band by band.
 
     Light that is seldom absorbed makes any answer uncertain: in a closed room of albedo rho
     rounding counts 1 / (1 - rho) times. In float32, at albedo .999, "direct" and "iterative" are
@@ -43,7 +38,32 @@ def solve_radiosity(
     the limit there, 1e-3 off in float64 and, with the rounding of as many shots, 4e-3 in float32.
     Where none is lost, all albedos 1 in a closed room, there is no solution, and each method
     returns some large numbers of any sign. Gradients of all three are those of the exact solution,
-    by solving the transposed equation. `ValueError` for an unknown method.
+    from the transposed equation.
+
+    Args:
+        table: (patches, patches) form factors F, no unit.
+        albedo: (patches, bands) rho in [0, 1], no unit.
+        sent: (patches, bands) M + rho E, W m^-2.
+        method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
+            until the residual is `tolerance` of the brightest that is sent, or for as long as
+            rounding lets it fall. "progressive": `shoot`, until no patch is off by `tolerance` of
+            the brightest, or after `limit` shots, which leave what is then unshot.
+        tolerance: static, relative to the brightest patch.
+        limit: static, most shots.
+
+    Returns:
+        (patches, bands) B, W m^-2.
+
+    Raises:
+        ValueError: for an unknown method.
+
+    Example:
+        Two patches that see only each other, albedo 1/2, one emitting 3: B = (4, 2).
+
+        >>> table = jnp.array([[0.0, 1.0], [1.0, 0.0]])
+        >>> half, sent = jnp.full((2, 1), 0.5), jnp.array([[3.0], [0.0]])
+        >>> print(jv.transport.radiosity.solve_radiosity(table, half, sent).ravel().round(6))
+        [4. 2.]
     """
     import lineax
 
@@ -72,8 +92,16 @@ def solve_radiosity(
 
 
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
-    """B after `count` reflections, static: the first terms of the Neumann series, W m^-2. What a
-    path tracer of that depth sees."""
+    """B after a number of reflections: the first terms of the Neumann series, as a path tracer of
+    that depth sees them.
+
+    Args:
+        table, albedo, sent: as in `solve_radiosity`.
+        count: static, how many reflections, >= 0.
+
+    Returns:
+        (patches, bands) W m^-2.
+    """
 
     def once(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
         return sent + albedo * (table @ radiosity)
@@ -89,16 +117,26 @@ def shoot(
     tolerance: float = 1e-4,
     limit: int = 10_000,
 ) -> tuple[PatchSpectra, PatchSpectra]:
-    """Progressive refinement: (B, unshot part of B), both in W m^-2.
+    """Progressive refinement: the brightest unshot patch sends its light to all others, repeatedly.
 
-    The patch with most unshot light sends it to all others, again and again: Southwell relaxation
-    (Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity Image
-    Generation", SIGGRAPH 1988), without areas, so that the loudest patch is the brightest. It ends
-    when what unshot light can still add to a patch is at most `tolerance` of the brightest patch so
-    far, or after `limit` shots. In that case the rest may be large: in a closed room of albedo rho
-    up to the brightest unshot light times rho / (1 - rho), and n patches want of the order of
-    n / (1 - rho) shots. `ambient_estimate` adds what the unshot light will do. How often it shoots
-    depends on the values, so it has no gradient in reverse: that of `solve_radiosity` has.
+    This is Southwell relaxation without areas. How often it shoots depends on the values, so it has
+    no reverse-mode gradient: that of `solve_radiosity` has.
+
+    Args:
+        table, albedo, sent: as in `solve_radiosity`.
+        tolerance: static; it ends when unshot light can add at most this part of the brightest
+            patch so far to any patch.
+        limit: static, most shots. If they do not suffice, the rest may be large: in a closed room
+            of albedo rho up to the brightest unshot light times rho / (1 - rho), and n patches need
+            of the order of n / (1 - rho) shots.
+
+    Returns:
+        B and the unshot part of it, (patches, bands) each, W m^-2; `ambient_estimate` adds what the
+        unshot light will do.
+
+    Source:
+        Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity
+        Image Generation", SIGGRAPH 1988.
     """
     most = _most_added(table, albedo)
 
@@ -145,9 +183,19 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:
-    """What unshot light, W m^-2, will add to each patch in the mean of a closed scene: rho times
-    the area-weighted mean of what is unshot, and all its reflections. `area`: (patches,) m^2. For
-    display, after a few shots."""
+    """What unshot light will add to each patch in the mean of a closed scene, for display after a
+    few shots.
+
+    rho times the area-weighted mean of what is unshot, with all its reflections.
+
+    Args:
+        albedo: (patches, bands) in [0, 1], no unit.
+        unshot: (patches, bands) W m^-2, from `shoot`.
+        area: (patches,) m^2.
+
+    Returns:
+        (patches, bands) W m^-2.
+    """
     share = (area / area.sum())[:, None]
     mean_albedo = (share * albedo).sum(axis=0)
     return albedo * ((share * unshot).sum(axis=0) / (1 - mean_albedo))[None, :]

@@ -1,7 +1,7 @@
 """The words of `[render] integrator` as functions from pixels, or from passes, to radiance.
 
-Four of them know each pixel alone and can be cut into tiles; radiosity is solved before the first
-of them. Light tracing makes whole pictures, as the mean of independent passes.
+Four integrators compute each pixel on its own, and so in tiles; radiosity is solved before the
+first tile. Light tracing makes whole pictures, the mean of independent passes.
 """
 
 import re
@@ -10,37 +10,32 @@ from contextlib import contextmanager
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._staging import LANES, TILE, in_tiles
-from ._types import Colour, Image, Key
-from .brdf.lambert import Lambert
-from .errors import InputError
-from .geometry import Ray
-from .lights import Balanced, MonteCarlo, Quadrature, Rule, rule_for
-from .optics import view_ray
-from .rendering import PixelSamples, radiance_along, sample_ray
-from .scene import Scene, View
-from .scene_files import SceneFile
-from .scene_files.schema import RenderEntry
-from .transport import Paths, light_traced, path_traced_pixels, ray_tree_radiances
-from .transport.radiosity import (
+from .._types import Image, Key
+from ..brdf.lambert import Lambert
+from ..errors import InputError
+from ..lights import Balanced, MonteCarlo, Quadrature, Rule
+from ..rendering import Along, PixelSamples, direct_along, photograph
+from ..scene import Scene, ThinLens, View
+from ..scene_files import SceneFile
+from ..scene_files.schema import RenderEntry
+from ..transport import Paths, light_traced, path_along, ray_tree_along
+from ..transport.radiosity import (
     Plan,
     form_factor_table,
     patches_of,
     plan_patches,
     radiosity,
-    radiosity_along,
+    radiosity_rays,
+    trapping_surface,
 )
-from .transport.radiosity._trapped import trapping_surface
 
 BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
 Numbers = Int[Array, " pixels"]
 Pixels = Float[Array, "pixels bands"]
-Along = Callable[[Scene, Ray, Rule, Numbers], Pixels]
 
 
 def pixels_of(
@@ -49,20 +44,16 @@ def pixels_of(
     """(rows, columns) of n pixels to their radiance, (n, bands) float32 in W m^-2 sr^-1; compiled
     once for each n. What a pixel gets does not depend on the others."""
     _check_light(source, settings)
+    _check_lens(source, settings)
     key = jax.random.key(settings.seed)
-    along = None if settings.integrator == "path" else _along(source, settings)
+    along = _along(source, settings)
 
     @jax.jit
     def tile(scene: Scene, view: View, key: Key, rows: Numbers, columns: Numbers) -> Pixels:
-        count = len(rows)
-        rows, columns = (jnp.pad(x, (0, -count % LANES), mode="edge") for x in (rows, columns))
-        return radiance(scene, view, key, rows, columns)[:count]
-
-    def radiance(scene: Scene, view: View, key: Key, rows: Numbers, columns: Numbers) -> Pixels:
-        if along is not None:
-            return _means(along, key, scene, view, rows, columns, settings)
-        method = Paths(settings.samples, settings.depth)
-        return path_traced_pixels(key, scene, view, rows, columns, method=method).radiance
+        samples = PixelSamples(jax.random.fold_in(key, 1), settings.samples)
+        if settings.samples == 1 and settings.integrator != "path":
+            samples = None
+        return photograph(along(scene, key), view, samples, pixels=(rows, columns)).radiance
 
     def compute(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         places = rows.astype(np.int32), columns.astype(np.int32)
@@ -105,61 +96,48 @@ def _check_light(source: SceneFile, settings: RenderEntry) -> None:
         )
 
 
-def _along(source: SceneFile, settings: RenderEntry) -> Along:
+def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
+    """`InputError` for a thin lens that a single ray a pixel would show as a pinhole."""
+    lens = isinstance(source.view, ThinLens) and np.isfinite(source.view.f_number)
+    if lens and settings.samples == 1 and settings.integrator != "path":
+        raise InputError(
+            f"{source.path}: a thin lens defocuses by rays spread over its aperture; set samples "
+            "to more than 1, or the camera's kind to 'pinhole'."
+        )
+
+
+def _along(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
+    """What arrives along rays, of a scene and a key that may be traced."""
     match settings.integrator:
         case "direct":
-            return _direct(settings)
+            return lambda scene, key: direct_along(scene, _rule(settings, key))
+        case "path":
+            method = Paths(settings.samples, settings.depth)
+            return lambda scene, key: path_along(scene, method)
         case "rays":
-            return _rays(settings)
+            rule = _fixed(settings)
+            return lambda scene, key: ray_tree_along(scene, rays=settings.depth, rule=rule)
         case _:
             return _solved(source, settings)
 
 
-def _direct(settings: RenderEntry) -> Along:
-    def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
-        def one(ray: Ray, number: Array) -> Colour:
-            own = rule_for(rule, number)
-            return radiance_along(scene, ray, rule=own, shadows=settings.shadows)
-
-        return in_tiles(one, rays, numbers, size=TILE)
-
-    return along
-
-
-def _rays(settings: RenderEntry) -> Along:
-    def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
-        if not isinstance(rule, Quadrature):
-            raise InputError(
-                f"render: integrator = 'rays' leaves nothing to chance, but rule = "
-                f"{settings.rule!r}; set rule = 'quadrature'."
-            )
-        return ray_tree_radiances(scene, rays, rays=settings.depth, rule=rule)
-
-    return along
-
-
-def _solved(source: SceneFile, settings: RenderEntry) -> Along:
+def _solved(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
     """The scene cut into patches, and what is seen of the light that they exchange."""
+    key = jax.random.key(settings.seed)
     with _in_words_of(source):
-        scene, rule = source.scene, _rule(settings, jax.random.key(settings.seed))
+        scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
         table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
         _check_balance(scene, plan, table)
+        rule = _rule(settings, key)
         solution = jax.jit(partial(radiosity, plan=plan))(scene, table=table, rule=rule)
-    gather = None
-    if settings.gather > 0:
-        gather = MonteCarlo(jax.random.fold_in(jax.random.key(settings.seed), 2), settings.gather)
 
-    def along(scene: Scene, rays: Ray, rule: Rule, numbers: Numbers) -> Pixels:
-        def one(ray: Ray, number: Array) -> Colour:
-            own = rule_for(rule, number)
-            anew = gather
-            if gather is not None:
-                anew = MonteCarlo(jax.random.fold_in(gather.key, number), gather.samples)
-            return radiosity_along(scene, plan, solution, ray, rule=own, gather=anew)
-
-        return in_tiles(one, rays, numbers, size=TILE)
+    def along(scene: Scene, key: Key) -> Along:
+        gather = None
+        if settings.gather > 0:
+            gather = MonteCarlo(jax.random.fold_in(key, 2), settings.gather)
+        return radiosity_rays(scene, plan, solution, rule=_rule(settings, key), gather=gather)
 
     return along
 
@@ -177,31 +155,14 @@ def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
         )
 
 
-def _means(
-    along: Along,
-    key: Key,
-    scene: Scene,
-    view: View,
-    rows: Numbers,
-    columns: Numbers,
-    settings: RenderEntry,
-) -> Pixels:
-    """The mean of each pixel's rays: one through its centre and the middle of the lens, or several
-    through random places of both."""
-    rule, numbers = _rule(settings, key), rows * view.resolution[1] + columns
-    places = rows.astype(view.pixel_pitch.dtype), columns.astype(view.pixel_pitch.dtype)
-    if settings.samples == 1:
-        return along(scene, jax.vmap(partial(view_ray, view))(*places), rule, numbers)
-    samples = PixelSamples(jax.random.fold_in(key, 1), settings.samples)
-
-    def sample(k: Array) -> Pixels:
-        ray_of = jax.vmap(partial(sample_ray, samples, view), in_axes=(0, 0, 0, None))
-        rays = ray_of(*places, numbers, k)
-        return along(scene, rays, rule, numbers * samples.count + k)
-
-    first = sample(jnp.int32(0))
-    total = jax.lax.fori_loop(1, samples.count, lambda k, total: total + sample(k), first)
-    return total / samples.count
+def _fixed(settings: RenderEntry) -> Quadrature:
+    """The rule of what leaves nothing to chance."""
+    if settings.rule != "quadrature":
+        raise InputError(
+            f"render: integrator = 'rays' leaves nothing to chance, but rule = "
+            f"{settings.rule!r}; set rule = 'quadrature'."
+        )
+    return Quadrature(settings.order)
 
 
 def _rule(settings: RenderEntry, key: Key) -> Rule:

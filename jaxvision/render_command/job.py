@@ -21,16 +21,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._integrators import BY_PIXEL, passes_of, pixels_of
-from ._partial_image import PartialImage, PartialSum
-from .colour_spaces import luminance
-from .errors import InputError
-from .io import check_writable, write_exr, write_image
-from .point_ops import srgb_encode
-from .scene import View
-from .scene_files import SceneFile
-from .scene_files.bands import colours_of
-from .scene_files.schema import RenderEntry
+from ..colour_spaces import luminance
+from ..errors import InputError
+from ..io import check_writable, write_exr, write_image
+from ..point_ops import srgb_encode
+from ..scene import View
+from ..scene_files import SceneFile
+from ..scene_files.bands import colours_of
+from ..scene_files.schema import RenderEntry
+from .integrators import BY_PIXEL, passes_of, pixels_of
+from .tiles import PartialImage, PartialSum
 
 ROWS = 64  # of the picture that are written or shown at once
 _SHOWN = 1_000_000  # pixels that the exposure of a preview is chosen from, at most
@@ -49,11 +49,20 @@ def render_to_file(
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
 ) -> None:
-    """Renders to the EXR file `out`, and a picture of it to `preview`.
+    """Renders a scene file to an image file, tile by tile.
 
-    What an earlier call with the same scene and settings left unfinished is gone on with, unless
-    `fresh`. `advance` is called with the tiles done and all tiles. An interrupt is raised again as
-    a `KeyboardInterrupt` that says how to go on; every other failure is an `InputError`.
+    Args:
+        source: the scene and its view.
+        out: the EXR file, radiance in W m^-2 sr^-1.
+        settings: integrator, samples and the rest of `[render]`.
+        preview: an 8-bit picture as well, or None.
+        fresh: whether to begin again where an earlier call with the same scene and settings left
+            off; otherwise that part is kept and completed.
+        advance: called with the number of tiles done and that of all tiles.
+
+    Raises:
+        KeyboardInterrupt: on an interrupt, with a sentence on how to go on.
+        InputError: for any other failure.
     """
     if out.suffix.lower() != ".exr":
         raise InputError(f"{out}: a render holds radiance and is written as EXR; name it so.")
@@ -135,7 +144,15 @@ def _in_passes(
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:
-    """The view with (rows, columns) pixels across the same width."""
+    """The view with another resolution.
+
+    Args:
+        view: any view.
+        resolution: rows and columns.
+
+    Returns:
+        The view, with a pixel pitch in m that keeps the width of the picture.
+    """
     pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])
     return dataclasses.replace(view, resolution=resolution, pixel_pitch=pitch)
 

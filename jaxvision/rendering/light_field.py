@@ -1,0 +1,47 @@
+"""A scene recorded as a light field."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt32
+
+from .._random import Stream
+from ..lights import LightFieldLight, Rule, Window
+from ..lights.light_field import light_field_ray
+from ..scene import Scene
+from ..shadows import DEFAULT_RULE
+from .direct import direct_along
+from .pixel_loop import in_blocks
+
+
+def render_light_field(
+    scene: Scene,
+    aperture: Window,
+    focal: Window,
+    *,
+    resolution: tuple[int, int, int, int],
+    rule: Rule = DEFAULT_RULE,
+) -> LightFieldLight:
+    """What leaves a scene through a window, recorded line by line.
+
+    Args:
+        scene: what lies behind the aperture.
+        aperture, focal: two parallel windows, corners in m; each line passes one place of both.
+        resolution: samples (s, t, u, v), s and t on the aperture, the outermost on the windows'
+            rims; one sample of an axis lies at its start.
+        rule: how extended lights without a rule of their own are sampled; a random rule draws anew
+            for each line.
+
+    Returns:
+        The light field, radiance in W m^-2 sr^-1.
+    """
+    along = direct_along(scene, rule)
+    axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
+    places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
+
+    def block(places: Float[Array, "n 4"], numbers: UInt32[Array, " n"]) -> Float[Array, "n bands"]:
+        rays = jax.vmap(lambda place: light_field_ray(aperture, focal, place))(places)
+        return along(rays, Stream(numbers, None, None))
+
+    numbers = jnp.arange(len(places), dtype=jnp.uint32)
+    radiance = in_blocks(block, places, numbers, keep=())
+    return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)
