@@ -2,15 +2,14 @@
 what it computes. Nothing here has a unit."""
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from . import brdf
-from ._types import Colour, Scalar
-from ._vector import Vec
+from ._types import common_dtype
 from .lights import Quadrature, incident_samples
 from .scene import Light, Material
 
@@ -23,41 +22,29 @@ def band_count(
     Raises:
         ValueError: if they differ.
     """
-    reflected = [(type(own).__name__, _reflected(own)) for own in one_each(materials)]
-    emitted = [_emitted(light) for light in one_each(lights)]
+    reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
+    emitted = [_emitted(light) for light in _one_each(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]
     counts = {*(bands for _, bands in reflected), *emitted}
     if len(counts - {1}) > 1:
         raise ValueError(
             "materials and lights must share one number of bands, got "
-            f"{', '.join(f'{bands} from {name}' for name, bands in reflected)} and {emitted} from "
-            "the lights."
+            f"{', '.join(f'{bands} from {name}' for name, bands in reflected)} and "
+            f"{emitted} from the lights."
         )
     return max(counts)
 
 
-def one_each(records: Iterable[Any]) -> list[Any]:
-    """One of the records of each kind and leaf shapes."""
-    found: dict[Any, Any] = {}
-    for record in records:
-        leaves, structure = jax.tree.flatten(record)
-        found.setdefault((structure, *(leaf.shape for leaf in leaves)), record)
-    return list(found.values())
+def _one_each(records: Iterable[Any]) -> Iterable[Any]:
+    """One of the records of each structure."""
+    return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
 
 
 def _reflected(material: Material) -> int:
-    number = jax.ShapeDtypeStruct((), jax.tree.leaves(material)[0].dtype)
-
-    def shading(material: Material, x: Scalar) -> Colour:
-        return brdf.shading(material, Vec(x, x, x), Vec(x, x, x))
-
-    return jax.eval_shape(shading, material, number).shape[0]
+    up = jnp.zeros(3, common_dtype(material))
+    return jax.eval_shape(brdf.shading, material, up, up).shape[0]
 
 
 def _emitted(light: Light) -> int:
-    dtype = next(
-        leaf.dtype for leaf in jax.tree.leaves(light) if jnp.issubdtype(leaf.dtype, jnp.floating)
-    )
-    point = jax.ShapeDtypeStruct((3,), np.dtype(dtype))
-    samples = jax.eval_shape(lambda *of: incident_samples(*of, Quadrature(1)), light, point)
-    return samples.irradiance.shape[-1]
+    samples = partial(incident_samples, rule=Quadrature(1))
+    return jax.eval_shape(samples, light, jnp.zeros(3, common_dtype(light))).irradiance.shape[-1]

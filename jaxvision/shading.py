@@ -9,6 +9,7 @@ in m. Direct light only. For ONE point: the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -166,7 +167,6 @@ def reflected_radiance(
     """
     frame, viewer = in_frame(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)
-    sources = lights_by_rule(light.lights, light.rules)
     around = [] if light.ambient is None else [light.ambient.radiance]
     bands = band_count([material], light.lights, around)
     parameters, k_a = _in_numbers(material), getattr(material, "ambient", None)
@@ -176,56 +176,39 @@ def reflected_radiance(
         pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
         return tuple(where_clear(passes, e * s) for e, s in pairs)
 
-    def each_node(rule: Rule) -> Callable[..., tuple[Bands, None]]:
-        def of_light(total: Bands, item: tuple[Light, Array | None]) -> tuple[Bands, None]:
-            source, visible = item
+    def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None]) -> tuple:
+        source, visible = item
+        paired = can_be_seen(source) and isinstance(rule, Balanced)
+        own = None
+        if paired:  # a direction from the material beside each one from the light
+            own = jax.random.uniform(jax.random.fold_in(rule.key, 0), (rule.samples, 3), dtype)
 
-            @jax.checkpoint
-            def add(total: Bands, node: tuple) -> tuple[Bands, None]:
-                u, weight, passes = node
-                arriving = incident_sample(source, rule, point, u, weight)
-                wi = together(to_local(frame, arriving.direction))
-                return plus(total, together(shown(arriving, wi, passes))), None
-
-            return jax.lax.scan(add, total, (*light_nodes(source, rule, dtype), visible))
-
-        return of_light
-
-    def each_pair(rule: Balanced) -> Callable[..., tuple[Bands, None]]:
-        """A direction from the light and one from the material, for each sample."""
-        own = jax.random.uniform(jax.random.fold_in(rule.key, 0), (rule.samples, 3), dtype)
-
-        def of_light(total: Bands, item: tuple[Light, None]) -> tuple[Bands, None]:
-            source, _ = item
-
-            @jax.checkpoint
-            def add(total: Bands, node: tuple) -> tuple[Bands, None]:
-                of_light, weight, of_material = node
-                both = balanced(
-                    material, source, point, frame, viewer, of_light, of_material, light.place
-                )
+        @jax.checkpoint
+        def add(total: Bands, node: tuple) -> tuple[Bands, None]:
+            u, weight, passes, of_material = node
+            if paired:
+                both = balanced(material, source, point, frame, viewer, u, of_material, light.place)
                 return plus(total, apart(weight * both, bands)), None
+            arriving = incident_sample(source, rule, point, u, weight)
+            wi = together(to_local(frame, arriving.direction))
+            return plus(total, together(shown(arriving, wi, passes))), None
 
-            return jax.lax.scan(add, total, (*light_nodes(source, rule, dtype), own))
-
-        return of_light
+        nodes = *light_nodes(source, rule, dtype), visible, own
+        return jax.lax.scan(add, radiance, nodes)
 
     radiance = (jnp.zeros((), dtype),) * bands
     if light.ambient is not None and k_a is not None:
         radiance = plus(radiance, apart(k_a * light.ambient.radiance, bands))
-    for members, group, rule in sources:
+    for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
-        extended = can_be_seen(light.lights[members[0]])
-        if not extended and len(members) <= UNROLLED:
-            arriving = [incident(light.lights[i], point) for i in members]
-            for one, flags in zip(arriving, passes, strict=True):
-                wi, flag = to_local(frame, one.direction), None if flags is None else flags[0]
-                radiance = plus(radiance, shown(one, wi, flag))
-        else:
-            paired = extended and isinstance(rule, Balanced)
+        if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
             flags = None if passes[0] is None else jnp.stack(passes)
-            add = each_pair(rule) if paired else each_node(rule)
-            radiance, _ = jax.lax.scan(add, radiance, (group, flags))
+            radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags))
+            continue
+        arriving = [incident(light.lights[i], point) for i in members]
+        for one, flags in zip(arriving, passes, strict=True):
+            wi, flag = to_local(frame, one.direction), None if flags is None else flags[0]
+            radiance = plus(radiance, shown(one, wi, flag))
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
         seen = _seen_along(light, as_vec(in_world(frame, toward, wo)))
