@@ -298,7 +298,7 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
     return _heuristic(strategy, by_chance, on_purpose)
 
 
-def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar) -> Scalar:
+def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | None) -> Scalar:
     """How much a direction of two densities, sr^-1, counts that was drawn on purpose, no unit; a
     light at one place, of density inf, is found no other way."""
     match strategy:
@@ -306,6 +306,7 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar) ->
             return jnp.ones_like(on_purpose)
         case "surfaces":
             return jnp.where(jnp.isinf(on_purpose), 1, 0).astype(on_purpose.dtype)
+    assert by_chance is not None  # `vertex` was asked to weigh
     return _heuristic(strategy, on_purpose, by_chance)
 
 

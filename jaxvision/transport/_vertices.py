@@ -81,10 +81,11 @@ class Onward(eqx.Module):
 
 class Vertex(eqx.Module):
     """What a surface does. `shaded`: in bands, sr^-1 toward the asked direction; `density`: ()
-    sr^-1 with which the path would have gone there. `onward`: where it goes instead."""
+    sr^-1 with which the path would have gone there, None where no weight needs it. `onward`: where
+    it goes instead."""
 
     shaded: Bands
-    density: Scalar
+    density: Scalar | None
     onward: Onward
 
 
@@ -150,7 +151,7 @@ def vertex(
 
     The drawn direction is a constant to gradients, in its place and in its density: they are then
     right for every parameter of a material, though a draw by other parameters would have gone
-    elsewhere. `weighed`: static; without it the density toward `asked` is not computed, and 0.
+    elsewhere. `weighed`: static; without it no density toward `asked` is computed, and it is None.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     chosen = None
@@ -241,7 +242,11 @@ def _vertex(
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
     if is_delta(material):
         onward, weight = one_way(_specular(material, back, flat), u[2], carries=carries)
-        return Vertex((zero,) * bands, zero, Onward(onward, apart(weight, bands), everywhere))
+        return Vertex(
+            (zero,) * bands,
+            zero if weighed else None,
+            Onward(onward, apart(weight, bands), everywhere),
+        )
     onward, density = together(jax.lax.stop_gradient(_drawn(material, back, u)))
     weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
@@ -254,7 +259,7 @@ def _vertex(
         apart(jnp.where(shows, shaded, 0), bands),
         jnp.where(front, jax.lax.stop_gradient(brdf.pdf(material, asked, back)), 0)
         if weighed
-        else zero,
+        else None,
         Onward(onward, apart(jnp.where(goes, weight, 0), bands), density),
     )
 
