@@ -223,7 +223,7 @@ def test_a_lamp_hides_from_the_camera_what_lies_behind_it():
     view = camera([0.0, 0, 4], [0.0, 0, 0], 0.1, 5)
     seen = from_lights(KEY, Scene([wall], lights), view, paths=4000, depth=2, samples=2)
     np.testing.assert_allclose(seen.radiance[2, 2], 1, rtol=1e-6)
-    assert float(seen.radiance.max()) > 1.2  # the wall beside it
+    assert float(seen.radiance[::4, ::4].sum()) > 0.3  # the wall, in the corners of the picture
 
 
 def test_interpolated_normals_carry_light_as_they_carry_radiance():
