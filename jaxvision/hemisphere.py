@@ -75,13 +75,29 @@ def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
 
 
 def to_local(frame: Frame, w: Vec3) -> Vec3:
-    """A world vector in the frame's coordinates: (w.t, w.b, w.n), in the units of `w`."""
+    """A direction in the frame of a surface.
+
+    Args:
+        frame: from `local_frame`.
+        w: (..., 3) in the world, in any unit.
+
+    Returns:
+        Its components along tangent, bitangent and normal, of the kind and in the unit of `w`.
+    """
     local = Vec(dot(w, frame.tangent), dot(w, frame.bitangent), dot(w, frame.normal))
     return local if isinstance(w, Vec) else as_array(local)
 
 
 def to_world(frame: Frame, w: Vec3) -> Vec3:
-    """A vector of the frame in the world: w.x t + w.y b + w.z n, in the units of `w`."""
+    """A direction of the frame of a surface in the world.
+
+    Args:
+        frame: from `local_frame`.
+        w: (..., 3) along tangent, bitangent and normal, in any unit.
+
+    Returns:
+        The same in the world, of the kind and in the unit of `w`.
+    """
     v = as_vec(w)
     world = v.x * frame.tangent + v.y * frame.bitangent + v.z * frame.normal
     return world if isinstance(w, Vec) else as_array(world)

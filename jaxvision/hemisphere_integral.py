@@ -110,8 +110,8 @@ def sampled_radiance(
         samples: static, >= 2.
 
     Returns:
-        The mean, without bias, and its standard error: too low whenever a rare bright light was not
-        met; 0 for a mirror, which has a single direction.
+        The mean, without bias, and its standard error, W m^-2 sr^-1: too low whenever a rare bright
+        light was not met; 0 for a mirror, which has a single direction.
 
     Raises:
         ValueError: for fewer than 2 samples.

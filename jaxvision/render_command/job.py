@@ -158,8 +158,18 @@ def with_resolution(view: View, resolution: tuple[int, int]) -> View:
 
 
 def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
-    """Channels of an EXR. With wavelengths, m, those of Fichet, Pacanowski and Wilkie, "An OpenEXR
-    Layout for Spectral Images", JCGT 10(3) (2021), in digits enough that they sort."""
+    """The channels of an EXR file.
+
+    Args:
+        bands: how many there are.
+        wavelengths: (bands,) m, or None: RGB if there are three bands.
+
+    Returns:
+        One name for each band; with wavelengths in digits enough that they sort.
+
+    Source:
+        Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3) (2021).
+    """
     if wavelengths is not None:
         longest = len(f"{wavelengths[-1] * 1e9:.1f}")
         names = (f"{w * 1e9:0{longest}.1f}".replace(".", ",") for w in wavelengths)

@@ -120,7 +120,16 @@ def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour
 
 
 def direct_along(scene: Scene, rule: Rule) -> Along:
-    """`radiance_along` for the rays of `photograph`; random rules draw anew for each sample."""
+    """`radiance_along` for the rays of `photograph`.
+
+    Args:
+        scene: as in `radiance_along`.
+        rule: how extended lights without a rule of their own are sampled; a random rule draws anew
+            for each pixel and sample.
+
+    Returns:
+        From a block of rays to (n, bands) W m^-2 sr^-1.
+    """
     shapes = sorted_scene(scene)
 
     def along(ray: Ray, stream: Stream) -> Colour:

@@ -133,7 +133,14 @@ def photograph(
 
 
 def each(along: Callable[[Ray, Stream], Any]) -> Along:
-    """The same for a block of rays, from a function of one ray; in its unit."""
+    """What arrives along a block of rays, from what arrives along one.
+
+    Args:
+        along: from one ray and its sample to radiance, W m^-2 sr^-1.
+
+    Returns:
+        The same for rays of components (n,) and the samples of n pixels.
+    """
 
     def block(rays: Ray, stream: Stream) -> Any:
         def one(ray: Ray, pixel: Word) -> Any:
@@ -145,13 +152,30 @@ def each(along: Callable[[Ray, Stream], Any]) -> Along:
 
 
 def numbers_of(stream: Stream) -> tuple[Array, ...]:
-    """What tells a sample from all others, no unit: its pixel and, of several, its number there."""
+    """What tells a sample from all others.
+
+    Args:
+        stream: the sample.
+
+    Returns:
+        The number of its pixel and, of several samples, its number there; no unit.
+    """
     return (stream.pixel,) if stream.sample is None else (stream.pixel, stream.sample)
 
 
 def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
-    """The ray of one sample of the pixel at `row` and `column`, (); lengths in m. It takes two
-    random numbers, and two more for the place on a lens."""
+    """The ray of one sample of a pixel.
+
+    It takes two random numbers, and two more for the place on a lens.
+
+    Args:
+        view: any view.
+        row, column: () pixels, of the pixel's centre.
+        stream: the sample.
+
+    Returns:
+        Origin in m, direction of unit length.
+    """
     lens = isinstance(view, ThinLens)
     u = lattice_point(stream, 4 if lens else 2, view.pixel_pitch.dtype)
     return view_ray(view, row + u[0] - 0.5, column + u[1] - 0.5, u=u[2:] if lens else None)

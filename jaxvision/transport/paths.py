@@ -269,7 +269,15 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
 
 
 def path_along(scene: Scene, method: Paths) -> Along:
-    """One path for each ray of `photograph`, W m^-2 sr^-1; `method.samples` plays no part."""
+    """One path for each ray of `photograph`.
+
+    Args:
+        scene: any scene; `Scene.ambient` is not added.
+        method: how finely light is followed; `samples` plays no part.
+
+    Returns:
+        From a block of rays to the radiance of their paths, W m^-2 sr^-1.
+    """
     world = world_of(scene)
     return each(lambda ray, stream: _walk(world, ray, stream, method))
 

@@ -235,7 +235,14 @@ def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules:
 
 
 def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) -> Along:
-    """`ray_tree_radiances` for the rays of `photograph`, W m^-2 sr^-1."""
+    """`ray_tree_radiances` for the rays of `photograph`.
+
+    Args:
+        scene, rays, rule: as in `ray_tree_radiance`.
+
+    Returns:
+        From a block of rays to (n, bands) W m^-2 sr^-1.
+    """
     return lambda along, stream: ray_tree_radiances(scene, along, rays=rays, rule=rule)
 
 

@@ -223,7 +223,12 @@ def _far(apart: Float[Array, "3"], first: Array, second: Array) -> Array:
 
 
 class Exchange(eqx.Module):
-    """`value`: () a form factor. `error`: (), by which it may be off."""
+    """A form factor and its error.
+
+    Attributes:
+        value: () form factor, no unit.
+        error: () by which it may be off, no unit.
+    """
 
     value: Scalar
     error: Scalar

@@ -93,8 +93,15 @@ def radiosity_rays(
     rule: Rule = DEFAULT_RULE,
     gather: MonteCarlo | None = None,
 ) -> Along:
-    """`radiosity_along` for the rays of `photograph`, W m^-2 sr^-1; what is random draws anew for
-    each sample."""
+    """`radiosity_along` for the rays of `photograph`.
+
+    Args:
+        scene, plan, solution, rule, gather: as in `radiosity_along`; what is random draws anew for
+            each pixel and sample.
+
+    Returns:
+        From a block of rays to (n, bands) W m^-2 sr^-1.
+    """
     enclosure = _enclosure_of(scene, plan, solution)
 
     def along(ray: Ray, stream: Stream) -> Colour:
