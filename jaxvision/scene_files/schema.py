@@ -174,7 +174,15 @@ class PointEntry(Entry):
 
 
 class SmallEntry(Entry):
-    """Light from a small flat lamp, brightest along its `normal`."""
+    """A small flat lamp: light from a point, with the cosine to its normal.
+
+    Attributes:
+        kind: "small".
+        name: for messages.
+        position: m.
+        normal: direction of its brightest light.
+        intensity: W sr^-1 along the normal.
+    """
 
     kind: Literal["small"]
     name: str | None = None
