@@ -55,6 +55,8 @@ def test_laplace_draws_have_the_covariance_they_claim():
     vectors[:, 1] = np.log(vectors[:, 1])
     # 5 standard errors of a covariance from 40 000 draws with variances up to 2.
     np.testing.assert_allclose(np.cov(vectors.T), COVARIANCE, atol=5 * 2.8 / 200)
+    one, other = (laplace(gaussian, SPACE, ORIGIN, PRECISION, seed=seed) for seed in (0, 1))
+    assert (one.draws != other.draws).all()
 
 
 def test_inflation_widens_and_a_given_covariance_replaces():
@@ -124,8 +126,9 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     options = SamplingOptions(**SHORT, checkpoint=tmp_path)
     chain_of(options)
-    with pytest.raises(InputError, match="chain of another run"):
-        chain_of(options, precision=2 * PRECISION)
+    for other in ({"precision": 2 * PRECISION}, {"seed": SEED + 1}):
+        with pytest.raises(InputError, match="chain of another run"):
+            chain_of(options, **other)
 
 
 def test_a_short_chain_is_refused_and_its_remedy_works(tmp_path):
