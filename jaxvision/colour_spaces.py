@@ -87,8 +87,8 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
 
     Example:
         >>> white = jv.colour_spaces.rgb_to_xyz(jnp.ones(3))
-        >>> print(white.round(2))
-        [ 0.95  1.    1.09]
+        >>> [round(float(x), 2) for x in white]
+        [0.95, 1.0, 1.09]
     """
     return _by_constant(rgb, rgb_to_xyz_matrix(space))
 
