@@ -3,7 +3,9 @@ and quick compiles, which are most of its time."""
 
 import gc
 import os
+import pickle
 import shutil
+import time
 from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
@@ -82,9 +84,22 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory):
-    """(folder, truth) of one simulated lab afternoon."""
+def lab(tmp_path_factory, worker_id):
+    """(folder, truth) of one simulated lab afternoon, which the first worker simulates for all."""
     from fitting.demo.lab import simulate_lab
 
-    folder = tmp_path_factory.mktemp("lab")
-    return folder, simulate_lab(folder, seed=11)
+    alone = worker_id == "master"
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if alone else base.parent) / "lab"
+    truth, waited = folder / "truth.pickle", 0
+    try:
+        folder.mkdir()
+    except FileExistsError:  # another worker is at it
+        while not truth.exists() and waited < 600:
+            time.sleep(1)
+            waited += 1
+    else:
+        part = folder / "truth.part"
+        part.write_bytes(pickle.dumps(simulate_lab(folder / "files", seed=11)))
+        part.rename(truth)
+    return folder / "files", pickle.loads(truth.read_bytes())

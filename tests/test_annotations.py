@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROGRAM = """
 from functools import partial
 
@@ -35,6 +37,7 @@ with install_import_hook(["jaxvision", "fitting"], "beartype.beartype"):
 """
 
 
+@pytest.mark.slow  # CI runs it
 def test_every_public_function_takes_and_returns_what_its_annotations_say():
     environment = {**os.environ, "JAX_ENABLE_X64": "1"}
     run = subprocess.run(

@@ -64,8 +64,7 @@ def points(arguments):
 
 
 def measured(function, batch):
-    """What `function` gives at the four points of a batch: (value, gradient) of the first two, one
-    after the other, and the values of all of them side by side."""
+    """(value, gradient) of `function` at each of the points, side by side in one program."""
     leaves, structure = jax.tree.flatten(batch)
     numbers = [i for i, x in enumerate(leaves) if is_float(x)]
 
@@ -80,24 +79,26 @@ def measured(function, batch):
         gradient, value = jax.grad(summed, has_aux=True)([whole[i] for i in numbers], whole)
         return value, gradient
 
-    return jax.lax.map(one, [x[:2] for x in leaves]), jax.vmap(function)(*batch)
+    return jax.vmap(one)(leaves)
 
 
 def lane(tree, i):
     return jax.tree.map(lambda x: np.asarray(x[i]), tree)
 
 
-def compare(function, arguments, loop, lanes):
-    """The assertions on one function, from what its program gave."""
-    (value, gradient), (aside, _) = lane(loop, 0), lane(loop, 1)
-    close(value, function(*arguments), 1e-12)
-    close(lane(lanes, 0), value, 1e-12)
-    close(lane(lanes, 1), aside, 1e-12)
-    assert all(np.isfinite(g).all() for g in gradient), "a gradient is not finite"
+def compare(function, batch, lanes):
+    """The assertions on one function: two lanes of its program against plain calls, each by itself
+    and not compiled, and the gradient of the first against the two others."""
+    structure = jax.tree.structure(batch)
+    for i in (0, 1):
+        alone = jax.tree.unflatten(structure, [x[i] for x in jax.tree.leaves(batch)])
+        close(lane(lanes[0], i), function(*alone), 1e-12)
+        assert all(np.isfinite(g).all() for g in lane(lanes[1], i)), "a gradient is not finite"
 
-    above, below = float(total(lane(lanes, 2))), float(total(lane(lanes, 3)))
-    numbers = [x for x in jax.tree.leaves(arguments) if is_float(x)]
-    slope = sum(float(np.vdot(g, direction(x))) for g, x in zip(gradient, numbers, strict=True))
+    above, below = float(total(lane(lanes[0], 2))), float(total(lane(lanes[0], 3)))
+    numbers = [x[0] for x in jax.tree.leaves(batch) if is_float(x)]
+    pairs = zip(lane(lanes[1], 0), numbers, strict=True)
+    slope = sum(float(np.vdot(g, direction(x))) for g, x in pairs)
     difference = (above - below) / (2 * STEP)
     # central difference: truncation h^2, rounding eps / h of the value
     tolerance = 1e-6 * abs(slope) + 1e-8 * abs(above) + 1e-12
@@ -111,8 +112,8 @@ def faults(calls):
     for name, (arguments, options) in calls.items():
         function = partial(known[name], **options)
         try:
-            program = jax.jit(partial(measured, function))
-            compare(function, arguments, *program(points(arguments)))
+            batch = points(arguments)
+            compare(function, batch, jax.jit(partial(measured, function))(batch))
         except Exception as error:
             wrong[name] = error
     return wrong

@@ -85,6 +85,7 @@ def plain_rays(view):
 draw = jax.jit(render)
 
 
+@pytest.mark.sweep("pinhole")
 @pytest.mark.parametrize("view", [PINHOLE, PARALLEL], ids=["pinhole", "orthographic"])
 def test_picture_against_the_naive_loop(view):
     expected = loops.render(*plain_scene(), plain_rays(view), BANDS)
@@ -231,6 +232,7 @@ def moved(scene, view, time):
     return scene, replace(view, position=view.position + 0.5 * time * right)
 
 
+@pytest.mark.slow
 def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
     sensor = s.Sensor(exposure_time=0.4)
     view = replace(PARALLEL, resolution=(4, 5))
@@ -247,6 +249,7 @@ def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
         capture(None, LAMBERT_ONLY, s.Camera(view, s.Sensor()), motion=moved)
 
 
+@pytest.mark.slow
 def test_oversampled_pixels_are_means_over_their_apertures():
     view = replace(PINHOLE, resolution=(4, 5), f_number=2.0)
     aperture = s.PixelAperture(0.25, oversampling=2)

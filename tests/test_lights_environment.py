@@ -160,6 +160,7 @@ def test_a_sun_in_float32_is_found_by_random_samples():
     np.testing.assert_allclose(drawn, truth, rtol=4e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("order", [8, 16, 64])
 def test_white_sky_is_pi_within_what_quadrature_states(order):
     """1 / order^2, the default order among them: the sky crosses the receiver's horizon."""

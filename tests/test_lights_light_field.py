@@ -61,6 +61,7 @@ MISSES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", MISSES)
 def test_what_it_does_not_hold_is_dark(name):
     field = LightFieldLight(np.ones((2, 2, 2, 2, 1)), APERTURE, FOCAL)
@@ -101,6 +102,7 @@ def camera(z):
     return Pinhole([0.03, -0.02, z], np.eye(3), 1.0, 0.01, resolution=(12, 14))
 
 
+@pytest.mark.slow
 def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
     """Pixel by pixel what it sees with the window away."""
     elsewhere = Surface(Plane([0, 5, 0], [0, -1, 0]), Lambert([0.0, 0.0]))
@@ -111,6 +113,7 @@ def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
     np.testing.assert_allclose(through, direct, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_window_lights_what_is_before_it(recorded):
     """Against the scene itself looked at through the same window, place by place."""
     point, rule = jnp.asarray([0.1, 0.05, -1.0]), Quadrature(4)
@@ -125,6 +128,7 @@ def test_the_window_lights_what_is_before_it(recorded):
     np.testing.assert_allclose(arriving.irradiance, expected, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
     """A stripe pattern on the focal plane: at that depth the full aperture returns it; in front of
     it, only a small opening does."""

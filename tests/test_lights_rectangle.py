@@ -113,6 +113,7 @@ def test_random_samples_are_unbiased():
     assert error < 2e-3 * means.mean()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("height", [0.1, 0.25, 1.0, 20.0])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_the_order_follows_distance_over_size(height, tolerance):
@@ -160,6 +161,7 @@ def receivers(count):
     return places, normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
     """Alone, each by its own rule: within the tolerance of its own light, or, where that skims the
@@ -179,6 +181,7 @@ def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
     assert np.quantile(error / truth[lit], 0.995) < tolerance
 
 
+@pytest.mark.slow
 def test_receivers_together_take_the_rule_of_the_neediest():
     """Far ones alone by four nodes, wrong before the tenth digit; with one that is near, or one
     whose horizon cuts the light, all by the closed form."""
@@ -200,6 +203,7 @@ def test_receivers_together_take_the_rule_of_the_neediest():
         adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
 
 
+@pytest.mark.slow
 def test_nodes_have_the_gradient_of_the_closed_form():
     """One normal for all; float32 stays float32."""
     places = jnp.asarray([[x, 0.3, -3.0] for x in (-1.0, 0.0, 2.0)])

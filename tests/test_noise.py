@@ -195,6 +195,7 @@ def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, 
         np.testing.assert_allclose(value, true, atol=1e-6 * max(scale, 0.05) ** power)
 
 
+@pytest.mark.sweep("clipped black")
 @pytest.mark.parametrize(
     ("camera", "top"),
     [

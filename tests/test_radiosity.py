@@ -78,6 +78,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.sweep("mesh")
 @pytest.mark.parametrize("name", SHAPES)
 def test_patches_cover_their_shape(name):
     """Areas sum to the shape's, polygons to no more than the curve's; the vector areas of a closed
@@ -127,6 +128,7 @@ def test_a_closed_room_closes_and_is_reciprocal():
     assert jnp.abs(exchange).max() < 0.02 * (patches.area[0] * table.max())
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("width", "low", "high"), [(1.0, 0.0, 0.0), (0.5, 0.45, 0.55)])
 def test_a_wall_between_is_seen(width, low, high):
     """A screen across the whole room lets nothing through; half of it, by symmetry, half."""
@@ -190,6 +192,7 @@ def test_half_of_an_element_in_the_shadow_is_half_as_bright():
 # ------------------------------------------------ radiosity
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_closed_sphere(method):
     """Albedo .5, emission .5: radiance 1 everywhere (pbrt-v4, integrators_test.cpp)."""
@@ -246,6 +249,7 @@ def monte_carlo(albedos, lit, count, depth):
     return left
 
 
+@pytest.mark.slow
 def test_lamp_in_a_room_of_unlike_walls():
     """A lamp over a quarter of the ceiling, touching two walls: mean radiosity of each within 1 %
     of 400,000 particles in NumPy, whose standard error is .3 %. The cells narrow toward the
@@ -335,6 +339,7 @@ def closed_room(rho):
     return table, jnp.full_like(sent, rho), sent
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("method", "rho", "dtype", "bound"),
     [
@@ -411,6 +416,7 @@ VIEW = Pinhole(
 )
 
 
+@pytest.mark.slow
 def test_picture_of_a_glowing_cube_is_even():
     scene = room([GREY] * 6, emission={i: [0.5] for i in range(6)})
     plan = plan_patches(scene, size=0.5, split=2)
@@ -418,6 +424,7 @@ def test_picture_of_a_glowing_cube_is_even():
     np.testing.assert_allclose(image, 1, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_the_feet_of_boxes_are_not_dark():
     """All is 1 in a closed room of albedo .5 that glows by .5, and so are pixels of the floor .016
     from a box on elements of .07: within 6 %, most of it half shadows of 16 rays a lamp; the mean

@@ -1,7 +1,8 @@
 """Every block of code and every command of the README, executed. What a block prints is compared
 with what the comment beside it promises.
 
-Two commands install the package first (the demo and the test command); CI runs them as written.
+Two commands install the package first (the demo and the test command); CI runs them as written, and
+the tests below, which take minutes.
 """
 
 import re
@@ -66,6 +67,7 @@ def test_promises_are_read():
     ]
 
 
+@pytest.mark.slow
 def test_every_block_of_python_runs_and_keeps_its_promises(tmp_path):
     python = blocks("python")
     assert len(python) >= 5
@@ -105,6 +107,7 @@ def workplace(tmp_path, monkeypatch, lab):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", commands())
 def test_every_command_runs(command, workplace):
     if re.match(r"python3 -m venv .*(pytest|jaxvision-fit demo)|jaxvision-fit demo$", command):

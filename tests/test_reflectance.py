@@ -201,6 +201,7 @@ def test_intervals_cover_on_simulated_data(observation):
     assert np.all(covered <= binom.ppf(1 - 5e-4, repetitions, 0.95))
 
 
+@pytest.mark.slow
 def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
     """Intensities wrong by 3 %: the robust error of k_d is the scatter over repetitions, the error
     that takes pixels for independent is a small part of it."""
@@ -221,6 +222,7 @@ def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
     assert np.mean(naive) < scatter / 5
 
 
+@pytest.mark.slow
 def test_without_the_highlight_its_parameters_are_not_determined(observation):
     far = observation.mirror_angle.min(axis=0) > np.radians(35)
     kept = {
@@ -263,6 +265,7 @@ def encoded(frames, gamma):
     return np.round(BLACK + white * np.maximum((frames - BLACK) / white, 0) ** (1 / gamma))
 
 
+@pytest.mark.slow
 def test_gamma_known_or_free(observation):
     frames = encoded(photographs(np.random.default_rng(5)), 2.2)
     again = with_frames(observation, frames)
@@ -277,6 +280,7 @@ def test_gamma_known_or_free(observation):
     assert np.all(costly > cheap)
 
 
+@pytest.mark.slow
 def test_the_composite_density_has_the_robust_curvature(observation):
     lights = np.exp(0.03 * np.random.default_rng(6).standard_normal(LIGHTS))
     frames = photographs(np.random.default_rng(6), lights=lights)

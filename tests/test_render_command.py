@@ -363,6 +363,7 @@ ROOM += "".join(
 ROOM += '[[light]]\nkind = "point"\nposition = [0.4, 0.5, 0.6]\nintensity = [1, 1, 1]\n'
 
 
+@pytest.mark.slow
 def test_the_final_gather_of_radiosity(tmp_path):
     """It knows no tiles and follows the seed, and in the mean over the picture it finds the light
     that is otherwise interpolated."""

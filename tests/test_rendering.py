@@ -99,6 +99,7 @@ RULES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("rule", RULES)
 def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
     """A long plate at half the height hides x > c of the lamp from each point: what is left is a

@@ -131,6 +131,7 @@ def _pair(kind, light):
     return pytest.param(kind, light, marks=() if FIRST[kind] == light else pytest.mark.slow)
 
 
+@pytest.mark.sweep("torrance-sparrow-environment", "lambert-rectangle")
 @pytest.mark.parametrize(
     ("kind", "light"), [_pair(kind, light) for kind in REFLECTING for light in SHINING]
 )
@@ -177,6 +178,7 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
     assert (both.error < 1.5 * sampled.error + 1e-3 * reference).all()
 
 
+@pytest.mark.sweep("normalised phong")
 @pytest.mark.parametrize("kind", ["lambert", "normalised phong", "torrance-sparrow", "oren-nayar"])
 def test_under_a_white_sky_it_is_the_albedo(kind):
     material, white = REFLECTING[kind], jnp.ones(2)

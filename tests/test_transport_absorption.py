@@ -34,6 +34,7 @@ def both(scene, ray, depth=4):
     return [float(path.radiance[0]), float(by_rays(scene, ray)[0])]
 
 
+@pytest.mark.slow
 def test_a_lamp_in_a_body_is_absorbed_on_the_way_to_it():
     """Not on the way to the surface behind it."""
     lamp = RectangleLight([-0.5, -0.5, 1], [1.0, 0, 0], [0, 1.0, 0], [1.0])
@@ -102,6 +103,7 @@ NESTED = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", NESTED)
 def test_a_way_through_bodies_within_bodies(name):
     """exp(-sum of a d) of a sky of radiance 1, straight down."""
@@ -111,6 +113,7 @@ def test_a_way_through_bodies_within_bodies(name):
     np.testing.assert_allclose(found, np.exp(-depth), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_water_under_a_plane_absorbs_down_to_its_floor():
     """1.2 m below its surface, which has no other side."""
     floor = Surface(Quad([-9.0, -9, -0.5], [18.0, 0, 0], [0, 18.0, 0]), Lambert([0.0]), [1.0])
@@ -118,6 +121,7 @@ def test_water_under_a_plane_absorbs_down_to_its_floor():
     np.testing.assert_allclose(both(Scene([WATER, floor], []), ray), np.exp(-1.2), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_light_and_eye_in_one_body_see_the_same():
     """A bulb and a camera within the ball: light tracing loses as much on its way as a path."""
     scene = Scene([BALL, LEAF], [PointLight([0.3, -0.1, 0.6], [3.0])])

@@ -85,6 +85,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", SHAPES)
 def test_what_shines_never_hides_itself(name, dtype):
@@ -151,6 +152,7 @@ EMITTERS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", EMITTERS)
 @pytest.mark.parametrize("strategy", ["lights", "surfaces"])
 def test_both_ways_find_the_closed_form(name, strategy):
@@ -243,6 +245,7 @@ def test_interpolated_normals_carry_light_as_they_carry_radiance():
     assert abs(float(light.radiance.mean()) - expected) < 4 * error
 
 
+@pytest.mark.slow
 def test_interpolated_normals_create_no_light():
     """A white icosahedron that is shaded as a ball, under a sky of radiance 1 that it sends back
     whole. Of the directions about the normal that shades, (1 - cos) / 2 of the light would come
@@ -281,6 +284,7 @@ def test_interpolated_normals_create_no_light():
     assert seen[on_ball].mean() > 0.97
 
 
+@pytest.mark.slow
 def test_ambient_light_stands_for_what_bounces():
     """Where light bounces it is left out: black by every tracer, and refused by the one that
     starts at what shines."""

@@ -133,6 +133,7 @@ def test_glass_and_mirror_ray_by_ray():
     np.testing.assert_allclose(seen, expected, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_trees_that_are_passed_over_change_nothing():
     """More rays than a block, few of them to glass: the same numbers and slopes as one by one."""
     floor = Surface(Plane([0, 0, -1.0], [0, 0, 1.0]), Lambert([0.2, 0.1]))

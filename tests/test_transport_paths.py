@@ -70,6 +70,7 @@ def slow(*values):
     return [pytest.param(*value, marks=pytest.mark.slow) for value in values]
 
 
+@pytest.mark.sweep("balance")
 @pytest.mark.parametrize("strategy", ["lights", "balance", *slow(("surfaces",), ("power",))])
 def test_closed_sphere_has_radiance_one(strategy):
     """L = Le / (1 - albedo): 1 for .5 and .5, 2 for .75 and .5; less the tail albedo^depth."""
@@ -79,6 +80,7 @@ def test_closed_sphere_has_radiance_one(strategy):
     assert np.all(np.abs(mean - expected) <= 4 * error + 1e-9)
 
 
+@pytest.mark.slow
 def test_roulette_is_unbiased():
     """Ends early or late, the same mean: with 400 pieces nothing is left out."""
     mean, error = mean_of_paths(closed([0.5], [0.5]), INSIDE, Paths(1, 400, roulette=1), 4000)
@@ -115,6 +117,7 @@ GLANCE = Ray(jnp.asarray([0.6, 0.0, 3.0]), unit(0, 0, -1))  # meets the unit sph
 QUICK = ("lambert", "mirror")
 
 
+@pytest.mark.sweep("lambert")
 @pytest.mark.parametrize(
     "name", [*QUICK, *slow(*((name,) for name in FURNACE if name not in QUICK))]
 )
@@ -176,6 +179,7 @@ def corner_by_quadrature(x):
     return (direct + 0.2 * kernel(x, up, wall, left) @ (wall_weight * of_wall))[0]
 
 
+@pytest.mark.sweep("balance-False")
 @pytest.mark.parametrize(
     ("strategy", "lamp_is_surface"),
     [

@@ -31,6 +31,7 @@ def scipy_best(y, fixed, lower, upper, *, count=20_001):
     return best
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_amplitudes_agree_with_scipy_nnls(columns):
     rng = np.random.default_rng(columns)
