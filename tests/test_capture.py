@@ -210,6 +210,7 @@ def test_one_compilation_serves_lights_and_materials():
     assert len(traced) == 1
 
 
+@pytest.mark.slow
 def test_a_measured_material_is_not_copied_for_every_pixel():
     """Two tables of 2 MB on 64 x 64 pixels: what is in memory stays near the tables' size."""
     angles = jnp.linspace(0.0, 1.5, 25)
@@ -305,6 +306,7 @@ def test_a_captured_edge_is_as_wide_as_the_circle_of_confusion():
     np.testing.assert_allclose(sharp, np.broadcast_to(np.arange(24) >= 12, (4, 24)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_captured_picture_is_spread_by_diffraction():
     """By an Airy pattern of scipy's Bessel function, integrated over the pixels by midpoints; a
     flat picture stays flat, and the seen radiance as it was."""

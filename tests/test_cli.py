@@ -64,6 +64,7 @@ def test_unknown_options_and_models_exit_with_2(tmp_path):
     assert run("noise", tmp_path, "--mcmc", "--walkers", "2")[0] == 2
 
 
+@pytest.mark.slow
 def test_noise_writes_report_results_and_chains_and_prints_json(lab, tmp_path):
     folder, truth = lab
     status, stdout, _ = run("noise", folder / "noise", "--out", tmp_path / "out", "--json")

@@ -252,6 +252,7 @@ def surface_points(count, dtype, scale):
     return shapes, hit, np.asarray(encounter.shape)[seen]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_acne(scale):
     """What a camera sees sees the camera: no shadow ray stops at the shape it leaves, in float32,
@@ -274,6 +275,7 @@ def test_no_acne(scale):
     assert not blocked(hit, direction, distance)[np.arange(len(which)), which].any()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_leaks(scale):
     """A ray into the solid it starts on is blocked by its far wall, from the smallest depth that

@@ -72,6 +72,7 @@ def test_no_seam_and_no_jump_across_the_poles():
         np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
 def test_samples_follow_their_density(kind):
     """Chi-square over the pixels; the density integrates to 1; radiance / density is the weight."""
@@ -170,6 +171,7 @@ def test_white_sky_is_pi_within_what_quadrature_states(order):
         assert abs(got[0] / (2 * np.pi) - 1) < 1 / order**2
 
 
+@pytest.mark.slow
 def test_rules_agree_under_a_rough_sky():
     normal = toward(0.7, 0.3)
     # a hemisphere rule, blind to the library's own nodes, over the rough sky
@@ -203,6 +205,7 @@ def test_irradiance_by_harmonics_is_exact_for_a_smooth_sky():
         np.testing.assert_allclose(harmonic_irradiance(sky, coefficients, n), expected, rtol=2e-4)
 
 
+@pytest.mark.slow
 def test_error_of_harmonics_stays_within_the_stated_bound():
     """One bright pixel, the worst case, seen at every angle: 3/32 of its power, at its horizon."""
     picture = np.zeros((64, 128, 1))
@@ -224,6 +227,7 @@ def test_error_of_harmonics_stays_within_the_stated_bound():
     np.testing.assert_allclose(error[0], 1 / 16, rtol=1e-5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_environment_files_go_there_and_back(tmp_path, suffix):
     picture = np.asarray(RNG.uniform(0.1, 5, size=(4, 8, 3)), np.float32)
@@ -268,6 +272,7 @@ def test_values_that_are_no_radiance_are_named(wrong):
         environment_map(picture)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [2.0**124, 2.0**-90])
 def test_probabilities_do_not_depend_on_the_unit(scale):
     """In float32, where sums of the larger leave its range and those of the smaller its digits."""

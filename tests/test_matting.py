@@ -184,6 +184,7 @@ def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
 # ------------------------------------------------ the solver
 
 
+@pytest.mark.slow
 def test_coarse_grids_are_galerkin_s():
     """P^T A P and the cycle's symmetry, with P written as a matrix."""
     rows, columns = 9, 12

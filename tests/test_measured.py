@@ -279,6 +279,7 @@ def test_turning_both_directions_changes_nothing(name):
     assert np.allclose(mirrored, evaluate(TABLES[name], wi, wo), rtol=1e-9) == (name == "isotropic")
 
 
+@pytest.mark.slow
 def test_white_furnace():
     """f_r = 1 / pi reflects everything, whichever way the albedo is integrated."""
     white = IsotropicTable([0.0, 1.6], [0.0, 1.6], [0.0], jnp.full((2, 2, 1, 1), 1 / jnp.pi))

@@ -92,6 +92,7 @@ def two_hundred():
     return both_methods([simulate(CameraTruth(), seed=i, pixels=1500) for i in range(200)])
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_nothing_is_biased(two_hundred):
     # 200 draws of 95 % have a standard deviation of 1.54 %; three of them, the twelve figures being
     # strongly dependent.

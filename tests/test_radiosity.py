@@ -264,6 +264,7 @@ def test_lamp_in_a_room_of_unlike_walls():
     np.testing.assert_allclose(means, monte_carlo(albedos, 0.5, 400_000, 30), rtol=0.012)
 
 
+@pytest.mark.slow
 def test_float32_stays_float32():
     lamp = PointLight([0.5, 0.5, 0.5], [1.0])
     scene = as_dtype(room([GREY] * 6, lights=[lamp]), jnp.float32)
@@ -449,6 +450,7 @@ def test_the_feet_of_boxes_are_not_dark():
     np.testing.assert_allclose(image.mean(), 1, atol=3e-3)
 
 
+@pytest.mark.slow
 def test_gather_and_interpolation_agree_in_a_glowing_cube():
     """A ray along which all is 1: gathered from walls that are 1, whatever their number."""
     scene = room([GREY] * 6, emission={i: [0.5] for i in range(6)})
@@ -492,6 +494,7 @@ PLAN = plan_patches(ROOM, size=0.5, split=2)
 SOLUTION = Solution(jnp.ones((24, 1)), jnp.ones((96, 1)), jnp.ones((96, 1)), jnp.zeros(96, bool))
 
 
+@pytest.mark.slow
 def test_an_environment_is_seen_behind_the_scene():
     quad = Surface(Quad([-0.2, -0.2, 0], [0.4, 0, 0], [0, 0.4, 0]), GREY)
     scene = Scene([quad], [environment_map(np.ones((2, 4, 1)))])

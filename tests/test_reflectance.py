@@ -187,6 +187,7 @@ def test_censored_optimum_is_scipys(observation):
     np.testing.assert_allclose((found.vector - reference.x) / deviations(found), 0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_intervals_cover_on_simulated_data(observation):
     """95 % intervals in 100 repetitions of each of three parameters."""
     repetitions = 100
@@ -252,6 +253,7 @@ def test_a_matt_sphere_has_no_highlight_to_report(observation):
     assert set(open_parameters(found, fit(again, "lambert"))) == {"specular", "exponent"}
 
 
+@pytest.mark.slow
 def test_ambient_light_is_read_off_the_shadows(observation):
     frames = np.minimum(photographs(np.random.default_rng(4)) + 25, 4095)
     found = fit(with_frames(observation, frames), ambient=True)

@@ -18,6 +18,7 @@ def fitted(response, times, seed, **options):
     return fit_gamma(fit_response_curve(codes, times, bits=8), sampling=sampling)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("truth", [1.0, 1.8, 2.2])
 def test_gamma_is_unbiased_by_noise_and_rounding(truth):
     """A log regression of these stacks is off by 0.5 % and more."""

@@ -26,6 +26,8 @@ from fitting.response.read import read_exposure_stack
 from fitting.rig import load_rig
 from jaxvision.brdf.measured import BRDFSamples
 
+pytestmark = pytest.mark.slow  # every calibration, twice; CI runs them
+
 
 def material():
     """A Lambertian sheet with noise: one parameter, so one short draw."""

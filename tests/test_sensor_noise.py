@@ -94,6 +94,7 @@ invert = jax.jit(_inverse_poisson)
 STRATA = 2**23
 
 
+@pytest.mark.sweep("0.1")
 @pytest.mark.parametrize("mean", [0.1, 1.0, 3.0, 9.99, 10.01, 30.0, 100.0, 1000.0, 1e5])
 def test_fast_counts_have_poissons_distribution(mean):
     """All its quantiles: the total variation, the mean and the variance that `count` states."""
@@ -215,6 +216,7 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
 # ------------------------------------------------ transfer
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("noise", "well"),
     [

@@ -238,6 +238,7 @@ def highlight():
     return TorranceSparrow([0.0], [1.0], alpha), lamp, jnp.asarray(viewer), truth
 
 
+@pytest.mark.slow
 def test_a_glossy_highlight_wants_balanced_samples(highlight):
     """Against adaptive integration from outside, and the figures that `Quadrature` states."""
     material, lamp, viewer, truth = highlight

@@ -43,6 +43,7 @@ def test_a_lamp_in_a_body_is_absorbed_on_the_way_to_it():
     np.testing.assert_allclose(both(Scene([BALL], [lamp]), ray), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_light_of_a_bulb_in_a_body_is_absorbed_on_its_way_to_a_surface():
     """albedo I cos / (pi d^2), less what is lost from the rim to the leaf and from the bulb."""
     bulb = np.array([0.3, -0.1, 0.6])

@@ -228,6 +228,7 @@ def test_a_lamp_hides_from_the_camera_what_lies_behind_it():
     assert float(seen.radiance[::4, ::4].sum()) > 0.3  # the wall, in the corners of the picture
 
 
+@pytest.mark.slow
 def test_interpolated_normals_carry_light_as_they_carry_radiance():
     """f_r cos_s(light) E, from every side, by paths from the eye and from the light: a triangle
     whose normals lean 34 degrees away from it."""

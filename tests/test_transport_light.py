@@ -162,6 +162,7 @@ def test_trees_that_are_passed_over_change_nothing():
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
     """Diffuse floor, mirror, a lamp with a soft shadow: quadrature against random paths of direct
     light; the mirror's own paths have one piece more."""

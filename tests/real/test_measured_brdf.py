@@ -70,6 +70,7 @@ def test_reciprocity_of_the_measurement(rgl, name, median, worst):
     assert np.quantile(error, 0.95) < worst
 
 
+@pytest.mark.slow
 def test_draws_weigh_little_more_than_the_albedo(rgl):
     """The warp is made of the data: f_r cos(theta_i) / pdf stays within a factor of 2.5 of its
     mean, where draws from the cosine vary many times more on the satin film."""

@@ -135,6 +135,7 @@ HARD = {
 }
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("name", sorted(HARD))
 @pytest.mark.parametrize("tracer", ["paths", "tree"])
