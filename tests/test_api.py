@@ -19,7 +19,7 @@ def every_example():
 
 
 def test_every_public_function_has_an_example():
-    assert every_example().keys() == traced().keys()
+    assert every_example().keys() == traced().keys() >= LONG
 
 
 def is_float(leaf):
@@ -91,7 +91,7 @@ def compare(function, batch, lanes):
     and not compiled, and the gradient of the first against the two others."""
     structure = jax.tree.structure(batch)
     for i in (0, 1):
-        alone = jax.tree.unflatten(structure, [x[i] for x in jax.tree.leaves(batch)])
+        alone = jax.tree.unflatten(structure, [jnp.asarray(x[i]) for x in jax.tree.leaves(batch)])
         close(lane(lanes[0], i), function(*alone), 1e-12)
         assert all(np.isfinite(g).all() for g in lane(lanes[1], i)), "a gradient is not finite"
 
@@ -139,7 +139,7 @@ LONG = {
     "brdf.measured.samples_of",
     "brdf.measured.tabulate_sampler",
     "brdf.rgl.albedo",
-    "rendering.render_light_field",
+    "rendering.light_field.render_light_field",
     "development.demosaicing.demosaic_menon",
     "development.jpeg_loss.jpeg",
     "development.pipeline.develop",

@@ -208,6 +208,7 @@ def test_a_wrong_example_is_noticed():
     assert "Expected" in failures([test])
 
 
+@pytest.mark.slow  # CI runs it
 @pytest.mark.parametrize("package", ["jaxvision", "fitting"])
 def test_examples_in_docstrings_give_what_they_say(package):
     said = failures(examples(importlib.import_module(package)))

@@ -142,7 +142,7 @@ def quadrature(order):
     return jax.jit(partial(polygon_to_polygon, order=order))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["lid", "wall"])
 def test_quadrature_over_one_polygon_states_its_error(other):
     second = polygon(CEILING if other == "lid" else WALL)

@@ -102,6 +102,7 @@ def everything():
     return {jax.tree_util.keystr(path): np.asarray(value) for path, value in paths}
 
 
+@pytest.mark.slow  # CI runs it
 def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
     from jaxvision import _staging
 
