@@ -58,7 +58,8 @@ def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Ar
     """
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
     steps = _steps(dimensions)
-    words = [shift + stream.sample * step for shift, step in zip(shifts, steps, strict=False)]
+    sample = jnp.uint32(0) if stream.sample is None else stream.sample
+    words = [shift + sample * step for shift, step in zip(shifts, steps, strict=False)]
     return jnp.stack([_unit(word, dtype) for word in words])
 
 

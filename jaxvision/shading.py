@@ -178,15 +178,16 @@ def reflected_radiance(
 
     def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None]) -> tuple:
         source, visible = item
-        paired = can_be_seen(source) and isinstance(rule, Balanced)
+        paired = rule if can_be_seen(source) and isinstance(rule, Balanced) else None
         own = None
-        if paired:  # a direction from the material beside each one from the light
-            own = jax.random.uniform(jax.random.fold_in(rule.key, 0), (rule.samples, 3), dtype)
+        if paired is not None:  # a direction from the material beside each one from the light
+            key = jax.random.fold_in(paired.key, 0)
+            own = jax.random.uniform(key, (paired.samples, 3), dtype)
 
         @jax.checkpoint
         def add(total: Bands, node: tuple) -> tuple[Bands, None]:
             u, weight, passes, of_material = node
-            if paired:
+            if paired is not None:
                 both = balanced(material, source, point, frame, viewer, u, of_material, light.place)
                 return plus(total, apart(weight * both, bands)), None
             arriving = incident_sample(source, rule, point, u, weight)
@@ -202,7 +203,8 @@ def reflected_radiance(
     for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
-            flags = None if passes[0] is None else jnp.stack(passes)
+            known = [flags for flags in passes if flags is not None]  # of all members, or of none
+            flags = jnp.stack(known) if known else None
             radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags))
             continue
         arriving = [incident(light.lights[i], point) for i in members]

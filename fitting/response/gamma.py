@@ -293,7 +293,7 @@ def _mixture(mean: np.ndarray, variance: np.ndarray, weights: np.ndarray, label:
 
 def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
     ends = np.interp(QUANTILES, np.cumsum(weights), values)
-    spread = np.sqrt(weights @ (values - weights @ values) ** 2)
+    spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
     return quantile_estimate(SHUTTER_ERROR, ends[2], spread, ends, method="marginal", group=label)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,8 @@ from ..scene import Light, Scene
 from ._nodes import shifted_lattice
 from ._registry import Discrete, Incident, kind_of
 from .rules import Balanced, MonteCarlo, Random, Rule
+
+AnyRule = TypeVar("AnyRule", bound=Rule)
 
 
 def light_nodes(
@@ -45,14 +47,11 @@ def incident_sample(
     return Incident(arriving.direction, arriving.irradiance * weight, arriving.distance)
 
 
-def rule_for(rule: Rule, number: Integer[Array, ""]) -> Rule:
+def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
     """The rule for one of many points, pixels by their number: each draws its own random samples;
     fixed nodes stay as they are."""
-    match rule:
-        case MonteCarlo():
-            return MonteCarlo(jax.random.fold_in(rule.key, number), rule.samples)
-        case Balanced():
-            return Balanced(jax.random.fold_in(rule.key, number), rule.samples)
+    if isinstance(rule, MonteCarlo | Balanced):
+        return type(rule)(jax.random.fold_in(rule.key, number), rule.samples)
     return rule
 
 
@@ -111,8 +110,8 @@ def lights_by_rule(
 
 
 def split_by_rule(
-    members: tuple[int, ...], group: Any, rules: Sequence[Rule]
-) -> list[tuple[tuple[int, ...], Any, Rule]]:
+    members: tuple[int, ...], group: Any, rules: Sequence[AnyRule]
+) -> list[tuple[tuple[int, ...], Any, AnyRule]]:
     """A stack of sources, cut by their rules: (numbers, stack, rule) of each part."""
     shared: dict[tuple, list[int]] = {}
     for place, i in enumerate(members):

@@ -151,14 +151,15 @@ def _followed(world: World, rays: int) -> int:
 
 def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
     """One rule for each emitter."""
-    rules = rules_of(scene, rule, count=world.emitters.count)
-    for i, own in enumerate(rules):
+    rules: list[Quadrature] = []
+    for i, own in enumerate(rules_of(scene, rule, count=world.emitters.count)):
         if not isinstance(own, Quadrature):
             raise ValueError(
                 "ray trees leave nothing to chance: rules must be Quadrature, got "
                 f"{type(own).__name__} for emitter {i}."
             )
-    return rules
+        rules.append(own)
+    return tuple(rules)
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:

@@ -228,8 +228,11 @@ def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Ar
 
 @eqx.filter_jit
 def _lobe_columns(samples: Samples, log_shapes: Array) -> Array:
+    geometry = samples.geometry
+    assert geometry is not None, "a model with a lobe has its angles"
+
     def column(log_shape: Array) -> Array:
-        unit = lobe(samples.form, samples.geometry, jnp.exp(log_shape))
+        unit = lobe(samples.form, geometry, jnp.exp(log_shape))
         return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
 
     return jax.lax.map(column, log_shapes)
