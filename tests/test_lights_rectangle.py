@@ -203,7 +203,6 @@ def test_receivers_together_take_the_rule_of_the_neediest():
         adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
 
 
-@pytest.mark.slow
 def test_nodes_have_the_gradient_of_the_closed_form():
     """One normal for all; float32 stays float32."""
     places = jnp.asarray([[x, 0.3, -3.0] for x in (-1.0, 0.0, 2.0)])

@@ -298,6 +298,20 @@ def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
     assert (smooth.max(axis=-1) > 0.02).mean() < 0.03  # the terminator and the two silhouettes
 
 
+def test_a_mesh_alone_shades_itself():
+    """A floor and a leaf above it as one mesh under a lamp: I cos / d^2 beside the shadow, and
+    nothing in it."""
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    vertices = np.concatenate([square, 0.3 * square + [0, 0, 0.5]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    mesh = TriangleMesh(vertices, np.concatenate([faces, faces + 4]))
+    scene = Scene([Surface(mesh, Lambert(KD))], [PointLight([0, 0, 2.0], [5.0, 4])])
+    look = partial(radiance_along, scene)
+    beside, under = (look(ray([x + 0.3, 0, 0.4], [-0.6, 0, -0.8])) for x in (0.7, 0.1))
+    np.testing.assert_allclose(beside, np.multiply(KD, [5.0, 4]) * 2 / (0.49 + 4) ** 1.5)
+    np.testing.assert_array_equal(under, 0)
+
+
 def test_gradients_through_shadows():
     """Radiance is linear in k_d and in the light's intensity, so their gradients are quotients;
     in the light's place, finite differences where no shadow edge passes."""

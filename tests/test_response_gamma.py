@@ -26,7 +26,6 @@ def test_gamma_is_unbiased_by_noise_and_rounding(truth):
     assert np.mean(found) == pytest.approx(truth, rel=1.5e-3)
 
 
-@pytest.mark.slow
 def test_intervals_hold_the_truth_when_shutters_err():
     """32 stacks: 95 % intervals hold at least 26 times (probability .999 for honest ones) and are
     no wider than they need be."""
