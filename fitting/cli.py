@@ -49,7 +49,9 @@ class Options:
     ] = False
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
     steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
-    walkers: Annotated[int, typer.Option(help="Walkers (--mcmc).", min=4)] = 64
+    walkers: Annotated[
+        int, typer.Option(help="Walkers (--mcmc), at the least 2 a parameter and 2.", min=4)
+    ] = 64
 
     def sampling(self, kind: str, progress: Progress) -> "SamplingOptions | None":
         """How to sample, or None for Laplace."""
@@ -361,6 +363,7 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
             sections, images = calibrate(reporter)
+            _refuse_short_chains(sections, options)
         from jaxvision.io import write_image
 
         from .report.console import output, print_section
@@ -383,6 +386,24 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
         print_section(console, section)
     if options.out is not None:
         console.print(f"\nReport: {options.out / 'report.html'}")
+
+
+def _refuse_short_chains(sections: "list[Section]", options: Options) -> None:
+    """No report is written from chains that cannot be trusted; those of --out are kept, and the
+    same command goes on from them."""
+    from .inference.posterior import convergence_in_words
+
+    posteriors = [pair for section in sections for pair in section.posteriors.items()]
+    short = [(group, posterior) for group, posterior in posteriors if posterior.missing_steps]
+    if not short:
+        return
+    group, worst = max(short, key=lambda pair: pair[1].missing_steps)
+    remedy = f"allow --steps {worst.steps + worst.missing_steps}" + (
+        " and run again: it goes on from here."
+        if options.out is not None
+        else "; with --out it would go on from here."
+    )
+    raise InputError(f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}")
 
 
 @contextmanager

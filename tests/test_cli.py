@@ -2,6 +2,7 @@
 nothing left behind."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -170,6 +171,20 @@ def test_the_installed_command_shows_no_traceback(tmp_path):
     assert ran.returncode == 2
     one_sentence(ran.stderr)
     assert ran.stdout == ""
+
+
+@pytest.mark.slow
+def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
+    """No report rests on them; what was drawn is kept, and the advised command ends well."""
+    command = ("response", lab[0] / "response", "--mcmc", "--walkers", "16", "--out", tmp_path)
+    status, _, stderr = run(*command, "--steps", "20")
+    assert status == 2
+    advised = re.search(r"more steps are missing; allow --steps (\d+) and run again", stderr)
+    assert advised, one_sentence(stderr)
+    assert not (tmp_path / "report.html").exists()
+    assert [*(tmp_path / "checkpoint").rglob("block-*.npz")]
+    assert run(*command, "--steps", 3 * int(advised[1]))[0] == 0
+    assert (tmp_path / "report.html").exists()
 
 
 def test_json_of_nothing_is_still_json():

@@ -1,6 +1,8 @@
 """Laplace and emcee against a Gaussian known in closed form and a skewed one by quadrature;
-refusal of short chains; kill and resume."""
+short chains; kill, resume and go on."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -27,6 +29,10 @@ SEED = 5
 
 def gaussian(vector, precision):
     return -vector @ precision @ vector / 2
+
+
+def heavy_tailed(vector, precision):
+    return -2 * jnp.log1p(vector @ precision @ vector / 4)
 
 
 def gamma_in_log(vector, shape):
@@ -72,8 +78,10 @@ def test_laplace_refuses_an_open_direction_in_words():
         laplace(flat, SPACE, ORIGIN, jnp.asarray(-1.0))
 
 
-def chain_of(options, *, precision=PRECISION, seed=SEED):
-    return sample(gaussian, SPACE, ORIGIN, COVARIANCE, precision, options=options, seed=seed)
+def chain_of(options, *, density=gaussian, precision=PRECISION, seed=SEED, after=None):
+    return sample(
+        *(density, SPACE, ORIGIN, COVARIANCE, precision), options=options, seed=seed, after=after
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +102,11 @@ def test_emcee_finds_the_gaussian(sampled):
 
 
 def test_the_same_seed_gives_the_same_chain_and_another_another(sampled):
-    again = chain_of(SamplingOptions(**SHORT))
-    np.testing.assert_array_equal(again.draws, sampled.draws)
-    different = chain_of(SamplingOptions(**SHORT), seed=6)
+    again, different = (chain_of(SamplingOptions(**SHORT, steps=100), seed=s) for s in (SEED, 6))
     assert (sampled.seed, different.seed) == (SEED, 6)
-    assert different.draws.shape != sampled.draws.shape or (different.draws != sampled.draws).any()
+    first, same, other = (run.blocks[0]["chain"] for run in (sampled, again, different))
+    np.testing.assert_array_equal(same, first)
+    assert (other != first).all()
 
 
 class KilledError(Exception):
@@ -124,27 +132,81 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
-    options = SamplingOptions(**SHORT, checkpoint=tmp_path)
-    chain_of(options)
-    for other in ({"precision": 2 * PRECISION}, {"seed": SEED + 1}):
-        with pytest.raises(InputError, match="chain of another run"):
+    options = SamplingOptions(**SHORT, steps=100, checkpoint=tmp_path)
+    begun = chain_of(options)
+    others = ({"precision": 2 * PRECISION}, {"seed": SEED + 1}, {"density": heavy_tailed})
+    for other in others:
+        with pytest.raises(InputError, match=r"holds the chain of another run .* delete"):
             chain_of(options, **other)
+        with pytest.raises(InputError, match="go on from is the chain of another run"):
+            chain_of(SamplingOptions(**SHORT, steps=100), after=begun, **other)
 
 
-def test_a_short_chain_is_refused_and_its_remedy_works(tmp_path):
-    def run(steps):
-        options = SamplingOptions(
-            walkers=8, block=min(steps, 300), steps=steps, checkpoint=tmp_path
-        )
-        return chain_of(options, seed=2)
+def test_a_short_chain_is_kept_and_says_what_it_lacks():
+    def run(steps, block, **more):
+        return chain_of(SamplingOptions(walkers=32, block=block, steps=steps), seed=2, **more)
 
-    with pytest.raises(InputError, match="not moved in 10 steps"):
-        run(10)
-    with pytest.raises(InputError, match="autocorrelation times long") as refused:
-        run(100)
-    advised = int(str(refused.value).split("allow about ")[1].split()[0])
-    assert "resumes" in str(refused.value)
-    assert run(5 * advised).steps > 100
+    stuck = run(3, 3)
+    assert stuck.draws.shape == (32, 2, 3)
+    assert "not moved in 3 steps" in convergence_in_words(stuck)
+    short = run(60, 60)
+    assert np.isfinite(estimates(short)[0].interval_95).all()
+    assert f"about {short.missing_steps} more steps are missing" in convergence_in_words(short)
+    whole = run(short.steps + short.missing_steps, 60, after=short)
+    assert whole.steps > 60
+    assert whole.missing_steps == 0
+    assert "missing" not in convergence_in_words(whole)
+
+
+@pytest.mark.parametrize("kept", ["memory", "checkpoint"])
+def test_a_chain_that_goes_on_is_one_that_never_stopped(tmp_path, sampled, kept):
+    """Also where it stopped within a block: 150 is no multiple of 100."""
+    folder = tmp_path if kept == "checkpoint" else None
+    short = chain_of(SamplingOptions(**SHORT, steps=150, checkpoint=folder))
+    assert short.missing_steps
+    whole = chain_of(SamplingOptions(**SHORT, checkpoint=folder), after=None if folder else short)
+    for name in ("draws", "log_density", "tau"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(sampled, name))
+    assert (whole.steps, whole.acceptance) == (sampled.steps, sampled.acceptance)
+
+
+def test_a_chain_in_memory_fills_a_checkpoint(tmp_path):
+    short = chain_of(SamplingOptions(**SHORT, steps=200))
+    chain_of(SamplingOptions(**SHORT, steps=300, checkpoint=tmp_path), after=short)
+    assert len(list(tmp_path.glob("*.npz"))) == 3
+
+
+def test_a_density_has_one_fingerprint_in_every_process(capsys):
+    """Its formula and its constants count; addresses and the order of sets do not."""
+    program = (
+        "import jax, jax.numpy as jnp, numpy as np\n"
+        "from fitting.inference.fingerprint import fingerprint\n"
+        "for factor in (2.0, 3.0, np.array([2.0]), np.array([3.0])):\n"
+        "    density = lambda v, a: -jnp.sum(jax.nn.relu(v @ v) * factor)\n"
+        "    print(fingerprint(density, jnp.zeros(2), np.eye(2), None, 3, package='emcee'))"
+    )
+    other = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    exec(program, {"__name__": "__main__"})
+    assert capsys.readouterr().out == other
+    assert len(set(other.split())) == 4
+
+
+@pytest.mark.parametrize("parameters", [11, 40])
+def test_walkers_and_moves_suit_the_dimension(parameters):
+    """Independent standard normals; 40 of them where 64 walkers do not span the space."""
+    space = tuple(Parameter(f"x{i}", symbol="x", unit="1") for i in range(parameters))
+    chain = sample(
+        gaussian,
+        space,
+        jnp.zeros(parameters),
+        np.eye(parameters),
+        jnp.eye(parameters),
+        options=SamplingOptions(steps=100, block=100),
+    )
+    assert chain.draws.shape[0] == max(64, 2 * parameters + 2)
+    assert 0.1 < chain.acceptance < 0.8
 
 
 def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():

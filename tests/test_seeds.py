@@ -84,10 +84,10 @@ def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
 
     seeds = []
 
-    def ensemble(log_density, mode, covariance, *, options, seed, fingerprint):
+    def ensemble(log_density, mode, covariance, *, options, seed, fingerprint, before):
         seeds.append(seed)
         drawn = np.random.default_rng(seed).multivariate_normal(mode, covariance, (60, 8))
-        return Chain(drawn, np.zeros((60, 8)), np.ones(len(mode)), 0.5, 60)
+        return Chain(drawn, np.zeros((60, 8)), np.ones(len(mode)), 0.5, 60, 0, ())
 
     monkeypatch.setattr(posterior, "run_ensemble", ensemble)
     sampled = posteriors(calibrate(sampling=SamplingOptions(walkers=8), seed=9))

@@ -1,12 +1,13 @@
-"""Runs of emcee's ensemble sampler in blocks, each stored as soon as it is complete.
+"""Runs of emcee's ensemble sampler in blocks, until the chain can be trusted.
 
-The sampler (Foreman-Mackey et al. 2013) evaluates half of its walkers in one call. A killed run
-resumes from its last block and ends bit-identical. A chain shorter than 50 autocorrelation times is
-refused (Sokal's window, as emcee documents it): its autocorrelation time cannot be trusted.
+The sampler (Foreman-Mackey et al. 2013) evaluates half of its walkers in one call. A chain shorter
+than 50 autocorrelation times is marked as too short (Sokal's window, as emcee documents it): its
+autocorrelation time itself cannot be trusted. It goes on, from memory or from its checkpoint, as if
+it had never stopped.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,17 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success
 
-Progress = Callable[[int, int], None]
-Block = dict[str, np.ndarray]
+from .blocks import Block, Progress, begun, length, next_length, stacked, store
+from .convergence import autocorrelation_times
 
-TIMES_TAU = 50  # shortest chain that is reported, in autocorrelation times
+TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
+UNDERESTIMATE = 1.7  # by which a chain of 14 autocorrelation times misses its own
+PATIENCE = 1.25  # growth of the chain from one judgement to the next
+# A density estimated from half of 64 walkers fails in many dimensions: tau of a banana is 15 with KDE
+# and DE at P = 5, 52 at 10, 260 at 20; with DE alone 37, 70, 131; with stretch moves 95, 171, 369.
+MOST_FOR_KDE = 10
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,8 @@ class SamplingOptions:
     """How to run the ensemble.
 
     Attributes:
-        walkers: how many, even and at least 4.
+        walkers: how many at least, even and at least 4; with P parameters 2 P + 2 are taken where
+            that is more.
         steps: ceiling; sampling stops once the chain holds enough autocorrelation times.
         block: steps between two checkpoints, at most `steps`.
         checkpoint: folder of the blocks, None to keep them in memory.
@@ -71,16 +77,31 @@ def for_group(options: SamplingOptions | None, group: str) -> SamplingOptions | 
     return replace(options, checkpoint=options.checkpoint / name)
 
 
+def enough_walkers(options: SamplingOptions, dimension: int) -> int:
+    """Walkers of an ensemble.
+
+    Args:
+        options: what was asked for.
+        dimension: P.
+
+    Returns:
+        That, or 2 P + 2 where it is more: each half must span all directions.
+    """
+    return max(options.walkers, 2 * dimension + 2)
+
+
 @dataclass(frozen=True)
 class Chain:
-    """A chain that is long enough, burn-in removed.
+    """What an ensemble drew, burn-in removed.
 
     Attributes:
-        vectors: (steps, walkers, parameters).
-        log_density: (steps, walkers).
-        tau: (parameters,) autocorrelation times in steps.
+        vectors: (draws, walkers, parameters).
+        log_density: (draws, walkers).
+        tau: (parameters,) autocorrelation times in steps; infinite where a walker never moved.
         acceptance: share of accepted proposals.
         steps: all that were taken, burn-in included.
+        missing_steps: about how many more the chain needs; 0 where it is long enough.
+        blocks: all of it, from which a longer run goes on.
     """
 
     vectors: Float[np.ndarray, "draws walkers parameters"]
@@ -88,6 +109,8 @@ class Chain:
     tau: Float[np.ndarray, " parameters"]
     acceptance: float
     steps: int
+    missing_steps: int
+    blocks: tuple[Block, ...]
 
 
 def run_ensemble(
@@ -98,8 +121,9 @@ def run_ensemble(
     options: SamplingOptions,
     seed: int,
     fingerprint: str,
+    before: Sequence[Block] = (),
 ) -> Chain:
-    """Runs, or resumes, an ensemble until its chain is long enough.
+    """Runs, or resumes, an ensemble until its chain is long enough or the ceiling is reached.
 
     Args:
         log_density: (walkers / 2, parameters) to (walkers / 2,), -inf where impossible.
@@ -108,17 +132,18 @@ def run_ensemble(
         options: walkers, ceiling, block, checkpoint and progress.
         seed: of every draw.
         fingerprint: of everything that decides the chain; stored with each block.
+        before: blocks of a shorter run of the same chain.
 
     Returns:
-        The settled part of the chain.
+        The settled part of the chain, and what it lacks.
 
     Raises:
-        InputError: when the ceiling is reached before 50 autocorrelation times (with a checkpoint
-            a longer run continues where this one stopped), and for a checkpoint of another run.
+        InputError: for a checkpoint or blocks of another run.
     """
     import emcee
 
-    half = options.walkers // 2
+    walkers = enough_walkers(options, mode.size)
+    half = walkers // 2
 
     def evaluate(vectors: np.ndarray) -> np.ndarray:
         # Always half an ensemble, the size of every proposal: one shape, one compilation.
@@ -126,51 +151,27 @@ def run_ensemble(
         return np.concatenate([log_density(part) for part in parts])
 
     sampler = emcee.EnsembleSampler(
-        options.walkers,
-        len(mode),
-        evaluate,
-        vectorize=True,
-        moves=[(emcee.moves.KDEMove(), 0.6), (emcee.moves.DEMove(), 0.4)],
+        walkers, mode.size, evaluate, vectorize=True, moves=_moves(mode.size)
     )
-    blocks = _stored_blocks(options, fingerprint)
-    state = _resumed(blocks[-1]) if blocks else _start(options, mode, covariance, seed)
-    while not _long_enough(blocks) and _steps(blocks) < options.steps:
+    blocks = begun(options.checkpoint, before, fingerprint)
+    state = _resumed(blocks[-1]) if blocks else _start(walkers, mode, covariance, seed)
+    while (chain := _judged(blocks, options)) is None:
         sampler.reset()
-        block = min(options.block, options.steps - _steps(blocks))
+        steps = next_length(length(blocks), options.block, options.steps)
         with threadpool_limits(1, user_api="blas"):  # threads cost more than the move's matrices
-            state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+            state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         blocks.append(_block(sampler, state, fingerprint))
-        if options.checkpoint is not None:
-            file = options.checkpoint / f"block-{len(blocks) - 1:05d}.npz"
-            with replaced_on_success(file) as partial, partial.open("wb") as stream:
-                np.savez(stream, **blocks[-1])  # type: ignore[arg-type]
+        store(options.checkpoint, len(blocks) - 1, blocks[-1])
         if options.progress is not None:
-            options.progress(_steps(blocks), options.steps)
-    _refuse_short_chain(blocks, options)
-    start, tau = _settled_start(blocks)
-    accepted = sum(int(block["accepted"]) for block in blocks)
-    return Chain(
-        vectors=_stacked(blocks, "chain")[start:],
-        log_density=_stacked(blocks, "log_chain")[start:],
-        tau=tau,
-        acceptance=accepted / (_steps(blocks) * options.walkers),
-        steps=_steps(blocks),
-    )
+            options.progress(length(blocks), options.steps)
+    return chain
 
 
-def _stored_blocks(options: SamplingOptions, fingerprint: str) -> list[Block]:
-    blocks: list[Block] = []
-    folder = options.checkpoint
-    for file in sorted(folder.glob("block-*.npz")) if folder is not None else ():
-        with np.load(file) as stored:
-            block = dict(stored)
-        if str(block["fingerprint"]) != fingerprint:
-            raise InputError(
-                f"{folder}: holds the chain of another run (other data, seed, settings or "
-                "package versions); delete that folder or choose another output folder."
-            )
-        blocks.append(block)
-    return blocks
+def _moves(dimension: int) -> list[tuple[Any, float]]:
+    """Moves and their shares; not emcee 3.1.6's snooker, which is biased."""
+    from emcee.moves import DEMove, KDEMove
+
+    return [(KDEMove(), 0.6), (DEMove(), 0.4)] if dimension <= MOST_FOR_KDE else [(DEMove(), 1.0)]
 
 
 def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
@@ -196,63 +197,51 @@ def _resumed(last: Block) -> Any:
     return State(last["coords"], log_prob=last["log_prob"], random_state=random_state)
 
 
-def _start(options: SamplingOptions, mode: np.ndarray, covariance: np.ndarray, seed: int) -> Any:
+def _start(walkers: int, mode: np.ndarray, covariance: np.ndarray, seed: int) -> Any:
     from emcee import State
 
     random = np.random.RandomState(seed)
     spread = np.linalg.cholesky(np.asarray(covariance, np.float64))
-    standard = random.standard_normal((options.walkers, mode.size))
+    standard = random.standard_normal((walkers, mode.size))
     return State(mode + standard @ spread.T, random_state=random.get_state())
 
 
-def _steps(blocks: list[Block]) -> int:
-    return sum(len(block["chain"]) for block in blocks)
+def _due(steps: int, block: int) -> bool:
+    """Whether a chain is judged here: after 1, 2, 3, ... blocks, then ever more seldom, since a
+    judgement costs as much as many steps. It depends on the steps alone, not on interruptions."""
+    blocks, rest = divmod(steps, block)
+    if rest or blocks < 2:
+        return rest == 0 and blocks == 1
+    return math.log(blocks, PATIENCE) // 1 > math.log(blocks - 1, PATIENCE) // 1
 
 
-def _stacked(blocks: list[Block], name: str) -> np.ndarray:
-    return np.concatenate([block[name] for block in blocks])
-
-
-def _tau(chain: np.ndarray) -> np.ndarray:
-    from emcee.autocorr import integrated_time
-
-    with np.errstate(invalid="ignore"):  # a walker that never moved has no autocorrelation
-        tau = integrated_time(chain, tol=0, quiet=True)
-    return np.where(np.isfinite(tau), np.maximum(tau, 1.0), np.inf)
-
-
-def _settled_start(blocks: list[Block]) -> tuple[int, np.ndarray]:
-    """Where burn-in ends, and the autocorrelation times from there on."""
-    chain = _stacked(blocks, "chain")
-    start = int(min(np.ceil(BURN_IN_TAU * np.max(_tau(chain))), len(chain) // 2))
-    return start, _tau(chain[start:])
-
-
-def _length_in_tau(blocks: list[Block]) -> tuple[float, float]:
-    start, tau = _settled_start(blocks)
-    slowest = float(np.max(tau))
-    return (_steps(blocks) - start) / slowest, slowest
-
-
-def _long_enough(blocks: list[Block]) -> bool:
-    return bool(blocks) and _length_in_tau(blocks)[0] >= TIMES_TAU
-
-
-def _refuse_short_chain(blocks: list[Block], options: SamplingOptions) -> None:
-    length, tau = _length_in_tau(blocks)
-    if length >= TIMES_TAU:
-        return
-    steps = _steps(blocks)
-    resumes = " and run again: it resumes." if options.checkpoint else "."
-    if not math.isfinite(tau):
-        raise InputError(
-            f"Some walkers have not moved in {steps} steps, so the chain cannot be "
-            f"judged; allow about {10 * steps} steps{resumes}"
-        )
-    # Short chains underestimate their autocorrelation time, by up to 1.7 at 14 times tau.
-    needed = math.ceil((TIMES_TAU + BURN_IN_TAU) * 1.7 * tau / 100) * 100
-    raise InputError(
-        f"The chain of {steps} steps is {length:.0f} autocorrelation times long (tau = "
-        f"{tau:.0f} steps) and at least {TIMES_TAU} are needed to report it; allow about "
-        f"{max(needed, steps + options.block)} steps{resumes}"
+def _judged(blocks: list[Block], options: SamplingOptions) -> Chain | None:
+    """The chain where it is long enough or may not grow; None where it must go on."""
+    steps = length(blocks)
+    last = steps >= options.steps
+    if not (last or _due(steps, options.block)):
+        return None
+    vectors = stacked(blocks, "chain")
+    slowest = np.max(autocorrelation_times(vectors))
+    start = int(min(np.ceil(BURN_IN_TAU * slowest), steps // 2))
+    tau = autocorrelation_times(vectors[start:])
+    missing = _missing(steps, steps - start, float(np.max(tau)))
+    if missing and not last:
+        return None
+    return Chain(
+        vectors=vectors[start:],
+        log_density=stacked(blocks, "log_chain")[start:],
+        tau=tau,
+        acceptance=sum(int(block["accepted"]) for block in blocks) / (steps * vectors.shape[1]),
+        steps=steps,
+        missing_steps=missing,
+        blocks=tuple(blocks),
     )
+
+
+def _missing(steps: int, settled: int, tau: float) -> int:
+    """About how many steps a chain lacks, in whole hundreds; 0 where it is long enough."""
+    if settled >= TIMES_TAU * tau:
+        return 0
+    needed = (TIMES_TAU + BURN_IN_TAU) * UNDERESTIMATE * tau if math.isfinite(tau) else 10 * steps
+    return max(math.ceil((needed - steps) / 100), 1) * 100

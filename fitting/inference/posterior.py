@@ -1,15 +1,13 @@
-"""The posterior of a fit: Laplace's approximation, or draws by emcee.
+"""The posterior of a fit: Laplace's approximation, or draws by emcee (by NUTS: `nuts`).
 
 A log density is a module-level pure function of an unconstrained vector and its data. Laplace
 takes its curvature at the mode; the ensemble sampler evaluates it at half of its walkers in one
 compiled call (`emcee_run`).
 """
 
-import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from importlib.metadata import version
 from typing import Any, Literal
 
 import equinox as eqx
@@ -21,9 +19,11 @@ from scipy.stats import norm
 
 from jaxvision.errors import InputError
 
+from .blocks import Block
 from .diagnostics import identifiability
-from .emcee_run import SamplingOptions, run_ensemble
+from .emcee_run import TIMES_TAU, SamplingOptions, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
+from .fingerprint import fingerprint
 from .parameters import ParameterSpace, names, to_natural
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
@@ -37,20 +37,25 @@ class Posterior:
 
     Attributes:
         space: the P parameters.
-        method: "Laplace" or "emcee".
+        method: "Laplace", "emcee" or "NUTS".
         draws: (chains, draws, P) in natural units.
         mode: (P,) in natural units.
         unconstrained_mode: (P,).
         covariance: (P, P) on the unconstrained scale.
         seed: of the draws.
         log_density: (chains, draws), None for Laplace.
-        tau: (P,) autocorrelation times in steps, None for Laplace.
+        tau: (P,) autocorrelation times in steps, None for Laplace; of NUTS, what its effective
+            draws amount to.
         acceptance: share of accepted proposals, None for Laplace.
-        steps: of the chain, burn-in included; 0 for Laplace.
+        steps: of each chain, burn-in included; 0 for Laplace.
+        missing_steps: about how many more the chains need before they can be trusted.
+        r_hat: (P,) split R-hat of independent chains, None but for NUTS.
+        divergences: trajectories that left the surface of equal energy, None but for NUTS.
+        blocks: the whole chain, from which a longer run goes on; empty for Laplace.
     """
 
     space: ParameterSpace
-    method: Literal["Laplace", "emcee"]
+    method: Literal["Laplace", "emcee", "NUTS"]
     draws: Float[np.ndarray, "chains draws parameters"]
     mode: Float[np.ndarray, " parameters"]
     unconstrained_mode: Float[np.ndarray, " parameters"]
@@ -60,11 +65,20 @@ class Posterior:
     tau: Float[np.ndarray, " parameters"] | None = None
     acceptance: float | None = None
     steps: int = 0
+    missing_steps: int = 0
+    r_hat: Float[np.ndarray, " parameters"] | None = None
+    divergences: int | None = None
+    blocks: tuple[Block, ...] = field(default=(), repr=False)
 
     @property
     def samples(self) -> Float[np.ndarray, "samples parameters"]:
         """All draws in one row, (samples, P)."""
         return self.draws.reshape(-1, len(self.space))
+
+    @property
+    def sampled(self) -> bool:
+        """Whether the draws are a sampler's, so that quantiles are read off them."""
+        return self.method != "Laplace"
 
 
 def laplace_or_emcee(
@@ -165,8 +179,13 @@ def sample(
     *,
     options: SamplingOptions | None = None,
     seed: int = 0,
+    after: Posterior | None = None,
 ) -> Posterior:
     """Draws by emcee, the walkers starting from the Gaussian (mode, covariance).
+
+    A chain that reaches the ceiling of steps before it holds 50 autocorrelation times is kept and
+    says how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it goes
+    on, and ends bit-identical to a run that was never interrupted.
 
     Args:
         log_density: module-level function of (vector, args); NaN counts as impossible.
@@ -176,13 +195,13 @@ def sample(
         args: data of `log_density`.
         options: of the ensemble; None for the defaults.
         seed: of every draw.
+        after: a shorter posterior of the same density, data, start and seed, to go on from.
 
     Returns:
         The posterior, one chain a walker, burn-in removed.
 
     Raises:
-        InputError: when the ceiling of steps is reached before 50 autocorrelation times; with a
-            checkpoint a longer run continues where this one stopped.
+        InputError: for a checkpoint, or a posterior to go on from, of another run.
     """
     options = options or SamplingOptions()
 
@@ -196,7 +215,12 @@ def sample(
         covariance,
         options=options,
         seed=seed,
-        fingerprint=_fingerprint(space, mode, covariance, args, seed, options.walkers),
+        fingerprint=fingerprint(
+            *(log_density, mode, covariance, args),
+            *(space, seed, enough_walkers(options, len(space))),
+            package="emcee",
+        ),
+        before=() if after is None else after.blocks,
     )
     drawn = chain.vectors.reshape(-1, len(space))
     return Posterior(
@@ -211,13 +235,15 @@ def sample(
         tau=chain.tau,
         acceptance=chain.acceptance,
         steps=chain.steps,
+        missing_steps=chain.missing_steps,
+        blocks=chain.blocks,
     )
 
 
 def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
-    Laplace: the mode and the Gaussian's quantiles carried through the transform. emcee: median,
+    Laplace: the mode and the Gaussian's quantiles carried through the transform. Samplers: median,
     standard deviation and quantiles of the draws.
 
     Args:
@@ -227,9 +253,9 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     Returns:
         P estimates.
     """
-    if posterior.method == "emcee":
+    if posterior.sampled:
         return tuple(
-            sampled_estimate(parameter, draws, method="emcee", group=group)
+            sampled_estimate(parameter, draws, method=posterior.method, group=group)
             for parameter, draws in zip(posterior.space, posterior.samples.T, strict=True)
         )
     deviation = np.sqrt(np.diagonal(posterior.covariance))
@@ -247,16 +273,47 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
 
 
 def convergence_in_words(posterior: Posterior) -> str:
-    """How far the draws can be trusted, as one sentence."""
+    """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
+    it is."""
     if posterior.tau is None:
         return "Intervals are Laplace's: Gaussian about the best fit on the scale of the transform."
     slowest = int(np.argmax(posterior.tau))
-    independent = posterior.samples.shape[0] / posterior.tau[slowest]
+    name, tau = names(posterior.space)[slowest], posterior.tau[slowest]
+    chains, kept = posterior.draws.shape[:2]
+    if posterior.r_hat is not None:
+        return _independent_chains_in_words(posterior, name, chains * kept / tau)
+    if not np.isfinite(tau):
+        return (
+            f"Some walkers have not moved in {posterior.steps} steps, so the chain cannot be "
+            f"judged and its intervals cannot be trusted; about {posterior.missing_steps} more "
+            "steps are missing."
+        )
+    if posterior.missing_steps:
+        return (
+            f"The chain of {posterior.steps} steps is {kept / tau:.0f} autocorrelation times long "
+            f"(tau = {tau:.0f} steps, of {name}) and at least {TIMES_TAU} are needed to trust its "
+            f"intervals; about {posterior.missing_steps} more steps are missing."
+        )
     return (
-        f"{posterior.steps} steps of {posterior.draws.shape[0]} walkers; the slowest parameter, "
-        f"{names(posterior.space)[slowest]}, has an autocorrelation time of "
-        f"{posterior.tau[slowest]:.1f} steps, so the chain is worth {independent:.0f} independent "
-        f"draws; acceptance {posterior.acceptance:.2f}."
+        f"{posterior.steps} steps of {chains} walkers; the slowest parameter, {name}, has an "
+        f"autocorrelation time of {tau:.1f} steps, so the chain is worth {chains * kept / tau:.0f} "
+        f"independent draws; acceptance {posterior.acceptance:.2f}."
+    )
+
+
+def _independent_chains_in_words(posterior: Posterior, name: str, effective: float) -> str:
+    chains, kept = posterior.draws.shape[:2]
+    assert posterior.r_hat is not None
+    told = (
+        f"{chains} chains of {kept} draws; the slowest parameter, {name}, is worth "
+        f"{effective:.0f} independent draws; largest R-hat {posterior.r_hat.max():.3f}; "
+        f"{posterior.divergences} divergent trajectories"
+    )
+    if not posterior.missing_steps:
+        return f"{told}."
+    return (
+        f"{told}: too few to trust the intervals; about {posterior.missing_steps} more draws of "
+        "each chain are missing."
     )
 
 
@@ -269,14 +326,3 @@ def _information(log_density: LogDensity, vector: Array, args: Any) -> Array:
 def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
     values = jax.lax.map(lambda vector: log_density(vector, args), vectors, batch_size=BATCH)
     return jnp.where(jnp.isnan(values), -jnp.inf, values)
-
-
-def _fingerprint(
-    space: ParameterSpace, mode: Array, covariance: np.ndarray, args: Any, seed: int, walkers: int
-) -> str:
-    digest = hashlib.sha256()
-    packages = [f"{name} {version(name)}" for name in ("emcee", "jax", "numpy", "scipy")]
-    digest.update(repr((space, seed, walkers, packages)).encode())
-    for leaf in jax.tree.leaves((mode, covariance, args)):
-        digest.update(np.asarray(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
-    return digest.hexdigest()

@@ -113,7 +113,7 @@ def _likelihood_estimates(
     linearity = np.zeros(fit.data.mean.size, bool)
     linearity[: len(usable)] = np.asarray(within.linearity)[usable]
     args = (fit.space, fit.data, jnp.asarray(linearity))
-    if posterior.method == "emcee":
+    if posterior.sampled:
         return _drawn_estimates(posterior, within, args)
     values, slopes, at_saturation = eqx.filter_jit(_sheet_and_slopes)(
         fit.solution.vector, within.saturation, args

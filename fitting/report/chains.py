@@ -103,7 +103,7 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
             )
             draw = partial(corner_figure, posterior)
             pictures.append(Picture(f"corner_{group}", f"Joint uncertainty{which}", caption, draw))
-        if posterior.method == "emcee":
+        if posterior.sampled:
             caption = "Paths of some walkers after burn-in; a settled chain looks like even noise."
             draw = partial(trace_figure, posterior)
             pictures.append(Picture(f"trace_{group}", f"Walkers{which}", caption, draw))

@@ -106,7 +106,7 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
 
 
 def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:
-    sampled = {n: p for n, p in calibration.posteriors.items() if p.method == "emcee"}
+    sampled = {n: p for n, p in calibration.posteriors.items() if p.sampled}
     if sampled:
         return [f"{name}: {convergence_in_words(p)}" for name, p in sampled.items()]
     return [convergence_in_words(p) for p in list(calibration.posteriors.values())[:1]]

@@ -1,0 +1,82 @@
+"""Chains in blocks, each stored as soon as it is complete, so that a killed run loses one at most.
+
+A block is a record of arrays: what was drawn, the state from which the next block goes on, and the
+fingerprint of all that decides the chain. Blocks end at whole multiples of their size however often
+a run is interrupted, so that one that resumes ends bit-identical to one that was left alone.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.io import replaced_on_success
+
+Progress = Callable[[int, int], None]
+Block = dict[str, np.ndarray]
+
+
+def begun(folder: Path | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
+    """The blocks from which a run goes on: those in memory or those in a folder, whichever are
+    more. The folder gets what it lacks.
+
+    Args:
+        folder: of the checkpoint; None for memory alone.
+        before: blocks of an earlier run, none for a new one.
+        fingerprint: of this run.
+
+    Returns:
+        The blocks, a new list.
+
+    Raises:
+        InputError: for blocks of another run.
+    """
+    stored: list[Block] = []
+    for file in sorted(folder.glob("block-*.npz")) if folder is not None else ():
+        with np.load(file) as content:
+            stored.append(dict(content))
+    other = "the chain of another run (other data, density, seed, settings or package versions)"
+    if not _all_of(stored, fingerprint):
+        raise InputError(
+            f"{folder}: holds {other}; delete that folder or choose another output folder."
+        )
+    if not _all_of(before, fingerprint):
+        raise InputError(f"The posterior to go on from is {other}; leave it out to start anew.")
+    for i in range(len(stored), len(before)):
+        store(folder, i, before[i])
+    return list(max(stored, before, key=len))
+
+
+def store(folder: Path | None, index: int, block: Block) -> None:
+    """Writes one block, whole or not at all.
+
+    Args:
+        folder: of the checkpoint; None writes nothing.
+        index: of the block in its chain.
+        block: to write.
+    """
+    if folder is None:
+        return
+    file = folder / f"block-{index:05d}.npz"
+    with replaced_on_success(file) as partial, partial.open("wb") as stream:
+        np.savez(stream, **block)  # type: ignore[arg-type]
+
+
+def length(blocks: Sequence[Block]) -> int:
+    """Steps in all blocks."""
+    return sum(len(block["chain"]) for block in blocks)
+
+
+def next_length(done: int, size: int, ceiling: int) -> int:
+    """Steps of the next block: to the next multiple of its size, and not beyond the ceiling."""
+    return min(size - done % size, ceiling - done)
+
+
+def stacked(blocks: Sequence[Block], name: str) -> np.ndarray:
+    """One array of all blocks, along their steps."""
+    return np.concatenate([block[name] for block in blocks])
+
+
+def _all_of(blocks: Sequence[Block], fingerprint: str) -> bool:
+    return all(str(block["fingerprint"]) == fingerprint for block in blocks)

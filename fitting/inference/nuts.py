@@ -1,0 +1,271 @@
+"""Draws by the No-U-Turn sampler (Hoffman & Gelman, JMLR 15, 2014) of blackjax, an optional extra.
+
+The chains move in coordinates z in which Laplace's Gaussian is round,
+
+    vector = mode + L z,    L L^T = covariance,
+
+so that only the size of a step is adapted: by dual averaging, during the warm-up, to the mean
+acceptance of all chains. Draw i has a key of its own, so that neither the size of the blocks nor an
+interruption changes a chain. Chains are trusted from 400 effective draws and up to an R-hat of 1.01
+(Vehtari et al., Bayesian Analysis 16, 2021).
+"""
+
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxvision.errors import InputError
+
+from .blocks import Block, Progress, begun, length, next_length, stacked, store
+from .convergence import effective_draws, split_r_hat
+from .fingerprint import fingerprint
+from .parameters import ParameterSpace, to_natural
+from .posterior import LogDensity, Posterior
+
+WARM_UP = 300  # steps that adapt the step size; draws follow
+TARGET_ACCEPTANCE = 0.8
+FIRST_STEP = 0.5  # in standard deviations
+FEWEST_EFFECTIVE, LARGEST_R_HAT = 400.0, 1.01
+FEWEST_DRAWS = 10
+SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # of a start toward the mode until it is possible
+
+
+class _State(eqx.Module):
+    """Where the chains are, and the adaptation of their step: log of the step, of its average,
+    count, mean error and centre (Nesterov's dual averaging)."""
+
+    position: Float[Array, "chains parameters"]
+    log_density: Float[Array, " chains"]
+    gradient: Float[Array, "chains parameters"]
+    adaptation: Float[Array, "5"]
+
+
+def nuts(
+    log_density: LogDensity,
+    space: ParameterSpace,
+    mode: Float[Array, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    args: Any,
+    *,
+    draws: int = 1000,
+    chains: int = 4,
+    seed: int = 0,
+    block: int = 100,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+    after: Posterior | None = None,
+) -> Posterior:
+    """Draws by NUTS, the chains starting from the Gaussian (mode, covariance).
+
+    Chains that cannot be trusted yet are kept and say how many draws they lack. With `after`, or
+    with their checkpoint, and more draws they go on, and end bit-identical to chains that were
+    never interrupted.
+
+    Args:
+        log_density: module-level function of (vector, args), differentiable; NaN counts as
+            impossible.
+        space: the P parameters.
+        mode: (P,) unconstrained.
+        covariance: (P, P) on the unconstrained scale.
+        args: data of `log_density`.
+        draws: of each chain, after a warm-up of 300 steps.
+        chains: how many, independent of each other and advanced together.
+        seed: of every draw.
+        block: draws between two checkpoints.
+        checkpoint: folder of the blocks, None to keep them in memory.
+        progress: called with (steps done, steps in all) after each block.
+        after: a shorter posterior of the same density, data, start and seed, to go on from.
+
+    Returns:
+        The posterior, warm-up removed.
+
+    Raises:
+        InputError: without blackjax, for unusable numbers, for a mode that is impossible, and for a
+            checkpoint, or a posterior to go on from, of another run.
+    """
+    _ = _blackjax()
+    if draws < FEWEST_DRAWS or chains < 1 or block < 1:
+        raise InputError(
+            f"{draws} draws of {chains} chains in blocks of {block}: give at least {FEWEST_DRAWS} "
+            "draws of one chain in blocks of one."
+        )
+    spread = jnp.asarray(np.linalg.cholesky(np.asarray(covariance, np.float64)), mode.dtype)
+    settings = (space, seed, chains, WARM_UP, TARGET_ACCEPTANCE)
+    run = fingerprint(log_density, mode, covariance, args, *settings, package="blackjax")
+    blocks = begun(checkpoint, () if after is None else after.blocks, run)
+    density = (log_density, mode, spread, args)
+    starting, drawing = jax.random.split(jax.random.key(seed))
+    state = _resumed(blocks[-1]) if blocks else _start(*density, starting, chains)
+    total = WARM_UP + draws
+    while (done := length(blocks)) < total:
+        steps = next_length(done, block, total)
+        state, drawn = _advance(*density, state, drawing, jnp.asarray([done, steps]), block)
+        blocks.append(
+            {"fingerprint": np.array(run)}
+            | {name: np.asarray(values)[:steps] for name, values in drawn.items()}
+            | {name: np.asarray(values) for name, values in vars(state).items()}
+        )
+        store(checkpoint, len(blocks) - 1, blocks[-1])
+        if progress is not None:
+            progress(length(blocks), total)
+    return _posterior(space, np.asarray(mode, np.float64), np.asarray(spread), blocks, seed)
+
+
+def _blackjax() -> ModuleType:
+    try:
+        import blackjax
+    except ImportError as error:
+        raise InputError(
+            "NUTS needs blackjax, which is not installed; run: pip install 'jaxvision[nuts]'."
+        ) from error
+    return blackjax
+
+
+def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) -> Any:
+    """The density of z, -inf where it is NaN."""
+
+    def density(z: Array) -> Array:
+        value = log_density(mode + spread @ z, args)
+        return jnp.where(jnp.isnan(value), -jnp.inf, value)
+
+    return density
+
+
+def _start(
+    log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
+) -> _State:
+    state = _started(log_density, mode, spread, args, key, chains)
+    if not np.isfinite(np.asarray(state.log_density)).all():
+        raise InputError(
+            "The density is impossible at the mode itself, so no chain can start; fit first."
+        )
+    return state
+
+
+@eqx.filter_jit
+def _started(
+    log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
+) -> _State:
+    """Starts from Laplace's Gaussian, each as far toward the mode as it must be to be possible."""
+    density = _whitened(log_density, mode, spread, args)
+    z = jax.random.normal(key, (chains, mode.size), mode.dtype)
+    nearer = jnp.asarray(SHRINKING, mode.dtype)[:, None, None] * z[None]
+    possible = jnp.isfinite(jax.vmap(jax.vmap(density))(nearer))
+    first = jnp.where(possible.any(axis=0), jnp.argmax(possible, axis=0), len(SHRINKING) - 1)
+    position = nearer[first, jnp.arange(chains)]
+    value, gradient = jax.vmap(jax.value_and_grad(density))(position)
+    adapt, _, _ = _adaptation()
+    begun = jnp.stack([jnp.asarray(x, mode.dtype) for x in adapt(FIRST_STEP)])
+    return _State(position, value, gradient, begun)
+
+
+def _adaptation() -> Any:
+    from blackjax.adaptation.step_size import dual_averaging_adaptation
+
+    return dual_averaging_adaptation(TARGET_ACCEPTANCE)
+
+
+@eqx.filter_jit
+def _advance(
+    log_density: LogDensity,
+    mode: Array,
+    spread: Array,
+    args: Any,
+    state: _State,
+    key: PRNGKeyArray,
+    range_: Int[Array, "2"],
+    block: int,
+) -> tuple[_State, dict[str, Array]]:
+    """The steps of a block, (first, how many), and what they drew."""
+    from blackjax.adaptation.step_size import DualAveragingAdaptationState
+    from blackjax.mcmc.hmc import HMCState
+
+    kernel = _blackjax().nuts.build_kernel()
+    density = _whitened(log_density, mode, spread, args)
+    round_metric = jnp.ones_like(mode)
+    _, update, _ = _adaptation()
+    chains = len(state.log_density)
+    first, steps = range_
+
+    def step(i: Array, carry: tuple[_State, dict[str, Array]]) -> tuple[_State, dict[str, Array]]:
+        now, drawn = carry
+        adapting = first + i < WARM_UP
+        size = jnp.exp(jnp.where(adapting, now.adaptation[0], now.adaptation[1]))
+        keys = jax.random.split(jax.random.fold_in(key, first + i), chains)
+        places = HMCState(now.position, now.log_density, now.gradient)
+        moved, info = jax.vmap(
+            lambda k, place: kernel(k, place, density, size, round_metric),
+        )(keys, places)
+        adapted = update(
+            DualAveragingAdaptationState(*now.adaptation), jnp.mean(info.acceptance_rate)
+        )
+        adaptation = jnp.where(adapting, jnp.stack(adapted), now.adaptation)
+        new = {
+            "chain": moved.position,
+            "log_chain": moved.logdensity,
+            "acceptances": info.acceptance_rate,
+            "divergent": info.is_divergent,
+        }
+        drawn = {name: drawn[name].at[i].set(value) for name, value in new.items()}
+        return _State(*moved, adaptation), drawn
+
+    empty = {
+        "chain": jnp.zeros((block, *state.position.shape), mode.dtype),
+        "log_chain": jnp.zeros((block, chains), mode.dtype),
+        "acceptances": jnp.zeros((block, chains), mode.dtype),
+        "divergent": jnp.zeros((block, chains), bool),
+    }
+    return jax.lax.fori_loop(0, steps, step, (state, empty))
+
+
+def _resumed(last: Block) -> _State:
+    names = ("position", "log_density", "gradient", "adaptation")
+    return _State(*(jnp.asarray(last[name]) for name in names))
+
+
+def _posterior(
+    space: ParameterSpace, mode: np.ndarray, spread: np.ndarray, blocks: list[Block], seed: int
+) -> Posterior:
+    """The settled draws, and whether they can be trusted."""
+    settled = {
+        name: stacked(blocks, name)[WARM_UP:]
+        for name in ("chain", "log_chain", "acceptances", "divergent")
+    }
+    vectors = np.swapaxes(mode + settled["chain"] @ spread.T, 0, 1)
+    chains, draws = vectors.shape[:2]
+    by_parameter = np.moveaxis(vectors, 2, 0)
+    effective = np.array([effective_draws(x) for x in by_parameter])
+    r_hat = np.array([split_r_hat(x) for x in by_parameter])
+    return Posterior(
+        space=space,
+        method="NUTS",
+        draws=np.asarray(to_natural(space, jnp.asarray(vectors))),
+        mode=np.asarray(to_natural(space, jnp.asarray(mode))),
+        unconstrained_mode=mode,
+        covariance=np.cov(vectors.reshape(-1, len(space)).T).reshape(len(space), len(space)),
+        seed=seed,
+        log_density=settled["log_chain"].T,
+        tau=chains * draws / effective,
+        acceptance=float(settled["acceptances"].mean()),
+        steps=length(blocks),
+        missing_steps=_missing(draws, float(effective.min()), float(r_hat.max())),
+        r_hat=r_hat,
+        divergences=int(settled["divergent"].sum()),
+        blocks=tuple(blocks),
+    )
+
+
+def _missing(draws: int, effective: float, r_hat: float) -> int:
+    """About how many draws each chain lacks, in whole hundreds; twice as many in all where chains
+    disagree though their draws would suffice."""
+    if effective >= FEWEST_EFFECTIVE and r_hat <= LARGEST_R_HAT:
+        return 0
+    needed = draws * max(FEWEST_EFFECTIVE / effective, 2.0 if r_hat > LARGEST_R_HAT else 1.0)
+    return max(math.ceil((needed - draws) / 100), 1) * 100
