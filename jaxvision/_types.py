@@ -6,9 +6,12 @@ vmaps.
 """
 
 from collections.abc import Sequence
+from dataclasses import fields
+from functools import cache
 from types import UnionType
-from typing import Any, TypeVar, get_args
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -117,13 +120,16 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...]) -> None:
     if x is None:
         return
     shape = jnp.shape(x)
-    for wanted in expected:
-        if len(wanted) == len(shape) and all(
-            isinstance(size, str) or size == got for size, got in zip(wanted, shape, strict=True)
-        ):
-            return
+    if any(_fits(shape, wanted) for wanted in expected):
+        return
     allowed = " or ".join(f"({', '.join(map(str, e))}{',' * (len(e) == 1)})" for e in expected)
     raise ValueError(f"{name} must have shape {allowed}, got {shape}.")
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    return len(wanted) == len(shape) and all(
+        isinstance(size, str) or size == got for size, got in zip(wanted, shape, strict=True)
+    )
 
 
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
@@ -210,3 +216,61 @@ def check_range(
         most = "" if high == np.inf else f" and at most {high:g}"
         kind = "finite, " if finite else ""
         raise ValueError(f"{name} must be {kind}{least} {low:g}{most}, got {wrong}.")
+
+
+class Range(NamedTuple):
+    """The numbers that a field may hold: from `low`, or `above` it, to `high`."""
+
+    low: float
+    high: float = np.inf
+    above: bool = False
+    finite: bool = True
+
+
+FINITE = Range(-np.inf)
+NOT_NEGATIVE = Range(0)
+POSITIVE = Range(0, above=True)
+FRACTION = Range(0, 1)
+
+
+def check_fields(record: Any, **ranges: Range) -> None:
+    """Raises `ValueError` unless the fields of a record are as annotated: arrays of their shape, in
+    which an axis name is one size throughout the record, and records of their kind.
+
+    Args:
+        record: a record; its fields of other types, such as static ones, are not looked at.
+        ranges: the numbers that a field may hold, by its name; a record there has its own.
+    """
+    sizes: dict[int | str, int] = {}
+    kind = type(record).__name__
+    for name, (shapes, kinds) in _annotated(type(record)).items():
+        place, value = f"{kind}.{name}", getattr(record, name)
+        if kinds and (isinstance(value, eqx.Module) or not shapes):
+            check_kind(place, value, *kinds)
+        elif value is not None:
+            known = [tuple(sizes.get(axis, axis) for axis in axes) for axes in shapes]
+            check_shape(place, value, *known)
+            shape = jnp.shape(value)
+            fitting = [axes for axes, own in zip(shapes, known, strict=True) if _fits(shape, own)]
+            sizes |= zip(fitting[0], shape, strict=True)
+    for name, (low, high, above, finite) in ranges.items():
+        value = getattr(record, name)
+        if not isinstance(value, eqx.Module):
+            check_range(f"{kind}.{name}", value, low, high, above=above, finite=finite)
+
+
+@cache
+def _annotated(
+    record: type,
+) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
+    """The shapes and the kinds of records that each field may have."""
+    hints, found = get_type_hints(record), {}
+    for field in fields(record):
+        hint = hints[field.name]
+        parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        arrays = [part.dim_str.split() for part in parts if hasattr(part, "dim_str")]
+        shapes = tuple(tuple(int(a) if a.isdigit() else a for a in axes) for axes in arrays)
+        kinds = tuple(p for p in parts if isinstance(p, type) and issubclass(p, eqx.Module))
+        if shapes or kinds:
+            found[field.name] = shapes, kinds
+    return found

@@ -441,7 +441,7 @@ def test_wrong_shapes_and_options_are_named(unchecked_types):
         IsotropicTable([0.0], [0.0], [0.0], jnp.ones((1, 1, 1, 2)), azimuths="half")  # pyright: ignore
     with pytest.raises(ValueError, match=r"outside must be one of"):
         AnisotropicTable([0.0], [0.0], [0.0], [0.0], jnp.ones((1, 1, 1, 1, 2)), outside="wrap")  # pyright: ignore
-    with pytest.raises(ValueError, match=r"interpolation must be 'linear' or 'nearest'"):
+    with pytest.raises(ValueError, match=r"interpolation must be one of linear, nearest"):
         HalfDifferenceTable(jnp.ones((2, 2, 2, 1)), interpolation="cubic")  # pyright: ignore
     with pytest.raises(ValueError, match=r"BRDFSamples.phi_o must have shape \(3,\), got \(2,\)"):
         BRDFSamples(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((3, 1)))

@@ -1,7 +1,6 @@
 """What families built of a diffuse part and a lobe about one axis share. Local frame."""
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,10 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, divide, safe_log, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_shape
-from .._vector import Vec, Vector, as_vec
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
+from .._vector import Vec, Vector, as_vec, where
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
 from ..scene import Material
+
+ColourOrNeutral = Colour | Float[Array, "1"]
 
 
 class PowerLobe(Material):
@@ -24,22 +25,12 @@ class PowerLobe(Material):
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
+    specular: ColourOrNeutral = eqx.field(converter=as_float)
     exponent: Scalar = eqx.field(converter=as_float)
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_lobe(self, "exponent")
-
-
-def check_lobe(material: Any, shape: str) -> None:
-    """`ValueError` for a field of another shape than a diffuse part and a lobe have; `shape`: the
-    name of what shapes the lobe."""
-    name = type(material).__name__
-    check_shape(f"{name}.diffuse", material.diffuse, ("bands",))
-    check_shape(f"{name}.specular", material.specular, material.diffuse.shape, (1,))
-    check_shape(f"{name}.{shape}", getattr(material, shape), ())
-    check_shape(f"{name}.ambient", material.ambient, material.diffuse.shape)
+        check_fields(self)
 
 
 def mirrored(w: Vector) -> Vec:
@@ -69,11 +60,7 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
     """The lobe's direction, or where u_2 falls into the diffuse part one of density cos / pi."""
     body, diffuse = cosine_direction(u[:2]), u[2] < diffuse_part
-    return Vec(
-        jnp.where(diffuse, body.x, lobe.x),
-        jnp.where(diffuse, body.y, lobe.y),
-        jnp.where(diffuse, body.z, lobe.z),
-    )
+    return where(diffuse, body, lobe)
 
 
 def mixed_pdf(diffuse_part: Scalar, wi: Vector, lobe_pdf: Scalar) -> Scalar:

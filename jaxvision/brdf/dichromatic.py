@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Colour, Scalar, as_float, check_shape, print_by_name
+from .._types import Colour, Scalar, as_float, check_fields, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
-from ._lobe import diffuse_share
+from ._lobe import ColourOrNeutral, diffuse_share
 from ._registry import family, is_delta, register
 
 Body = Float[Array, " body"]
@@ -43,7 +43,7 @@ class Dichromatic(Material):
     body: Material
     interface: Material
     body_spectrum: Colour = eqx.field(converter=as_float)
-    interface_spectrum: Colour = eqx.field(converter=as_float)
+    interface_spectrum: ColourOrNeutral = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         for name, part in (("body", self.body), ("interface", self.interface)):
@@ -52,13 +52,7 @@ class Dichromatic(Material):
                     f"Dichromatic.{name} must have a BRDF in sr^-1, got {type(part).__name__}, a "
                     "delta function: a polished TorranceSparrow (roughness 1e-3) has one."
                 )
-        check_shape("Dichromatic.body_spectrum", self.body_spectrum, ("bands",))
-        check_shape(
-            "Dichromatic.interface_spectrum",
-            self.interface_spectrum,
-            self.body_spectrum.shape,
-            (1,),
-        )
+        check_fields(self)
 
 
 def evaluate(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._numerics import divide, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, check_shape
+from .._types import Colour, Scalar, as_float, check_fields
 
 
 class Dielectric(eqx.Module):
@@ -24,7 +24,7 @@ class Dielectric(eqx.Module):
     eta: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Dielectric.eta", self.eta, ("bands",))
+        check_fields(self)
 
 
 class Conductor(eqx.Module):
@@ -39,8 +39,7 @@ class Conductor(eqx.Module):
     k: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Conductor.eta", self.eta, ("bands",))
-        check_shape("Conductor.k", self.k, self.eta.shape)
+        check_fields(self)
 
 
 class Schlick(eqx.Module):
@@ -53,7 +52,7 @@ class Schlick(eqx.Module):
     f0: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Schlick.f0", self.f0, ("bands",))
+        check_fields(self)
 
 
 Interface = Dielectric | Conductor | Schlick

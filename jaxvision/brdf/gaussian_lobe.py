@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float
+from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._conventions import Lobe, register_lobe
-from ._lobe import about, check_lobe, divisor, lobe_integrals, mirrored
+from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored
 
 
 class _Concentrated(Material):
@@ -31,12 +31,12 @@ class _Concentrated(Material):
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
+    specular: ColourOrNeutral = eqx.field(converter=as_float)
     concentration: Scalar = eqx.field(converter=as_float)
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_lobe(self, "concentration")
+        check_fields(self)
 
 
 class GaussianLobe(_Concentrated):

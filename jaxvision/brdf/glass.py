@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._numerics import safe_sqrt
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import mirrored
@@ -36,8 +36,7 @@ class Glass(Material):
     absorption: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("Glass.index", self.index, ())
-        check_shape("Glass.absorption", self.absorption, ("bands",))
+        check_fields(self)
 
 
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import dot, normalize, safe_sqrt
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
@@ -104,13 +104,9 @@ class HalfDifferenceTable(Material):
     )
 
     def __check_init__(self) -> None:
-        check_shape("HalfDifferenceTable.values", self.values, ("n_h", "n_d", "n_p", "bands"))
-        check_shape("HalfDifferenceTable.wavelengths", self.wavelengths, self.values.shape[-1:])
-        if self.interpolation not in ("linear", "nearest"):
-            raise ValueError(
-                "HalfDifferenceTable.interpolation must be 'linear' or 'nearest', got "
-                f"{self.interpolation!r}."
-            )
+        check_fields(self)
+        words = ("linear", "nearest")
+        check_choice("HalfDifferenceTable.interpolation", self.interpolation, words)
 
 
 def bin_angles(

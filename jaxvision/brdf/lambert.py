@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._numerics import dot
-from .._types import Colour, as_float, as_optional_float, check_shape
+from .._types import Colour, as_float, as_optional_float, check_fields
 from .._vector import Vector
 from ..scene import Material
 from ._lobe import lit_and_seen
@@ -25,8 +25,7 @@ class Lambert(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("Lambert.diffuse", self.diffuse, ("bands",))
-        check_shape("Lambert.ambient", self.ambient, self.diffuse.shape)
+        check_fields(self)
 
 
 def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:

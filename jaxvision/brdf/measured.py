@@ -12,14 +12,14 @@ than a lobe apart, `half_difference` resolves them better.
 rad, f_r in sr^-1 (no cosine inside), wavelengths in m.
 """
 
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Colour, as_float, as_optional_float, check_shape
+from .._types import Colour, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
@@ -53,10 +53,7 @@ class BRDFSamples(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        check_shape("BRDFSamples.values", self.values, ("n", "bands"))
-        for name in ("theta_i", "phi_i", "theta_o", "phi_o"):
-            check_shape(f"BRDFSamples.{name}", getattr(self, name), self.values.shape[:1])
-        check_shape("BRDFSamples.wavelengths", self.wavelengths, self.values.shape[1:])
+        check_fields(self)
 
 
 class IsotropicTable(Material):
@@ -88,11 +85,9 @@ class IsotropicTable(Material):
     reciprocal: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
-        nodes = tuple(len(axis) for axis in (self.theta_i, self.theta_o, self.phi))
-        check_shape("IsotropicTable.values", self.values, (*nodes, "bands"))
-        check_shape("IsotropicTable.wavelengths", self.wavelengths, self.values.shape[-1:])
-        _check_option("IsotropicTable.azimuths", self.azimuths, "mirrored", "full")
-        _check_option("IsotropicTable.outside", self.outside, "clamp", "extrapolate", "zero")
+        check_fields(self)
+        check_choice("IsotropicTable.azimuths", self.azimuths, ("mirrored", "full"))
+        check_choice("IsotropicTable.outside", self.outside, get_args(Outside))
 
 
 class AnisotropicTable(Material):
@@ -123,15 +118,8 @@ class AnisotropicTable(Material):
     reciprocal: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
-        nodes = tuple(len(axis) for axis in (self.theta_i, self.phi_i, self.theta_o, self.phi_o))
-        check_shape("AnisotropicTable.values", self.values, (*nodes, "bands"))
-        check_shape("AnisotropicTable.wavelengths", self.wavelengths, self.values.shape[-1:])
-        _check_option("AnisotropicTable.outside", self.outside, "clamp", "extrapolate", "zero")
-
-
-def _check_option(name: str, got: str, *allowed: str) -> None:
-    if got not in allowed:
-        raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}.")
+        check_fields(self)
+        check_choice("AnisotropicTable.outside", self.outside, get_args(Outside))
 
 
 AngleTable = IsotropicTable | AnisotropicTable

@@ -7,7 +7,7 @@ Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s 
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Colour, as_float, check_shape
+from .._types import Colour, as_float, check_fields
 from .._vector import Vec
 from ..scene import Material
 from ._lobe import mirrored
@@ -26,7 +26,7 @@ class Mirror(Material):
     reflectance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Mirror.reflectance", self.reflectance, ("bands",))
+        check_fields(self)
 
 
 def specular(material: Mirror, w: Vec) -> Specular:

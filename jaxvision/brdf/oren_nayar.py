@@ -18,7 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._numerics import arctan2, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vector, as_vec
 from ..scene import Material
 from ._lobe import divisor, lit_and_seen
@@ -44,11 +44,8 @@ class OrenNayar(Material):
     )
 
     def __check_init__(self) -> None:
-        check_shape("OrenNayar.diffuse", self.diffuse, ("bands",))
-        check_shape("OrenNayar.sigma", self.sigma, ())
-        check_shape("OrenNayar.ambient", self.ambient, self.diffuse.shape)
-        if self.form not in ("qualitative", "full"):
-            raise ValueError(f"OrenNayar.form must be 'qualitative' or 'full', got {self.form!r}.")
+        check_fields(self)
+        check_choice("OrenNayar.form", self.form, ("qualitative", "full"))
 
 
 def evaluate(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import divide, dot, normalize, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import (
@@ -61,8 +61,8 @@ class RGL(Material):
     theta: Float[Array, " t"] = eqx.field(converter=as_float)
     phi: Float[Array, " p"] = eqx.field(converter=as_float)
     values: Float[Array, "p t n n bands"] = eqx.field(converter=as_float)
-    ndf: Float[Array, "rows columns"] = eqx.field(converter=as_float)
-    sigma: Float[Array, "rows columns"] = eqx.field(converter=as_float)
+    ndf: Float[Array, "ndf_rows ndf_columns"] = eqx.field(converter=as_float)
+    sigma: Float[Array, "sigma_rows sigma_columns"] = eqx.field(converter=as_float)
     vndf: Warp
     luminance: Warp
     wavelengths: Float[Array, " bands"] | None = eqx.field(
@@ -72,15 +72,10 @@ class RGL(Material):
     symmetry: int = eqx.field(static=True, default=1, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("RGL.theta", self.theta, ("t",))
-        check_shape("RGL.phi", self.phi, ("p",))
+        check_fields(self)
         nodes = (len(self.phi), len(self.theta))
-        check_shape("RGL.values", self.values, (*nodes, "n", "n", "bands"))
-        check_shape("RGL.ndf", self.ndf, ("rows", "columns"))
-        check_shape("RGL.sigma", self.sigma, ("rows", "columns"))
         check_shape("RGL.vndf.density", self.vndf.density, (*nodes, "rows", "columns"))
         check_shape("RGL.luminance.density", self.luminance.density, (*nodes, "rows", "columns"))
-        check_shape("RGL.wavelengths", self.wavelengths, self.values.shape[-1:])
         if self.symmetry not in (1, 2, 4):
             raise ValueError(f"RGL.symmetry must be 1, 2 or 4, got {self.symmetry}.")
 

@@ -12,6 +12,8 @@ pi k_d = 0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1
 (1967); Cook & Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
 """
 
+from typing import get_args
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,11 +21,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, divide, dot, norm, normalize, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_kind, check_shape
+from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import reflected
-from ._lobe import choose, diffuse_share, divisor, lit_and_seen, mirrored, mixed_pdf
+from ._lobe import (
+    ColourOrNeutral,
+    choose,
+    diffuse_share,
+    divisor,
+    lit_and_seen,
+    mirrored,
+    mixed_pdf,
+)
 from ._registry import register
 from .fresnel import Interface, fresnel
 from .microfacet import (
@@ -59,7 +69,7 @@ class TorranceSparrow(Material):
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
-    specular: Colour = eqx.field(converter=as_float)
+    specular: ColourOrNeutral = eqx.field(converter=as_float)
     roughness: Scalar | Alpha = eqx.field(converter=as_float)
     interface: Interface | None = eqx.field(default=None, kw_only=True)
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
@@ -67,11 +77,7 @@ class TorranceSparrow(Material):
     shadowing: Shadowing = eqx.field(static=True, default="smith", kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("TorranceSparrow.diffuse", self.diffuse, ("bands",))
-        check_shape("TorranceSparrow.specular", self.specular, self.diffuse.shape, (1,))
-        check_shape("TorranceSparrow.roughness", self.roughness, (), (2,))
-        check_shape("TorranceSparrow.ambient", self.ambient, self.diffuse.shape)
-        check_kind("TorranceSparrow.interface", self.interface, Interface)
+        check_fields(self)
         counts = [jnp.size(x) for x in (self.diffuse, self.specular)]
         counts += [jnp.size(x) for x in jax.tree.leaves(self.interface)]
         if len(set(counts) - {1}) > 1:
@@ -79,15 +85,8 @@ class TorranceSparrow(Material):
                 f"TorranceSparrow.interface must have 1 band or {max(counts[:2])}, as the others, "
                 f"got {counts[-1]}."
             )
-        if self.distribution not in ("ggx", "beckmann"):
-            raise ValueError(
-                "TorranceSparrow.distribution must be 'ggx' or 'beckmann', got "
-                f"{self.distribution!r}."
-            )
-        if self.shadowing not in ("smith", "v-cavity"):
-            raise ValueError(
-                f"TorranceSparrow.shadowing must be 'smith' or 'v-cavity', got {self.shadowing!r}."
-            )
+        for name, words in (("distribution", Distribution), ("shadowing", Shadowing)):
+            check_choice(f"TorranceSparrow.{name}", getattr(self, name), get_args(words))
 
 
 def _alpha(material: TorranceSparrow) -> Alpha:

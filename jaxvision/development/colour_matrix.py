@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Spectrum, as_float, check_shape
+from .._types import Spectrum, as_float, check_fields
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
 from .white_balancing import neutral_gains
@@ -28,8 +28,7 @@ class CameraColour(eqx.Module):
     matrix: Float[Array, "3 3"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("CameraColour.gains", self.gains, (3,))
-        check_shape("CameraColour.matrix", self.matrix, (3, 3))
+        check_fields(self)
 
 
 def fit_colour_matrix(

@@ -4,7 +4,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._numerics import normalize
-from .._types import Colour, as_float, check_shape
+from .._types import Colour, as_float, check_fields
 from .._vector import Vector
 from ..scene import Light
 from ._registry import Incident, register
@@ -23,8 +23,7 @@ class DirectionalLight(Light):
     irradiance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("DirectionalLight.direction", self.direction, (3,))
-        check_shape("DirectionalLight.irradiance", self.irradiance, ("bands",))
+        check_fields(self)
 
 
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:

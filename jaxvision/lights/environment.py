@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, divide, safe_sqrt
-from .._types import Colour, Scalar, as_float, check_shape
+from .._types import Colour, Scalar, as_float, check_fields, check_shape
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light
@@ -42,12 +42,10 @@ class EnvironmentMap(Light):
     density: Float[Array, "h w"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("EnvironmentMap.radiance", self.radiance, ("h", "w", "bands"))
+        check_fields(self)
         h, w, _ = self.radiance.shape
-        check_shape("EnvironmentMap.rotation", self.rotation, (3, 3))
         check_shape("EnvironmentMap.rows", self.rows, (h + 1,))
         check_shape("EnvironmentMap.columns", self.columns, (h, w + 1))
-        check_shape("EnvironmentMap.density", self.density, (h, w))
 
 
 def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colour:

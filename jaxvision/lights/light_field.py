@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import dot, norm, normalize, reciprocal
-from .._types import Colour, Scalar, as_float, check_kind, check_shape, is_known
+from .._types import Colour, Scalar, as_float, check_fields, is_known
 from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..hemisphere import cross
@@ -47,9 +47,7 @@ class LightFieldLight(Light):
     focal: Window
 
     def __check_init__(self) -> None:
-        check_shape("LightFieldLight.radiance", self.radiance, ("s", "t", "u", "v", "bands"))
-        for name in ("aperture", "focal"):
-            check_kind(f"LightFieldLight.{name}", getattr(self, name), Window)
+        check_fields(self)
         if all(is_known(x) for x in jax.tree.leaves((self.aperture, self.focal))):
             _check_windows(self.aperture, self.focal)
 

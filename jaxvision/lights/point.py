@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._bands import by_band
 from .._numerics import dot, smallest_divisor
-from .._types import Colour, as_float, check_shape
+from .._types import Colour, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import direction_at
 from ..scene import Light
@@ -28,8 +28,7 @@ class PointLight(Light):
     intensity: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("PointLight.position", self.position, (3,))
-        check_shape("PointLight.intensity", self.intensity, ("bands",))
+        check_fields(self)
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:

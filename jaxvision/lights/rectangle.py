@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Colour, Scalar, as_float, check_shape
+from .._types import Colour, Scalar, as_float, check_fields
 from .._vector import Vector, as_array
 from ..geometry import Ray
 from ..scene import Light, Quad
@@ -38,9 +38,7 @@ class RectangleLight(Light):
     radiance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for name in ("corner", "edge_u", "edge_v"):
-            check_shape(f"RectangleLight.{name}", getattr(self, name), (3,))
-        check_shape("RectangleLight.radiance", self.radiance, ("bands",))
+        check_fields(self)
 
 
 def window_of(light: RectangleLight) -> Window:

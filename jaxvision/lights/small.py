@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._bands import by_band
 from .._numerics import dot, normalize, smallest_divisor
-from .._types import Colour, as_float, check_shape
+from .._types import Colour, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
@@ -44,9 +44,7 @@ class SmallLight(Light):
     intensity: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("SmallLight.position", self.position, (3,))
-        check_shape("SmallLight.normal", self.normal, (3,))
-        check_shape("SmallLight.intensity", self.intensity, ("bands",))
+        check_fields(self)
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import divide, dot, norm, normalize, safe_sqrt, smallest_divisor
-from .._types import Scalar, as_float, check_shape
+from .._types import Scalar, as_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..geometry import Ray
 from ..geometry.flat import flat_quad, line_crossing
@@ -31,8 +31,7 @@ class Window(eqx.Module):
     edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for name in ("corner", "edge_u", "edge_v"):
-            check_shape(f"Window.{name}", getattr(self, name), (3,))
+        check_fields(self)
 
 
 class Crossing(eqx.Module):

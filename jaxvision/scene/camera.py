@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._types import check_kind
+from .._types import check_fields
 from .developments import Development
 from .sensors import Sensor
 from .views import View
@@ -22,6 +22,4 @@ class Camera(eqx.Module):
     development: Development | None = None
 
     def __check_init__(self) -> None:
-        check_kind("Camera.view", self.view, View)
-        check_kind("Camera.sensor", self.sensor, Sensor)
-        check_kind("Camera.development", self.development, Development)
+        check_fields(self)

@@ -5,15 +5,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
     Colour,
+    Range,
     Scalar,
     as_float,
     as_optional_float,
     check_choice,
     check_count,
-    check_kind,
+    check_fields,
     check_range,
-    check_shape,
     check_tile,
     is_known,
 )
@@ -21,7 +24,6 @@ from .._types import (
 DEMOSAICINGS = ("bilinear", "malvar", "menon", "normalised")
 SUBSAMPLINGS = ("4:4:4", "4:2:0")
 ROUNDINGS = ("straight_through", "cubic")
-_LARGEST = float("inf")
 
 
 class Demosaicing(eqx.Module):
@@ -51,8 +53,7 @@ class WhiteBalance(eqx.Module):
     gains: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("WhiteBalance.gains", self.gains, ("bands",))
-        check_range("WhiteBalance.gains", self.gains, 0, above=True)
+        check_fields(self, gains=POSITIVE)
 
 
 class GreyWorld(eqx.Module):
@@ -65,8 +66,7 @@ class GreyWorld(eqx.Module):
     norm: Scalar = eqx.field(converter=as_float, default=1.0)
 
     def __check_init__(self) -> None:
-        check_shape("GreyWorld.norm", self.norm, ())
-        check_range("GreyWorld.norm", self.norm, 1)
+        check_fields(self, norm=Range(1))
 
 
 class NeutralPatch(eqx.Module):
@@ -106,10 +106,7 @@ class Bilateral(eqx.Module):
     radius: int = eqx.field(static=True, default=3, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("Bilateral.sigma_space", self.sigma_space, ())
-        check_shape("Bilateral.sigma_range", self.sigma_range, ())
-        check_range("Bilateral.sigma_space", self.sigma_space, 0, above=True)
-        check_range("Bilateral.sigma_range", self.sigma_range, 0, above=True)
+        check_fields(self, sigma_space=POSITIVE, sigma_range=POSITIVE)
         check_count("Bilateral.radius", self.radius, 0)
 
 
@@ -129,10 +126,7 @@ class NonLocalMeans(eqx.Module):
     radius: int = eqx.field(static=True, default=6, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("NonLocalMeans.strength", self.strength, ())
-        check_shape("NonLocalMeans.noise", self.noise, ())
-        check_range("NonLocalMeans.strength", self.strength, 0, above=True)
-        check_range("NonLocalMeans.noise", self.noise, 0)
+        check_fields(self, strength=POSITIVE, noise=NOT_NEGATIVE)
         check_count("NonLocalMeans.patch", self.patch, 1, odd=True)
         check_count("NonLocalMeans.radius", self.radius, 0)
 
@@ -150,8 +144,7 @@ class Reinhard(eqx.Module):
     white: Scalar | None = eqx.field(converter=as_optional_float, default=None)
 
     def __check_init__(self) -> None:
-        check_shape("Reinhard.white", self.white, ())
-        check_range("Reinhard.white", self.white, 0, above=True)
+        check_fields(self, white=POSITIVE)
 
 
 class Filmic(eqx.Module):
@@ -170,11 +163,8 @@ class ToneCurve(eqx.Module):
     outputs: Float[Array, " points"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("ToneCurve.inputs", self.inputs, ("points",))
-        check_shape("ToneCurve.outputs", self.outputs, self.inputs.shape)
+        check_fields(self, inputs=FINITE, outputs=FINITE)
         check_count("the number of ToneCurve.inputs", self.inputs.size, 2)
-        check_range("ToneCurve.inputs", self.inputs, -_LARGEST)
-        check_range("ToneCurve.outputs", self.outputs, -_LARGEST)
         if is_known(self.inputs) and not (np.diff(self.inputs) > 0).all():
             raise ValueError(f"ToneCurve.inputs must ascend, got {np.asarray(self.inputs)}.")
 
@@ -192,8 +182,7 @@ class Gamma(eqx.Module):
     gamma: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Gamma.gamma", self.gamma, ())
-        check_range("Gamma.gamma", self.gamma, 0, above=True)
+        check_fields(self, gamma=POSITIVE)
 
 
 class SRGB(eqx.Module):
@@ -217,10 +206,7 @@ class UnsharpMask(eqx.Module):
     size: int = eqx.field(static=True, default=9, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("UnsharpMask.sigma", self.sigma, ())
-        check_shape("UnsharpMask.amount", self.amount, ())
-        check_range("UnsharpMask.sigma", self.sigma, 0, above=True)
-        check_range("UnsharpMask.amount", self.amount, -_LARGEST)
+        check_fields(self, sigma=POSITIVE, amount=FINITE)
         check_count("UnsharpMask.size", self.size, 1, odd=True)
 
 
@@ -238,8 +224,7 @@ class JPEG(eqx.Module):
     rounding: str = eqx.field(static=True, default="straight_through", kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("JPEG.quality", self.quality, ())
-        check_range("JPEG.quality", self.quality, 1, 100)
+        check_fields(self, quality=Range(1, 100))
         check_choice("JPEG.subsampling", self.subsampling, SUBSAMPLINGS)
         check_choice("JPEG.rounding", self.rounding, ROUNDINGS)
 
@@ -278,28 +263,9 @@ class Development(eqx.Module):
     compression: JPEG | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        for name in ("black_level", "white_level", "saturation"):
-            check_shape(f"Development.{name}", getattr(self, name), ())
-        check_shape("Development.colour_matrix", self.colour_matrix, (3, 3))
-        for name, kinds in _RECORDS.items():
-            check_kind(f"Development.{name}", getattr(self, name), kinds)
-        check_range("Development.black_level", self.black_level, -_LARGEST)
-        check_range("Development.saturation", self.saturation, 0, above=True)
-        check_range("Development.colour_matrix", self.colour_matrix, -_LARGEST)
+        check_fields(self, black_level=FINITE, saturation=POSITIVE, colour_matrix=FINITE)
         black = 0.0 if self.black_level is None else self.black_level
-        black = float(black) if is_known(black) else -_LARGEST
+        black = float(black) if is_known(black) else -np.inf
         check_range("Development.white_level", self.white_level, black, above=True)
         if self.saturation is not None and self.white_balance is None:
             raise ValueError("Development.white_balance must be given with saturation, got None.")
-
-
-# The fields that hold only records.
-_RECORDS = {
-    "demosaicing": Demosaicing,
-    "white_balance": WhiteBalancing,
-    "denoising": Denoising,
-    "tone_map": ToneMap,
-    "tone": ToneEncoding,
-    "sharpening": UnsharpMask,
-    "compression": JPEG,
-}

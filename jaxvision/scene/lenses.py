@@ -4,13 +4,16 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._types import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
     Colour,
+    Range,
     Scalar,
     as_float,
     as_optional_float,
     check_count,
-    check_range,
-    check_shape,
+    check_fields,
 )
 
 # A thinner ring, relative to its radius, is closed.
@@ -34,8 +37,7 @@ class PolygonalAperture(eqx.Module):
 
     def __check_init__(self) -> None:
         check_count("PolygonalAperture.blades", self.blades, 3)
-        check_shape("PolygonalAperture.angle", self.angle, ())
-        check_range("PolygonalAperture.angle", self.angle, -float("inf"))
+        check_fields(self, angle=FINITE)
 
 
 class RectangularAperture(eqx.Module):
@@ -50,9 +52,7 @@ class RectangularAperture(eqx.Module):
     height: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for side in ("width", "height"):
-            check_shape(f"RectangularAperture.{side}", getattr(self, side), ())
-            check_range(f"RectangularAperture.{side}", getattr(self, side), 0, above=True)
+        check_fields(self, width=POSITIVE, height=POSITIVE)
 
 
 class AnnularAperture(eqx.Module):
@@ -65,8 +65,7 @@ class AnnularAperture(eqx.Module):
     obstruction: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("AnnularAperture.obstruction", self.obstruction, ())
-        check_range("AnnularAperture.obstruction", self.obstruction, 0, _WIDEST_STOP)
+        check_fields(self, obstruction=Range(0, _WIDEST_STOP))
 
 
 Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularAperture
@@ -84,10 +83,7 @@ class Rim(eqx.Module):
     diameter: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Rim.distance", self.distance, ())
-        check_shape("Rim.diameter", self.diameter, ())
-        check_range("Rim.distance", self.distance, 0)
-        check_range("Rim.diameter", self.diameter, 0, above=True)
+        check_fields(self, distance=NOT_NEGATIVE, diameter=POSITIVE)
 
 
 class Diffraction(eqx.Module):
@@ -104,8 +100,7 @@ class Diffraction(eqx.Module):
     size: int = eqx.field(static=True, default=33, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("Diffraction.wavelength", self.wavelength, (), ("bands",))
-        check_range("Diffraction.wavelength", self.wavelength, 0, above=True)
+        check_fields(self, wavelength=POSITIVE)
         check_count("Diffraction.size", self.size, 1, odd=True)
 
 
@@ -128,7 +123,4 @@ class Distortion(eqx.Module):
     tangential: Float[Array, "2"] | None = eqx.field(converter=as_optional_float, default=None)
 
     def __check_init__(self) -> None:
-        check_shape("Distortion.radial", self.radial, ("terms",))
-        check_shape("Distortion.tangential", self.tangential, (2,))
-        for name in ("radial", "tangential"):
-            check_range(f"Distortion.{name}", getattr(self, name), -float("inf"))
+        check_fields(self, radial=FINITE, tangential=FINITE)

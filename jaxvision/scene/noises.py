@@ -6,7 +6,13 @@ field, the value and the allowed range. Traced values pass unchecked and have a 
 
 import equinox as eqx
 
-from .._types import Scalar, as_float, check_range, check_shape
+from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields
+
+_OF_TEMPERATURE = {
+    "rate": NOT_NEGATIVE,
+    "temperature": POSITIVE,
+    "reference_temperature": POSITIVE,
+}
 
 
 class DoublingDarkCurrent(eqx.Module):
@@ -28,9 +34,7 @@ class DoublingDarkCurrent(eqx.Module):
     doubling: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        _check_temperatures(self)
-        check_shape("DoublingDarkCurrent.doubling", self.doubling, ())
-        check_range("DoublingDarkCurrent.doubling", self.doubling, 0, above=True)
+        check_fields(self, **_OF_TEMPERATURE, doubling=POSITIVE)
 
 
 class ArrheniusDarkCurrent(eqx.Module):
@@ -50,9 +54,7 @@ class ArrheniusDarkCurrent(eqx.Module):
     activation_energy: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        _check_temperatures(self)
-        check_shape("ArrheniusDarkCurrent.activation_energy", self.activation_energy, ())
-        check_range("ArrheniusDarkCurrent.activation_energy", self.activation_energy, 0)
+        check_fields(self, **_OF_TEMPERATURE, activation_energy=NOT_NEGATIVE)
 
 
 DarkCurrent = DoublingDarkCurrent | ArrheniusDarkCurrent
@@ -70,10 +72,7 @@ class HotPixels(eqx.Module):
     rate: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("HotPixels.fraction", self.fraction, ())
-        check_shape("HotPixels.rate", self.rate, ())
-        check_range("HotPixels.fraction", self.fraction, 0, 1)
-        check_range("HotPixels.rate", self.rate, 0)
+        check_fields(self, fraction=FRACTION, rate=NOT_NEGATIVE)
 
 
 class PoissonShotNoise(eqx.Module):
@@ -111,9 +110,7 @@ class ResetNoise(eqx.Module):
     temperature: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for name in ("capacitance", "temperature"):
-            check_shape(f"ResetNoise.{name}", getattr(self, name), ())
-            check_range(f"ResetNoise.{name}", getattr(self, name), 0)
+        check_fields(self, capacitance=NOT_NEGATIVE, temperature=NOT_NEGATIVE)
 
 
 class HeavyTailedReadNoise(eqx.Module):
@@ -130,11 +127,7 @@ class HeavyTailedReadNoise(eqx.Module):
     tail_fraction: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for name in ("rms", "tail_rms", "tail_fraction"):
-            check_shape(f"HeavyTailedReadNoise.{name}", getattr(self, name), ())
-        check_range("HeavyTailedReadNoise.rms", self.rms, 0)
-        check_range("HeavyTailedReadNoise.tail_rms", self.tail_rms, 0)
-        check_range("HeavyTailedReadNoise.tail_fraction", self.tail_fraction, 0, 1)
+        check_fields(self, rms=NOT_NEGATIVE, tail_rms=NOT_NEGATIVE, tail_fraction=FRACTION)
 
 
 class TelegraphNoise(eqx.Module):
@@ -152,10 +145,7 @@ class TelegraphNoise(eqx.Module):
     amplitude: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("TelegraphNoise.fraction", self.fraction, ())
-        check_shape("TelegraphNoise.amplitude", self.amplitude, ())
-        check_range("TelegraphNoise.fraction", self.fraction, 0, 1)
-        check_range("TelegraphNoise.amplitude", self.amplitude, 0)
+        check_fields(self, fraction=FRACTION, amplitude=NOT_NEGATIVE)
 
 
 class Banding(eqx.Module):
@@ -170,16 +160,4 @@ class Banding(eqx.Module):
     period: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Banding.amplitude", self.amplitude, ())
-        check_shape("Banding.period", self.period, ())
-        check_range("Banding.amplitude", self.amplitude, 0)
-        check_range("Banding.period", self.period, 0, above=True)
-
-
-def _check_temperatures(law: DarkCurrent) -> None:
-    name = type(law).__name__
-    for field in ("rate", "temperature", "reference_temperature"):
-        check_shape(f"{name}.{field}", getattr(law, field), ())
-    check_range(f"{name}.rate", law.rate, 0)
-    check_range(f"{name}.temperature", law.temperature, 0, above=True)
-    check_range(f"{name}.reference_temperature", law.reference_temperature, 0, above=True)
+        check_fields(self, amplitude=NOT_NEGATIVE, period=POSITIVE)

@@ -11,14 +11,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import (
+    FINITE,
+    FRACTION,
+    NOT_NEGATIVE,
+    POSITIVE,
     Colour,
+    Range,
     Scalar,
     as_float,
     as_optional_float,
     check_count,
-    check_kind,
+    check_fields,
     check_range,
-    check_shape,
     check_tile,
     is_known,
 )
@@ -31,8 +35,6 @@ from .noises import (
     ShotNoise,
     TelegraphNoise,
 )
-
-_LARGEST = float("inf")
 
 
 class PhotonConversion(eqx.Module):
@@ -47,10 +49,7 @@ class PhotonConversion(eqx.Module):
     pixel_area: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("PhotonConversion.wavelength", self.wavelength, (), ("bands",))
-        check_shape("PhotonConversion.pixel_area", self.pixel_area, ())
-        check_range("PhotonConversion.wavelength", self.wavelength, 0, above=True)
-        check_range("PhotonConversion.pixel_area", self.pixel_area, 0, above=True)
+        check_fields(self, wavelength=POSITIVE, pixel_area=POSITIVE)
 
 
 class PixelAperture(eqx.Module):
@@ -69,10 +68,7 @@ class PixelAperture(eqx.Module):
     oversampling: int = eqx.field(static=True, default=1, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("PixelAperture.fill_factor", self.fill_factor, ())
-        check_shape("PixelAperture.microlens", self.microlens, ())
-        check_range("PixelAperture.fill_factor", self.fill_factor, 0, 1, above=True)
-        check_range("PixelAperture.microlens", self.microlens, 0, 1)
+        check_fields(self, fill_factor=Range(0, 1, above=True), microlens=FRACTION)
         check_count("PixelAperture.oversampling", self.oversampling, 1)
 
 
@@ -90,8 +86,7 @@ class ColourFilter(eqx.Module):
     pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_shape("ColourFilter.transmission", self.transmission, ("colours", "bands"))
-        check_range("ColourFilter.transmission", self.transmission, 0)
+        check_fields(self, transmission=NOT_NEGATIVE)
         check_tile(
             "ColourFilter.pattern",
             self.pattern,
@@ -119,9 +114,7 @@ class ChargeTransfer(eqx.Module):
     trail: int = eqx.field(static=True, default=8, kw_only=True)
 
     def __check_init__(self) -> None:
-        for name in ("inefficiency", "serial_inefficiency"):
-            check_shape(f"ChargeTransfer.{name}", getattr(self, name), ())
-            check_range(f"ChargeTransfer.{name}", getattr(self, name), 0, 0.5)
+        check_fields(self, inefficiency=Range(0, 0.5), serial_inefficiency=Range(0, 0.5))
         check_count("ChargeTransfer.trail", self.trail, 1)
 
 
@@ -135,8 +128,7 @@ class RollingShutter(eqx.Module):
     line_time: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("RollingShutter.line_time", self.line_time, ())
-        check_range("RollingShutter.line_time", self.line_time, 0)
+        check_fields(self, line_time=NOT_NEGATIVE)
 
 
 def _number_or_record(x: Any) -> Any:
@@ -238,23 +230,7 @@ class Sensor(eqx.Module):
     bits: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        for name, kinds in _RECORDS.items():
-            check_kind(f"Sensor.{name}", getattr(self, name), kinds)
-        check_shape("Sensor.infrared_cut", self.infrared_cut, ("bands",))
-        check_shape("Sensor.quantum_efficiency", self.quantum_efficiency, (), ("bands",))
-        for name, high in _SCALARS.items():
-            value = getattr(self, name)
-            if isinstance(value, eqx.Module):
-                check_kind(f"Sensor.{name}", value, _LAWS[name])
-            else:
-                check_shape(f"Sensor.{name}", value, ())
-                check_range(f"Sensor.{name}", value, 0, high, finite=name != "full_well")
-        check_range("Sensor.infrared_cut", self.infrared_cut, 0, 1)
-        check_range("Sensor.quantum_efficiency", self.quantum_efficiency, 0, 1)
-        for name in ("gain", "offset", "bits"):
-            check_shape(f"Sensor.{name}", getattr(self, name), ())
-        check_range("Sensor.gain", self.gain, 0, above=True)
-        check_range("Sensor.offset", self.offset, -_LARGEST)
+        check_fields(self, **_RANGES)
         if self.bits is not None:
             check_range("Sensor.bits", self.bits, 1, jnp.finfo(self.bits.dtype).nmant + 1)
             if is_known(self.bits) and not float(self.bits).is_integer():
@@ -263,37 +239,24 @@ class Sensor(eqx.Module):
             raise ValueError("Sensor.full_well must be given with blooming, got None.")
 
 
-# The scalar fields that cannot be negative, each with the largest value allowed.
-_SCALARS = {
-    "exposure_time": _LARGEST,
-    "crosstalk": 0.25,
-    "smear": _LARGEST,
-    "prnu": _LARGEST,
-    "dead_pixels": 1.0,
-    "dark_current": _LARGEST,
-    "full_well": _LARGEST,
-    "blooming": 1.0,
-    "conversion_prnu": _LARGEST,
-    "dsnu": _LARGEST,
-    "column_dsnu": _LARGEST,
-    "row_dsnu": _LARGEST,
-    "read_noise": _LARGEST,
-    "row_noise": _LARGEST,
-    "column_prnu": _LARGEST,
+_RANGES = {
+    "infrared_cut": FRACTION,
+    "quantum_efficiency": FRACTION,
+    "exposure_time": NOT_NEGATIVE,
+    "crosstalk": Range(0, 0.25),
+    "smear": NOT_NEGATIVE,
+    "prnu": NOT_NEGATIVE,
+    "dead_pixels": FRACTION,
+    "dark_current": NOT_NEGATIVE,
+    "full_well": Range(0, finite=False),
+    "blooming": FRACTION,
+    "conversion_prnu": NOT_NEGATIVE,
+    "dsnu": NOT_NEGATIVE,
+    "column_dsnu": NOT_NEGATIVE,
+    "row_dsnu": NOT_NEGATIVE,
+    "read_noise": NOT_NEGATIVE,
+    "row_noise": NOT_NEGATIVE,
+    "column_prnu": NOT_NEGATIVE,
+    "gain": POSITIVE,
+    "offset": FINITE,
 }
-
-
-# The fields that hold only records, and the records that a scalar field may hold instead.
-_RECORDS = {
-    "photon_conversion": PhotonConversion,
-    "colour_filter": ColourFilter,
-    "pixel_aperture": PixelAperture,
-    "shutter": RollingShutter,
-    "hot_pixels": HotPixels,
-    "shot_noise": ShotNoise,
-    "charge_transfer": ChargeTransfer,
-    "reset_noise": ResetNoise,
-    "telegraph_noise": TelegraphNoise,
-    "banding": Banding,
-}
-_LAWS = {"dark_current": DarkCurrent, "read_noise": HeavyTailedReadNoise}

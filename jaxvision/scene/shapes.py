@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar, as_float, as_optional_float, check_shape
+from .._types import Scalar, as_float, as_optional_float, check_fields
 
 
 class Sphere(eqx.Module):
@@ -21,8 +21,7 @@ class Sphere(eqx.Module):
     radius: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Sphere.centre", self.centre, (3,))
-        check_shape("Sphere.radius", self.radius, ())
+        check_fields(self)
 
 
 class Plane(eqx.Module):
@@ -37,8 +36,7 @@ class Plane(eqx.Module):
     normal: Float[Array, "3"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Plane.point", self.point, (3,))
-        check_shape("Plane.normal", self.normal, (3,))
+        check_fields(self)
 
 
 class Disc(eqx.Module):
@@ -55,9 +53,7 @@ class Disc(eqx.Module):
     radius: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_shape("Disc.centre", self.centre, (3,))
-        check_shape("Disc.normal", self.normal, (3,))
-        check_shape("Disc.radius", self.radius, ())
+        check_fields(self)
 
 
 class Quad(eqx.Module):
@@ -74,8 +70,7 @@ class Quad(eqx.Module):
     edge_v: Float[Array, "3"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        for name in ("corner", "edge_u", "edge_v"):
-            check_shape(f"Quad.{name}", getattr(self, name), (3,))
+        check_fields(self)
 
 
 class Box(eqx.Module):
@@ -95,9 +90,7 @@ class Box(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        check_shape("Box.centre", self.centre, (3,))
-        check_shape("Box.half_extents", self.half_extents, (3,))
-        check_shape("Box.rotation", self.rotation, (3, 3))
+        check_fields(self)
 
 
 def _as_indices(x: Any) -> Array:
@@ -133,12 +126,9 @@ class TriangleMesh(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        check_shape("TriangleMesh.vertices", self.vertices, ("vertices", 3))
-        check_shape("TriangleMesh.faces", self.faces, ("faces", 3))
+        check_fields(self)
         if 0 in (len(self.vertices), len(self.faces)):
             raise ValueError("TriangleMesh must hold at least one triangle, got none.")
-        check_shape("TriangleMesh.normals", self.normals, (len(self.vertices), 3))
-        check_shape("TriangleMesh.uv", self.uv, (len(self.vertices), 2))
 
 
 Shape = Sphere | Plane | Disc | Quad | Box | TriangleMesh

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from .._types import Colour, as_optional_float, check_count, check_kind, check_shape
+from .._types import Colour, as_optional_float, check_count, check_fields, check_kind
 from .light import AmbientLight, Light
 from .shapes import Shape
 
@@ -41,9 +41,7 @@ class Surface(eqx.Module):
     two_sided: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_kind("Surface.shape", self.shape, Shape)
-        check_kind("Surface.material", self.material, Material)
-        check_shape("Surface.emission", self.emission, ("bands",))
+        check_fields(self)
 
 
 def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:

@@ -5,13 +5,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import (
+    FINITE,
+    POSITIVE,
+    Range,
     Scalar,
     as_float,
     as_optional_float,
     check_count,
-    check_kind,
+    check_fields,
     check_range,
-    check_shape,
     is_known,
 )
 from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
@@ -63,10 +65,7 @@ class Pinhole(eqx.Module):
     distortion: Distortion | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        _check_view(self)
-        check_shape("Pinhole.focal_length", self.focal_length, ())
-        check_range("Pinhole.focal_length", self.focal_length, 0, above=True)
-        check_kind("Pinhole.distortion", self.distortion, Distortion)
+        _check_view(self, focal_length=POSITIVE)
 
 
 class ThinLens(eqx.Module):
@@ -105,19 +104,12 @@ class ThinLens(eqx.Module):
     diffraction: Diffraction | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        _check_view(self)
-        check_shape("ThinLens.focal_length", self.focal_length, ())
-        check_shape("ThinLens.focus_distance", self.focus_distance, ())
-        check_range("ThinLens.focal_length", self.focal_length, 0, above=True)
+        _check_view(self, focal_length=POSITIVE)
         if is_known(self.focal_length):
             nearest = float(self.focal_length)
             check_range(
                 "ThinLens.focus_distance", self.focus_distance, nearest, above=True, finite=False
             )
-        check_kind("ThinLens.aperture", self.aperture, Aperture)
-        check_kind("ThinLens.rim", self.rim, Rim)
-        check_kind("ThinLens.distortion", self.distortion, Distortion)
-        check_kind("ThinLens.diffraction", self.diffraction, Diffraction)
         if self.diffraction is not None and not isinstance(self.aperture, CircularAperture):
             kind = type(self.aperture).__name__
             raise ValueError(f"ThinLens.diffraction needs a CircularAperture, got {kind}.")
@@ -126,15 +118,10 @@ class ThinLens(eqx.Module):
 View = Orthographic | Pinhole | ThinLens
 
 
-def _check_view(view: View) -> None:
+def _check_view(view: View, **ranges: Range) -> None:
     name = type(view).__name__
-    check_shape(f"{name}.position", view.position, (3,))
-    check_shape(f"{name}.rotation", view.rotation, (3, 3))
-    check_shape(f"{name}.pixel_pitch", view.pixel_pitch, ())
-    check_shape(f"{name}.f_number", view.f_number, ())
-    check_range(f"{name}.pixel_pitch", view.pixel_pitch, 0, above=True)
-    check_range(f"{name}.f_number", view.f_number, 0, above=True, finite=False)
-    check_range(f"{name}.position", view.position, -float("inf"))
+    f_number = Range(0, above=True, finite=False)
+    check_fields(view, position=FINITE, pixel_pitch=POSITIVE, f_number=f_number, **ranges)
     _check_rotation(f"{name}.rotation", view.rotation)
     if not isinstance(view.resolution, tuple) or len(view.resolution) != 2:
         raise ValueError(f"{name}.resolution must be (rows, columns), got {view.resolution!r}.")
