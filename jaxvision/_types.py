@@ -5,7 +5,7 @@ columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray 
 vmaps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import fields
 from functools import cache
 from types import UnionType
@@ -154,7 +154,7 @@ def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None
         raise ValueError(f"{name} must be {kind} number of at least {least}, got {value!r}.")
 
 
-def check_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
     """Raises `ValueError` unless `value` is one of those words."""
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}.")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
-from ._types import check_tile, print_by_name
+from ._types import check_choice, check_tile, print_by_name
 
 Pattern = tuple[tuple[int, ...], ...]
 Picture = Shaped[Array | np.ndarray, "*picture"]
@@ -36,9 +36,7 @@ def bayer(phase: str) -> Pattern:
         >>> jv.bayer("RGGB")
         ((0, 1), (1, 2))
     """
-    if phase not in BAYER_PHASES:
-        known = ", ".join(BAYER_PHASES)
-        raise ValueError(f"phase must be one of {known}, got {phase!r}.")
+    check_choice("phase", phase, BAYER_PHASES)
     first, second, third, fourth = ("RGB".index(letter) for letter in phase)
     return (first, second), (third, fourth)
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._numerics import arctan2, divide, norm, safe_sqrt, smallest_divisor
-from ._types import Scalars, as_relative, print_by_name
+from ._types import Scalars, as_relative, check_choice, check_count, print_by_name
 from ._vector import Vec
 from .colour_data import cone_matrix, luma_weights, rgb_to_xyz_matrix
 
@@ -616,10 +616,8 @@ def ycbcr_to_rgb(
 
 def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray]:
     """The matrix from R'G'B' and the offset added to its result."""
-    if levels not in ("full", "legal") or bits < 8:
-        raise ValueError(
-            f'levels must be "full" or "legal" and bits at least 8, got {levels!r} and {bits}.'
-        )
+    check_choice("levels", levels, ("full", "legal"))
+    check_count("bits", bits, 8)
     luma = np.asarray(luma_weights(standard))
     red, _, blue = np.eye(3)
     rows = [luma, (blue - luma) / (2 - 2 * luma[2]), (red - luma) / (2 - 2 * luma[0])]

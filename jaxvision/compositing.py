@@ -23,7 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._numerics import divide, smallest_divisor
-from ._types import Scalars, as_relative, print_by_name
+from ._types import Scalars, as_relative, check_choice, print_by_name
 from .point_ops import srgb_decode, srgb_encode
 
 Layer = Float[Array, "... _"]
@@ -90,8 +90,7 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     Raises:
         ValueError: for another operator, for unequal channels, and for an alpha outside [0, 1].
     """
-    if operator not in _FRACTIONS:
-        raise ValueError(f"operator must be one of {', '.join(_FRACTIONS)}, got {operator!r}.")
+    check_choice("operator", operator, _FRACTIONS)
     front, back = as_relative(front), as_relative(back)
     if front.shape[-1] != back.shape[-1] or front.shape[-1] < 2:
         raise ValueError(

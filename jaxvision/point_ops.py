@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from ._numerics import divide, power, safe_log, smallest_divisor
-from ._types import Image, Scalar, Scalars, as_relative
+from ._types import Image, Scalar, Scalars, as_relative, check_choice
 
 _LN_10 = 2.302585092994046
 
@@ -307,8 +307,7 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
 
 
 def _raised(base: Scalars, exponent: Scalars | float, method: str) -> Scalars:
-    if method not in ("power", "exp2"):
-        raise ValueError(f'method must be "power" or "exp2", got {method!r}.')
+    check_choice("method", method, ("power", "exp2"))
     if method == "power":
         raised = power(base, jnp.asarray(exponent))
     else:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import Scalar, Spectrum, print_by_name
+from ._types import Scalar, Spectrum, check_choice, print_by_name
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]
@@ -67,11 +67,8 @@ def interpolate_spectrum(
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
-    if method not in least or outside not in ("clamp", "zero"):
-        raise ValueError(
-            'method must be "linear" or "sprague" and outside "clamp" or "zero", '
-            f"got {method!r} and {outside!r}."
-        )
+    check_choice("method", method, least)
+    check_choice("outside", outside, ("clamp", "zero"))
     if bands < least[method]:
         raise ValueError(
             f"{method} interpolation needs at least {least[method]} bands, got {bands}."

@@ -178,7 +178,7 @@ def test_ycbcr_as_colour_science(standard):
         theirs = colour.RGB_to_YCbCr(RGB, K=weights, out_legal=legal, out_bits=bits)
         same(run(cs.rgb_to_ycbcr, RGB, **options), theirs)
         same(run(cs.ycbcr_to_rgb, np.asarray(theirs), **options), RGB)
-    with pytest.raises(ValueError, match=r"levels must be .full. or .legal.*'studio' and 8"):
+    with pytest.raises(ValueError, match=r"levels must be one of full, legal.*'studio'"):
         cs.rgb_to_ycbcr(jnp.asarray(RGB), levels="studio")
 
 

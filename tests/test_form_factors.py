@@ -158,5 +158,5 @@ def test_quadrature_over_one_polygon_states_its_error(other):
 
 
 def test_quadrature_needs_two_nodes():
-    with pytest.raises(ValueError, match="order must be at least 2, got 1"):
+    with pytest.raises(ValueError, match="order must be a whole number of at least 2, got 1"):
         polygon_to_polygon(polygon(UNIT_SQUARE), polygon(CEILING), order=1)

@@ -436,7 +436,7 @@ def test_bad_shapes_are_named():
         matting.estimate_foreground(image, alpha[:20])
     with pytest.raises(ValueError, match=r"one shape, at least two pictures"):
         matting.least_squares_matte(image[None], image[None])
-    with pytest.raises(ValueError, match=r"foreground must be .none. or .grey., got 'flesh'"):
+    with pytest.raises(ValueError, match=r"foreground must be one of none, grey, got 'flesh'"):
         matting.blue_screen_matte(image, image, foreground="flesh")
     with pytest.raises(ValueError, match=r"channel 3 .* more bands than the 3"):
         matting.blue_screen_matte(image, image, channel=3)

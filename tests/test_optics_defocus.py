@@ -221,11 +221,11 @@ def test_gradients_by_focus_and_aperture_are_differences():
 
 def test_what_cannot_be_meant_is_refused():
     picture, depth = random_scene()
-    with pytest.raises(ValueError, match="radius must be at least 1 pixel, got 0"):
+    with pytest.raises(ValueError, match="radius must be a whole number of at least 1, got 0"):
         optics.gather_defocus(ROUND, picture, depth, radius=0)
-    with pytest.raises(ValueError, match="layers must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="layers must be a whole number of at least 1, got 0"):
         optics.layered_defocus(ROUND, picture, depth, radius=3, layers=0)
-    with pytest.raises(ValueError, match="members must be at least 2, got 1"):
+    with pytest.raises(ValueError, match="members must be a whole number of at least 2, got 1"):
         optics.gather_defocus(TRIANGLE, picture, depth, radius=3, members=1)
     with pytest.raises(ValueError, match=r"focal_lengths must be \(2,\), one per band, got \(3,\)"):
         optics.chromatic_defocus(ROUND, picture, depth, jnp.full(3, 0.05), radius=3)

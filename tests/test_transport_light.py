@@ -181,7 +181,7 @@ def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
 
 
 def test_ray_tree_options_are_named():
-    with pytest.raises(ValueError, match=r"rays must be at least 1, got 0\."):
+    with pytest.raises(ValueError, match=r"rays must be a whole number of at least 1, got 0"):
         ray_tree_radiance(spheres(), Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1])), rays=0)
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from .._numerics import log_of_zero
-from .._types import Scalars
+from .._types import Scalars, check_choice, check_count
 from ..padding import check_border
 from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
 
@@ -94,13 +94,9 @@ def joint_bilateral_filter(
     Raises:
         ValueError: as for `bilateral_filter`, and for a guide of another size.
     """
-    if radius < 0:
-        raise ValueError(f"radius must be at least 0, got {radius}.")
-    if window not in WINDOWS or difference not in DIFFERENCES:
-        raise ValueError(
-            f"window must be one of {', '.join(WINDOWS)} and difference one of "
-            f"{', '.join(DIFFERENCES)}, got {window!r} and {difference!r}."
-        )
+    check_count("radius", radius, 0)
+    check_choice("window", window, WINDOWS)
+    check_choice("difference", difference, DIFFERENCES)
     check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     edges, _ = planes_of(guide)

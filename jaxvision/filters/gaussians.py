@@ -25,7 +25,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss
 
-from .._types import Scalar, as_float, print_by_name
+from .._types import Scalar, as_float, check_choice, check_count, print_by_name
 from ..padding import Filtered, Picture
 from ._terms import Fill
 from .convolution import _check_weighs, correlate_separable
@@ -145,10 +145,9 @@ def gaussian_kernel(
     Raises:
         ValueError: for an unknown sampling, a size below 1, or an order below 0.
     """
-    if sampling not in _SAMPLINGS:
-        raise ValueError(f"sampling must be one of {', '.join(_SAMPLINGS)}, got {sampling!r}.")
-    if size < 1 or order < 0:
-        raise ValueError(f"size must be >= 1 and order >= 0, got {size} and {order}.")
+    check_choice("sampling", sampling, _SAMPLINGS)
+    check_count("size", size, 1)
+    check_count("order", order, 0)
     sigma = jnp.maximum(sigma, _SMALLEST_SIGMA)
     x = jnp.arange(size, dtype=sigma.dtype) - (size - 1) / 2
     if sampling == "integrated":

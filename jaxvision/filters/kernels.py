@@ -11,6 +11,8 @@ from numbers import Integral
 
 import numpy as np
 
+from .._types import check_choice
+
 # Smoothing across the derivative, and its name.
 SMOOTHING = {
     "central": (0, 1, 0),
@@ -71,8 +73,7 @@ def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarr
 
     Source: H. Scharr, thesis, Heidelberg 2000, for "scharr".
     """
-    if scheme not in SMOOTHING:
-        raise ValueError(f"scheme must be one of {', '.join(SMOOTHING)}, got {scheme!r}.")
+    check_choice("scheme", scheme, SMOOTHING)
     across = np.array(SMOOTHING[scheme], float)
     return np.array([-0.5, 0.0, 0.5]), across / across.sum()
 

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Int
 
 from .._numerics import log_of_zero
-from .._types import Scalars
+from .._types import Scalars, check_choice, check_count
 from ..padding import Filtered, Picture, check_border
 from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
 
@@ -62,12 +62,9 @@ def nonlocal_means_filter(
     Raises:
         ValueError: for an unknown profile or border, an even patch, and a radius below 0.
     """
-    if profile not in ("uniform", "gaussian"):
-        raise ValueError(f'profile must be "uniform" or "gaussian", got {profile!r}.')
-    if patch < 1 or patch % 2 == 0 or radius < 0:
-        raise ValueError(
-            f"patch must be odd and radius at least 0, got patch={patch} and radius={radius}."
-        )
+    check_choice("profile", profile, ("uniform", "gaussian"))
+    check_count("patch", patch, 1, odd=True)
+    check_count("radius", radius, 0)
     check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     dtype = values[0].dtype

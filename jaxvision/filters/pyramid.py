@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._staging import stored
-from .._types import as_float
+from .._types import as_float, check_count
 from ..padding import as_planes, check_border, check_picture, continued
 from ._neighbours import AnyPicture, Floats
 
@@ -93,7 +93,7 @@ def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror"
     Raises:
         ValueError: for fewer than one level and as for `reduce_by_two`.
     """
-    _check_levels(levels)
+    check_count("levels", levels, 1)
     check_picture(picture)
     pyramid = [as_float(picture)]
     for _ in range(levels - 1):
@@ -146,7 +146,7 @@ def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
         >>> print(bool(jnp.allclose(jv.filters.collapse_laplacian(pyramid), picture, rtol=1e-12)))
         True
     """
-    _check_levels(len(pyramid))
+    check_count("the number of levels", len(pyramid), 1)
     image = pyramid[-1]
     for detail in reversed(pyramid[:-1]):
         image = detail + expand(image, _size(detail), border=border)
@@ -191,11 +191,6 @@ def blend_by_pyramid(
     details = (laplacian_pyramid(image, levels, border=border) for image in (one, other))
     blended = tuple(b + w * (a - b) for w, a, b in zip(weights, *details, strict=True))
     return collapse_laplacian(blended, border=border)
-
-
-def _check_levels(levels: int) -> None:
-    if levels < 1:
-        raise ValueError(f"a pyramid has at least 1 level, got {levels}.")
 
 
 def _size(picture: Floats) -> Size:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import divide, smallest_divisor
 from .._staging import stored
-from .._types import as_float, print_by_name
+from .._types import as_float, check_count, print_by_name
 from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
 from ._methods import Anchor
 from ._terms import Fill
@@ -164,8 +164,7 @@ def radial_blur(
     """
     _check_map("scale", scale, picture)
     _check_linear(border)
-    if radius < 0:
-        raise ValueError(f"radius must be >= 0, got {radius}.")
+    check_count("radius", radius, 0)
     return _radial(picture, scale, profile=profile, radius=radius, border=border)
 
 

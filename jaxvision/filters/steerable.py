@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import safe_sqrt
-from .._types import Scalar, as_float, print_by_name
+from .._types import Scalar, as_float, check_count, print_by_name
 from ..padding import Filtered, Picture
 from ._terms import Fill
 from .convolution import _check_weighs, correlate_separable
@@ -122,8 +122,7 @@ def quadrature_basis(
     """
     _check_weighs(border, of="the quadrature pair")
     width = as_float(width)
-    if size % 2 == 0:
-        raise ValueError(f"size must be odd, got {size}.")
+    check_count("size", size, 1, odd=True)
     x = (jnp.arange(size, dtype=width.dtype) - size // 2) / width
     bell = jnp.exp(-x * x)
 

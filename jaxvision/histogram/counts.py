@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from .._numerics import divide
-from .._types import Scalars, as_float
+from .._types import Scalars, as_float, check_choice
 from ._planes import (
     Binning,
     Pixels,
@@ -108,8 +108,7 @@ def soft_histogram(
     Raises:
         ValueError: for another kernel and as for `exact_histogram`.
     """
-    if kernel not in ("linear", "cubic"):
-        raise ValueError(f'kernel must be "linear" or "cubic", got {kernel!r}.')
+    check_choice("kernel", kernel, ("linear", "cubic"))
     stack, chosen = as_stack(image), binning(image, bins, value_range)
     counts, departure = _soft(stack, chosen, kernel)
     return Histogram(per_plane(counts, image), _edges(stack, chosen), per_plane(departure, image))

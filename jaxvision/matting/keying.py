@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._numerics import divide, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars, as_relative, print_by_name
+from .._types import Scalar, Scalars, as_relative, check_choice, print_by_name
 from ..compositing import checked_alpha
 from ..point_ops import clip
 
@@ -76,8 +76,7 @@ def blue_screen_matte(
     """
     image, backing = as_relative(image), as_relative(backing)
     bands = image.shape[-1]
-    if foreground not in ("none", "grey"):
-        raise ValueError(f'foreground must be "none" or "grey", got {foreground!r}.')
+    check_choice("foreground", foreground, ("none", "grey"))
     if not 0 <= channel < bands or (foreground == "grey" and bands < 2):
         raise ValueError(
             f"channel {channel} and foreground {foreground!r} ask for more bands than the {bands} "

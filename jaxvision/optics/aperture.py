@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import arctan2, divide, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars
+from .._types import Scalar, Scalars, check_count
 from ..scene import (
     AnnularAperture,
     Aperture,
@@ -115,8 +115,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
     Raises:
         ValueError: `size` is even.
     """
-    if size < 1 or size % 2 == 0:
-        raise ValueError(f"size must be odd, got {size}.")
+    check_count("size", size, 1, odd=True)
     radius = jnp.asarray(radius)
     # a kernel of a hundredth of a pixel is a point and does not lose digits
     radius = jnp.where(jnp.abs(radius) > _SMALLEST, radius, _SMALLEST)

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import divide, smallest_divisor
-from .._types import Scalar, Scalars, print_by_name
+from .._types import Scalar, Scalars, check_count, print_by_name
 from ..filters import adjoint, correlate, correlate_bank, disk_profile, radial_blur
 from ..scene import CircularAperture, ThinLens
 from .aperture import aperture_kernel
@@ -141,8 +141,7 @@ def layered_defocus(
     Raises:
         ValueError: `layers` is less than 1.
     """
-    if layers < 1:
-        raise ValueError(f"layers must be at least 1, got {layers}.")
+    check_count("layers", layers, 1)
     blur = _blur(view, depth)
     low, high = blur.min(), blur.max()
     span = high - low
@@ -221,13 +220,11 @@ def _pixels_per_vergence(view: ThinLens) -> Scalar:
 def _gathered(
     view: ThinLens, picture: Plane, scale: Depth, *, radius: int, members: int | None
 ) -> Plane:
-    if radius < 1:
-        raise ValueError(f"radius must be at least 1 pixel, got {radius}.")
+    check_count("radius", radius, 1)
     if isinstance(view.aperture, CircularAperture):
         return radial_blur(picture, jnp.abs(scale), profile=disk_profile, radius=radius)
     count = 2 * radius + 1 if members is None else members
-    if count < 2:
-        raise ValueError(f"members must be at least 2, got {count}.")
+    check_count("members", count, 2)
     radii = jnp.asarray(np.linspace(-radius, radius, count), scale.dtype)
     bank = jax.vmap(partial(aperture_kernel, view.aperture, size=2 * radius + 1))(radii)
     position = (scale / (2 * radius) + 0.5) * (count - 1)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics import divide
-from .._types import Colour, Image, Scalar, Scalars
+from .._types import Colour, Image, Scalar, Scalars, check_count
 from ..filters import correlate
 from ..scene import Diffraction, ThinLens
 from ._bessel import jinc
@@ -90,8 +90,8 @@ def airy_kernel(
     Raises:
         ValueError: `size` is even or `order` below 1.
     """
-    if size < 1 or size % 2 == 0 or order < 1:
-        raise ValueError(f"size must be odd and order at least 1, got {size} and {order}.")
+    check_count("size", size, 1, odd=True)
+    check_count("order", order, 1)
     nodes, weights = np.polynomial.legendre.leggauss(order)
     places = np.arange(size)[:, None] - size // 2 + nodes / 2
     along = jnp.asarray(places.ravel(), pixel_pitch.dtype) * pixel_pitch

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Image, Scalars, print_by_name
+from .._types import Image, Scalars, check_choice, print_by_name
 from ..scene import Pinhole, ThinLens
 from .distortion import distort, undistort
 from .views import pixel_grid, pixel_offset, sensor_vergence
@@ -42,10 +42,7 @@ def sample_image(
         Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29
         (1981).
     """
-    if interpolation not in INTERPOLATIONS:
-        raise ValueError(
-            f"interpolation must be one of {', '.join(INTERPOLATIONS)}, got {interpolation!r}."
-        )
+    check_choice("interpolation", interpolation, INTERPOLATIONS)
     taps = _linear_taps if interpolation == "linear" else _cubic_taps
     h, w = image.shape[-3:-1]
     down, across = taps(jnp.clip(row, 0, h - 1)), taps(jnp.clip(column, 0, w - 1))

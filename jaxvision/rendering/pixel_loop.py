@@ -19,7 +19,7 @@ from jaxtyping import Array, Int, UInt32
 from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._staging import LANES
-from .._types import Key, Scalar, Spectrum, is_known
+from .._types import Key, Scalar, Spectrum, check_count, is_known
 from ..geometry import Ray
 from ..optics import view_ray
 from ..scene import ThinLens, View
@@ -52,8 +52,7 @@ class PixelSamples(eqx.Module):
     count: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        if self.count < 1:
-            raise ValueError(f"PixelSamples.count must be at least 1, got {self.count}.")
+        check_count("PixelSamples.count", self.count, 1)
 
 
 class Traced(eqx.Module):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import divide
-from .._types import Scalar
+from .._types import Scalar, check_count
 from ..scene import RollingShutter
 
 Pictures = TypeVar("Pictures")
@@ -56,8 +56,7 @@ def exposure_slots(
     Raises:
         ValueError: `slots` is less than 1.
     """
-    if slots < 1:
-        raise ValueError(f"slots must be at least 1, got {slots}.")
+    check_count("slots", slots, 1)
     starts = row_starts(shutter, exposure_time, rows=rows)
     edges = (starts[-1] + exposure_time) * jnp.linspace(0, 1, slots + 1, dtype=starts.dtype)
     begin, end = starts[:, None], starts[:, None] + exposure_time

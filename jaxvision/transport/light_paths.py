@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
 from .._staging import TILE, together
-from .._types import Key, Scalar
+from .._types import Key, Scalar, check_count
 from .._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
 from ..lights import nearest_seen
@@ -73,8 +73,7 @@ def light_traced(
             and for a surface without end that shines.
     """
     for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
-        if value < 1:
-            raise ValueError(f"{name} must be at least 1, got {value}.")
+        check_count(name, value, 1)
     seen = path_traced(key, scene, view, method=Paths(samples, 1))
     if depth == 1:
         return seen

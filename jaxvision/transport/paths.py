@@ -19,6 +19,7 @@ shadows that it throws, and with the other strategies also lacks the lamp's own 
 
 import dataclasses
 from functools import reduce
+from typing import get_args
 
 import equinox as eqx
 import jax
@@ -29,7 +30,7 @@ from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, seed_of, uniforms
 from .._staging import stored
-from .._types import Colour, Key, Scalar
+from .._types import Colour, Key, Scalar, check_choice, check_count
 from ..brdf import is_delta
 from ..geometry import Ray
 from ..rendering import Along, PixelSamples, Traced, each, photograph
@@ -87,15 +88,10 @@ class Paths(eqx.Module):
 
     def __check_init__(self) -> None:
         for name in ("samples", "depth"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Paths.{name} must be at least 1, got {getattr(self, name)}.")
-        if self.strategy not in ("lights", "surfaces", "balance", "power"):
-            raise ValueError(
-                "Paths.strategy must be 'lights', 'surfaces', 'balance' or 'power', got "
-                f"{self.strategy!r}."
-            )
-        if self.roulette is not None and self.roulette < 0:
-            raise ValueError(f"Paths.roulette must be at least 0 or None, got {self.roulette}.")
+            check_count(f"Paths.{name}", getattr(self, name), 1)
+        check_choice("Paths.strategy", self.strategy, get_args(Strategy))
+        if self.roulette is not None:
+            check_count("Paths.roulette", self.roulette, 0)
 
 
 class _Path(eqx.Module):

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import dot
 from .._staging import TILE
-from .._types import Colour, Image
+from .._types import Colour, Image, check_count
 from .._vector import Vec, as_array
 from ..brdf import is_delta
 from ..geometry import Ray
@@ -144,8 +144,7 @@ def _follow_living(
 
 def _followed(world: World, rays: int) -> int:
     """How many rays of a tree are followed: one where nothing goes on."""
-    if rays < 1:
-        raise ValueError(f"rays must be at least 1, got {rays}.")
+    check_count("rays", rays, 1)
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
 
 

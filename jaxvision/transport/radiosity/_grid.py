@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._numerics import arctan2, reciprocal, safe_sqrt
-from ..._types import Scalar
+from ..._types import Scalar, check_count
 
 
 class Face(NamedTuple):
@@ -48,8 +48,7 @@ class Plan(eqx.Module):
     split: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        if self.split < 1:
-            raise ValueError(f"Plan.split must be at least 1, got {self.split}.")
+        check_count("Plan.split", self.split, 1)
 
 
 def offsets_of(plan: Plan, *, split: int = 1) -> np.ndarray:

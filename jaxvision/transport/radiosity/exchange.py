@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._numerics import dot, norm, reciprocal
 from ..._random import Stream, uniforms
-from ..._types import Scalar
+from ..._types import Scalar, check_count
 from ..._vector import Vec
 from ...geometry import (
     Sorted,
@@ -60,8 +60,7 @@ def form_factor_table(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
-    if rays < 1:
-        raise ValueError(f"rays must be at least 1, got {rays}.")
+    check_count("rays", rays, 1)
     shapes = shapes_of(scene)
     rounding = offset_length(largest_of(shapes))
     receivers = receivers_of(scene, plan, shapes)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._numerics import arctan2, divide, norm, normalize, safe_log, safe_sqrt, smallest_divisor
-from ..._types import Scalar, Scalars
+from ..._types import Scalar, Scalars, check_count
 from ..._vector import Vec, as_vec
 from ...lights import gauss_legendre
 from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon, square_places
@@ -271,8 +271,7 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
     Raises:
         ValueError: for an order below 2.
     """
-    if order < 2:
-        raise ValueError(f"order must be at least 2, got {order}.")
+    check_count("order", order, 2)
     dtype = first[0].x.dtype
 
     def at(order: int) -> Scalar:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._numerics import divide
-from ..._types import Scalar, print_by_name
+from ..._types import Scalar, check_choice, print_by_name
 
 PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
@@ -67,18 +67,12 @@ def solve_radiosity(
     """
     import lineax
 
-    match method:
-        case "direct":
-            solver = lineax.LU()
-        case "iterative":
-            # absolute, of numbers up to 1: relative to each patch, dark ones would never be done
-            solver = lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
-        case "progressive":
-            return _progressive(table, albedo, sent, tolerance, limit)
-        case _:
-            raise ValueError(
-                f'method must be "direct", "iterative" or "progressive", got {method!r}.'
-            )
+    check_choice("method", method, ("direct", "iterative", "progressive"))
+    if method == "progressive":
+        return _progressive(table, albedo, sent, tolerance, limit)
+    # absolute, of numbers up to 1: relative to each patch, dark ones would never be done
+    iterative = lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
+    solver = lineax.LU() if method == "direct" else iterative
 
     def band(rho: Float[Array, " patches"], b: Float[Array, " patches"]) -> Array:
         matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
