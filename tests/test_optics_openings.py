@@ -223,7 +223,7 @@ def test_airy_kernel_for_each_band_and_its_limits():
         point = optics.airy_kernel(*no_waves, a(3e-6), size=3)[..., 0]
         np.testing.assert_array_equal(point, np.outer([0, 1, 0], [0, 1, 0]))
     for wrong in ({"size": 4}, {"size": 5, "order": 0}):
-        with pytest.raises(ValueError, match="must be an? (odd|whole) number of at least 1, got"):
+        with pytest.raises(ValueError, match=r"must be an? (odd|whole) number of at least 1, got"):
             optics.airy_kernel(a(5e-7), a(8.0), a(3e-6), **wrong)
 
 

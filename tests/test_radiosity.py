@@ -530,7 +530,9 @@ def test_what_radiosity_cannot_do_is_named(surface, message):
 def test_options_out_of_range():
     with pytest.raises(ValueError, match="size must be positive, got 0"):
         plan_patches(ROOM, size=0.0)
-    with pytest.raises(ValueError, match=r"Plan\.split must be a whole number of at least 1, got 0"):
+    with pytest.raises(
+        ValueError, match=r"Plan\.split must be a whole number of at least 1, got 0"
+    ):
         Plan(PLAN.faces, 0)
     with pytest.raises(ValueError, match="rays must be a whole number of at least 1, got 0"):
         form_factor_table(ROOM, PLAN, rays=0)

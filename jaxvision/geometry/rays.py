@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from .._numerics import angle_between as angle_between
 from .._numerics import dot
+from .._numerics import log_cos_between as log_cos_between
 from .._types import Scalar
 from .._vector import Vec, Vec3, Vector, as_vec, scaled
 from ._size import largest_component, offset_length

@@ -6,26 +6,6 @@ of its own. `uint8` and `uint16` images are counted code by code and exactly. Fl
 relative values, counted in equal bins of a stated range. NaN is never counted.
 """
 
-from .counts import (
-    Histogram,
-    cumulative_distribution,
-    exact_histogram,
-    otsu_threshold,
-    quantile,
-    soft_histogram,
-)
-from .equalisation import equalise
-from .local_equalisation import equalise_locally
-from .matching import match_histogram
+import lazy_loader
 
-__all__ = [
-    "Histogram",
-    "cumulative_distribution",
-    "equalise",
-    "equalise_locally",
-    "exact_histogram",
-    "match_histogram",
-    "otsu_threshold",
-    "quantile",
-    "soft_histogram",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

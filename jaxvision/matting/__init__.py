@@ -7,25 +7,6 @@ relative. An alpha is (..., 1) in [0, 1]; a foreground comes as a layer of `comp
 premultiplied light, then alpha.
 """
 
-from .closed_form import Matte, closed_form_matte
-from .foreground import estimate_foreground
-from .keying import (
-    blue_screen_matte,
-    difference_matte,
-    least_squares_matte,
-    lift,
-    projected_matte,
-    triangulation_matte,
-)
+import lazy_loader
 
-__all__ = [
-    "Matte",
-    "blue_screen_matte",
-    "closed_form_matte",
-    "difference_matte",
-    "estimate_foreground",
-    "least_squares_matte",
-    "lift",
-    "projected_matte",
-    "triangulation_matte",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

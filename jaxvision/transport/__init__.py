@@ -9,43 +9,6 @@
 Each has its own reach and cost, which its file states.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
-from ..rendering import Traced
-from .light_paths import light_traced
-from .paths import (
-    Paths,
-    path_along,
-    path_radiance,
-    path_sample,
-    path_traced,
-    path_traced_pixels,
-)
-from .ray_tree import ray_traced, ray_tree_along, ray_tree_radiance, ray_tree_radiances
-
-if TYPE_CHECKING:
-    from . import radiosity
-
-__all__ = [
-    "Paths",
-    "Traced",
-    "light_traced",
-    "path_along",
-    "path_radiance",
-    "path_sample",
-    "path_traced",
-    "path_traced_pixels",
-    "radiosity",
-    "ray_traced",
-    "ray_tree_along",
-    "ray_tree_radiance",
-    "ray_tree_radiances",
-]
-
-
-def __getattr__(name: str) -> Any:
-    """`radiosity` is loaded when it is first used."""
-    if name == "radiosity":
-        return import_module(f"{__name__}.radiosity")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

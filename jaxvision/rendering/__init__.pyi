@@ -1,0 +1,13 @@
+# What `jaxvision.rendering` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
+
+from .direct import direct_along as direct_along, radiance_along as radiance_along, render as render
+from .light_field import render_light_field as render_light_field
+from .pixel_loop import (
+    Along as Along,
+    PixelSamples as PixelSamples,
+    Traced as Traced,
+    each as each,
+    numbers_of as numbers_of,
+    photograph as photograph,
+    sample_ray as sample_ray,
+)

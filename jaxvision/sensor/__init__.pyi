@@ -1,0 +1,42 @@
+# What `jaxvision.sensor` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
+
+from .adc import digitise as digitise
+from .ccd import bloomed as bloomed, transferred as transferred
+from .dark import dark_rate as dark_rate
+from .exposure import (
+    drifted as drifted,
+    expected_charge as expected_charge,
+    filtered as filtered,
+    mean_photoelectrons as mean_photoelectrons,
+    photon_rate as photon_rate,
+    smeared as smeared,
+)
+from .fixed_pattern import (
+    column_gains as column_gains,
+    conversion_gains as conversion_gains,
+    hot_rates as hot_rates,
+    offsets as offsets,
+    sensitivity as sensitivity,
+)
+from .moments import (
+    QUANTISATION_VARIANCE as QUANTISATION_VARIANCE,
+    Moments as Moments,
+    censored as censored,
+    clipped_moments as clipped_moments,
+    expected_signal as expected_signal,
+    pattern_variance as pattern_variance,
+    signal_variance as signal_variance,
+)
+from .raw import collect as collect, raw_image as raw_image
+from .read_out import (
+    read_out_noise as read_out_noise,
+    read_out_variance as read_out_variance,
+    reset_noise_rms as reset_noise_rms,
+)
+from .sampling import (
+    aperture_mtf as aperture_mtf,
+    light_share as light_share,
+    pixel_means as pixel_means,
+)
+from .shot_noise import count as count
+from .shutter import exposed as exposed, exposure_slots as exposure_slots, row_starts as row_starts
