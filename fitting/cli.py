@@ -18,18 +18,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from jaxvision import __version__
-from jaxvision.command_line import failures_as_sentences, leave
+from jaxvision.command_line import command_app, failures_as_sentences, leave
 from jaxvision.errors import InputError
 
 from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .report.progress import Progress, Reporter, reporting
-from .rig import load_rig
+from .rig import Rig, load_rig
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from .inference.emcee_run import SamplingOptions
     from .report.section import Section
 
 COMMAND = "jaxvision-fit"
@@ -53,44 +51,26 @@ class Options:
         int, typer.Option(help="Walkers (--mcmc), at the least 2 a parameter and 2.", min=4)
     ] = 64
 
-    def sampling(self, kind: str, progress: Progress) -> "SamplingOptions | None":
-        """How to sample, or None for Laplace."""
+    def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
+        """How a calibration samples, None for Laplace, and the seed of its draws."""
         from .inference.emcee_run import SamplingOptions
 
         if not self.mcmc:
-            return None
-        return SamplingOptions(
+            return {"sampling": None, "seed": self.seed}
+        sampling = SamplingOptions(
             walkers=self.walkers,
             steps=self.steps,
             block=min(100, self.steps),
             checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
             progress=progress,
         )
+        return {"sampling": sampling, "seed": self.seed}
 
 
 CHECKPOINT = "checkpoint"
 Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
-
-
-def _print_version(wanted: bool) -> bool:
-    if wanted:
-        print(f"jaxvision {__version__}")
-        raise typer.Exit
-    return wanted
-
-
-@app.callback()
-def common(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", help="Print the version.", callback=_print_version, is_eager=True
-        ),
-    ] = False,
-) -> None:
-    """Calibrate camera noise, camera response and surface reflectance from images."""
+app = command_app("Calibrate camera noise, camera response and surface reflectance from images.")
 
 
 def _existing(path: Path) -> Path:
@@ -158,8 +138,7 @@ def noise(
         with reporter.step("reading frames"):
             measurement = read_photon_transfer(path, bits=bits, channel=channel)
         with reporter.step("fitting photon transfer") as progress:
-            sampling = options.sampling("noise", progress)
-            calibration = calibrate(measurement, sampling=sampling, seed=options.seed)
+            calibration = calibrate(measurement, **options.draws("noise", progress))
         return [section(calibration)], {}
 
     _run("Photon transfer", path, options, calibrate_noise)
@@ -178,8 +157,7 @@ def response(options: Options, path: RigPath) -> None:
         with reporter.step("reading exposures"):
             stack = read_exposure_stack(rig)
         with reporter.step("fitting response") as progress:
-            sampling = options.sampling("response", progress)
-            calibration = calibrate(stack, sampling=sampling, seed=options.seed)
+            calibration = calibrate(stack, **options.draws("response", progress))
         images = {
             f"radiance_{group}.exr" if group else "radiance.exr": radiance
             for group, radiance in radiance_images(calibration).items()
@@ -237,23 +215,48 @@ def brdf(
         "fit_gamma": fit_gamma,
         "minimum_cosine": minimum_cosine,
     }
-    measured = any(is_measured_brdf(path) for path in paths)
-    work = partial(
-        _measured_files if measured else _images_of_a_rig,
-        *(paths, options, model, index, objective, of_rigs),
-    )
-    _run("Measured reflectance" if measured else "Reflectance", paths[0], options, work)
+
+    def calibrate_images(reporter: Reporter) -> tuple[list, dict]:
+        rig = _one_rig(paths, objective)
+        from .reflectance.from_images.calibration import calibrate
+        from .reflectance.from_images.read import read_reflectance_observation
+        from .reflectance.from_images.section import section
+
+        with reporter.step("reading images"):
+            observation = read_reflectance_observation(rig)
+        with reporter.step("fitting reflectance") as progress:
+            draws = options.draws("brdf", progress)
+            shown = model or "phong"
+            calibration = calibrate(observation, model=shown, index=index, **of_rigs, **draws)
+        return [section(calibration)], {}
+
+    def calibrate_files(reporter: Reporter) -> tuple[list, dict]:
+        _check_files(paths, of_rigs)
+        from .reflectance.from_files.calibration import calibrate
+        from .reflectance.from_files.read import read_measured_brdf
+        from .reflectance.from_files.section import materials_section, section
+
+        with reporter.step("reading samples"):
+            materials = [read_measured_brdf(path) for path in paths]
+        names = [material.name for material in materials]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{name}: two files have this name; rename one of them.")
+        calibrations = []
+        by = {"model": model, "objective": objective or "cosine", "index": index}
+        for material in materials:
+            with reporter.step(f"fitting {material.name}") as progress:
+                calibrations.append(calibrate(material, **by, **options.draws("brdf", progress)))
+        compared = [materials_section(calibrations)] if len(calibrations) > 1 else []
+        return [*compared, *(section(calibration) for calibration in calibrations)], {}
+
+    if any(is_measured_brdf(path) for path in paths):
+        _run("Measured reflectance", paths[0], options, calibrate_files)
+    else:
+        _run("Reflectance", paths[0], options, calibrate_images)
 
 
-def _images_of_a_rig(
-    paths: Sequence[Path],
-    options: Options,
-    model: Model | None,
-    index: float,
-    objective: Objective | None,
-    of_rigs: dict[str, Any],
-    reporter: Reporter,
-) -> tuple[list, dict]:
+def _one_rig(paths: Sequence[Path], objective: Objective | None) -> Rig:
     if len(paths) > 1:
         raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
     if paths[0].is_file() and paths[0].suffix != ".toml":
@@ -263,35 +266,10 @@ def _images_of_a_rig(
         )
     if objective is not None:
         raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
-    rig = load_rig(paths[0])
-    from .reflectance.from_images.calibration import calibrate
-    from .reflectance.from_images.read import read_reflectance_observation
-    from .reflectance.from_images.section import section
-
-    with reporter.step("reading images"):
-        observation = read_reflectance_observation(rig)
-    with reporter.step("fitting reflectance") as progress:
-        sampling = options.sampling("brdf", progress)
-        calibration = calibrate(
-            observation,
-            model=model or "phong",
-            index=index,
-            sampling=sampling,
-            seed=options.seed,
-            **of_rigs,
-        )
-    return [section(calibration)], {}
+    return load_rig(paths[0])
 
 
-def _measured_files(
-    paths: Sequence[Path],
-    options: Options,
-    model: Model | None,
-    index: float,
-    objective: Objective | None,
-    of_rigs: dict[str, Any],
-    reporter: Reporter,
-) -> tuple[list, dict]:
+def _check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
     for path in paths:
         if not is_measured_brdf(_existing(path)):
             raise InputError(
@@ -302,31 +280,6 @@ def _measured_files(
         if value:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
-    from .reflectance.from_files.calibration import calibrate
-    from .reflectance.from_files.read import read_measured_brdf
-    from .reflectance.from_files.section import materials_section, section
-
-    with reporter.step("reading samples"):
-        materials = [read_measured_brdf(path) for path in paths]
-    names = [material.name for material in materials]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{name}: two files have this name; rename one of them.")
-    calibrations = []
-    for material in materials:
-        with reporter.step(f"fitting {material.name}") as progress:
-            calibrations.append(
-                calibrate(
-                    material,
-                    model=model,
-                    objective=objective or "cosine",
-                    index=index,
-                    sampling=options.sampling("brdf", progress),
-                    seed=options.seed,
-                )
-            )
-    compared = [materials_section(calibrations)] if len(calibrations) > 1 else []
-    return [*compared, *(section(calibration) for calibration in calibrations)], {}
 
 
 @_command
@@ -343,7 +296,7 @@ def demo(options: Options) -> None:
 
         with reporter.step("simulating the lab") as progress:
             truth = simulate_lab(out / "lab", seed=options.seed, progress=progress)
-        sections = calibrate_lab(out / "lab", reporter.step, options.sampling, seed=options.seed)
+        sections = calibrate_lab(out / "lab", reporter.step, options.draws)
         return [section(sections, truth), *sections], {}
 
     _run("A simulated lab afternoon", out, options, calibrate_demo)

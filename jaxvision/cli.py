@@ -13,41 +13,17 @@ from typing import Annotated, Any
 
 import typer
 
-from . import __version__
-from .command_line import failures_as_sentences
+from .command_line import command_app, failures_as_sentences
 from .errors import InputError
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 
-
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
-
-
-def _print_version(wanted: bool) -> bool:
-    if wanted:
-        print(f"jaxvision {__version__}")
-        raise typer.Exit
-    return wanted
-
-
-@app.callback()
-def options(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", help="Print the version.", callback=_print_version, is_eager=True
-        ),
-    ] = False,
-) -> None:
-    """Photometric image formation: inspect images as numbers, render scenes."""
+app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
 
 
 @app.command()
+@failures_as_sentences("jaxvision")
 def inspect(
     file: Annotated[Path, typer.Argument(help="PNG, TIFF, EXR, HDR or NPY image.", metavar="FILE")],
     out: Annotated[
@@ -68,11 +44,40 @@ def inspect(
 ) -> None:
     """Print range, moments and saturation of each channel. With --out, draw the picture,
     histograms, a scan line, a grid of values and the surface in one figure."""
-    with failures_as_sentences("jaxvision"):
-        _inspect(file, out, row, at, white, as_json)
+    from .io import read_image, replaced_on_success
+
+    pixel = _pair("--at", at) if at else None
+    if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
+        known = ", ".join(FIGURE_SUFFIXES)
+        raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
+    image = read_image(file)
+    _use_double_precision()
+    from . import plots
+
+    try:
+        bands = plots.summarise(image, white=white)
+        figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    if out is not None:
+        with replaced_on_success(out) as partial:
+            figure.savefig(partial, dpi=130)
+    if as_json:
+        sheet = {
+            "file": str(file),
+            "shape": image.shape,
+            "dtype": str(image.dtype),
+            "bands": [_finite_or_null(asdict(band)) for band in bands],
+        }
+        print(json.dumps(sheet, indent=2, allow_nan=False))
+        return
+    _print_table(f"{file.name}: {' × '.join(map(str, image.shape))}, {image.dtype}", bands)
+    if out is not None:
+        print(f"Figure: {out}")
 
 
 @app.command()
+@failures_as_sentences("jaxvision")
 def render(
     scene: Annotated[
         str,
@@ -119,27 +124,6 @@ def render(
 ) -> None:
     """Render a scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile. The same
     command resumes a render that was interrupted or killed."""
-    with failures_as_sentences("jaxvision"):
-        given = {
-            "integrator": integrator,
-            "samples": samples,
-            "depth": depth,
-            "gather": gather,
-            "seed": seed,
-            "tile": tile,
-        }
-        shown = None if no_preview else preview or out.parent / f"{out.stem}.png"
-        _render(scene, out, given, resolution, shown, fresh)
-
-
-def _render(
-    scene: str,
-    out: Path,
-    given: dict[str, Any],
-    resolution: str,
-    preview: Path | None,
-    fresh: bool,
-) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
@@ -150,7 +134,16 @@ def _render(
     from .scene_files.schema import overridden
 
     source = read_scene(scene)
+    given = {
+        "integrator": integrator,
+        "samples": samples,
+        "depth": depth,
+        "gather": gather,
+        "seed": seed,
+        "tile": tile,
+    }
     settings = overridden(source.render, given)
+    shown = None if no_preview else preview or out.parent / f"{out.stem}.png"
     if resolution:
         wanted = _pair("--resolution", resolution)
         if min(wanted) < 1:
@@ -164,48 +157,13 @@ def _render(
             source,
             out,
             settings,
-            preview=preview,
+            preview=shown,
             fresh=fresh,
             advance=lambda done, total: progress.update(task, completed=done, total=total),
         )
     print(f"Radiance: {out}")
-    if preview is not None:
-        print(f"Preview: {preview}")
-
-
-def _inspect(
-    file: Path, out: Path | None, row: int | None, at: str, white: float | None, as_json: bool
-) -> None:
-    from .io import read_image, replaced_on_success
-
-    pixel = _pair("--at", at) if at else None
-    if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
-        known = ", ".join(FIGURE_SUFFIXES)
-        raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
-    image = read_image(file)
-    _use_double_precision()
-    from . import plots
-
-    try:
-        bands = plots.summarise(image, white=white)
-        figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
-    if out is not None:
-        with replaced_on_success(out) as partial:
-            figure.savefig(partial, dpi=130)
-    if as_json:
-        sheet = {
-            "file": str(file),
-            "shape": image.shape,
-            "dtype": str(image.dtype),
-            "bands": [_finite_or_null(asdict(band)) for band in bands],
-        }
-        print(json.dumps(sheet, indent=2, allow_nan=False))
-        return
-    _print_table(f"{file.name}: {' × '.join(map(str, image.shape))}, {image.dtype}", bands)
-    if out is not None:
-        print(f"Figure: {out}")
+    if shown is not None:
+        print(f"Preview: {shown}")
 
 
 def _pair(option: str, text: str) -> tuple[int, int]:

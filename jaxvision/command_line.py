@@ -1,14 +1,46 @@
-"""How a command that fails ends: one sentence on standard error, and an exit status."""
+"""What the commands share: `--version`, and how a command that fails ends, with one sentence on
+standard error and an exit status."""
 
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
+from . import __version__
 from .errors import InputError
+
+
+def command_app(about: str) -> typer.Typer:
+    """A command to which sub-commands are added.
+
+    Args:
+        about: one sentence, the head of its help.
+
+    Returns:
+        The command; it knows `--help` and `--version`.
+    """
+    app = typer.Typer(
+        help=about, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False
+    )
+    flag = typer.Option(
+        "--version", help="Print the version.", callback=_print_version, is_eager=True
+    )
+
+    def options(version: Annotated[bool, flag] = False) -> None:
+        del version  # printed by the callback
+
+    app.callback()(options)
+    return app
+
+
+def _print_version(wanted: bool) -> bool:
+    if wanted:
+        print(f"jaxvision {__version__}")
+        raise typer.Exit
+    return wanted
 
 
 @contextmanager

@@ -97,7 +97,7 @@ def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
 
 def test_the_demo_draws_by_its_seed(lab):
     with reporting() as reporter:
-        sections = calibrate_lab(lab[0], reporter.step, lambda kind, progress: None, seed=3)
+        sections = calibrate_lab(lab[0], reporter.step, lambda *_: {"sampling": None, "seed": 3})
     seeds = [one.seed for section in sections for one in section.posteriors.values()]
     assert len(seeds) == 7
     assert set(seeds) == {3}

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from ..inference.emcee_run import Progress, SamplingOptions
+from ..inference.emcee_run import Progress
 from ..inference.estimates import Estimate, find
 from ..noise.calibration import LIKELIHOOD, STANDARD
 from ..noise.calibration import calibrate as calibrate_noise
@@ -68,9 +69,7 @@ def _inside(value: float, interval: tuple[float, float] | None) -> bool:
 def calibrate_lab(
     folder: Path,
     step: Callable[[str], AbstractContextManager[Progress]],
-    sampling: Callable[[str, Progress], SamplingOptions | None],
-    *,
-    seed: int,
+    draws: Callable[[str, Progress], dict[str, Any]],
 ) -> list[Section]:
     """The three calibrations of `simulate_lab`'s files.
 
@@ -80,30 +79,22 @@ def calibrate_lab(
     Args:
         folder: of the lab.
         step: context of one step, which gives a progress callback.
-        sampling: how to sample, of (kind, progress); None for Laplace.
-        seed: of every draw.
+        draws: the `sampling` and `seed` of a calibration, of (kind, progress).
 
     Returns:
         A section each.
     """
     with step("photon transfer") as progress:
         measurement = read_photon_transfer(folder / "noise")
-        own = sampling("noise", progress)
-        noise = noise_section(calibrate_noise(measurement, sampling=own, seed=seed))
+        noise = noise_section(calibrate_noise(measurement, **draws("noise", progress)))
     with step("response curve") as progress:
         stack = read_exposure_stack(load_rig(folder / "response"))
-        response = response_section(
-            calibrate_response(stack, sampling=sampling("response", progress), seed=seed)
-        )
+        response = response_section(calibrate_response(stack, **draws("response", progress)))
     with step("reflectance") as progress:
         rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
+        observation = read_reflectance_observation(rig)
         reflectance = reflectance_section(
-            calibrate_reflectance(
-                read_reflectance_observation(rig),
-                model="phong",
-                sampling=sampling("brdf", progress),
-                seed=seed,
-            )
+            calibrate_reflectance(observation, model="phong", **draws("brdf", progress))
         )
     return [noise, response, reflectance]
 
