@@ -1,8 +1,9 @@
 """Records of equal structure, stacked so that one program serves them all, and taken from the stack
 by an index that may be traced."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from ._types import Record
+
+Tree = TypeVar("Tree")
 
 
 def group_by_structure(
@@ -56,6 +59,21 @@ def take(
         found = slot >= 0
         slot = jnp.maximum(slot, 0)
     return jax.tree.map(lambda leaf: row(leaf, slot), group), found
+
+
+def of_member(
+    members: Sequence[tuple[int, ...]],
+    groups: Sequence[Any],
+    index: Int[Array, ""],
+    function: Callable[[Any], Tree],
+) -> Tree | None:
+    """`function` of the record of that index among stacked groups; None where there is no group."""
+    chosen = None
+    for numbers, group in zip(members, groups, strict=True):
+        record, among = take(numbers, group, index)
+        here = function(record)
+        chosen = here if chosen is None else jax.tree.map(partial(jnp.where, among), here, chosen)
+    return chosen
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:

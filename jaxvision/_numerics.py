@@ -6,6 +6,7 @@ work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` r
 dtype is kept.
 """
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
@@ -154,6 +155,14 @@ _ARCTAN_BELOW = (
 )
 
 
+def polynomial(coefficients: Sequence[float], x: Scalars) -> Scalars:
+    """c_0 x^n + c_1 x^(n - 1) + ... + c_n, by Horner's rule."""
+    value = jnp.full_like(x, coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = value * x + coefficient
+    return value
+
+
 @jax.custom_jvp
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Angle of (x, y) for y >= 0, in [0, pi] rad; 0, with gradient 0, at the origin.
@@ -167,12 +176,7 @@ def arctan2(y: Scalars, x: Scalars) -> Scalars:
     divisor = jnp.where(wide, low + high, high)
     t = jnp.where(wide, low - high, low) / jnp.where(divisor > 0, divisor, 1)
     z = t * t
-    above, below = jnp.full_like(z, _ARCTAN_ABOVE[0]), jnp.full_like(z, _ARCTAN_BELOW[0])
-    for coefficient in _ARCTAN_ABOVE[1:]:
-        above = above * z + coefficient
-    for coefficient in _ARCTAN_BELOW[1:]:
-        below = below * z + coefficient
-    angle = t + t * z * (above / below)
+    angle = t + t * z * (polynomial(_ARCTAN_ABOVE, z) / polynomial(_ARCTAN_BELOW, z))
     angle = jnp.where(wide, np.pi / 4 + angle, angle)
     angle = jnp.where(y > ahead, np.pi / 2 - angle, angle)
     return jnp.where(x < 0, np.pi - angle, angle)
@@ -228,13 +232,8 @@ def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
     x = (turns - quarters / 4) * (2 * np.pi)
     square = x * x
     of_sine, of_cosine = _SINE_COSINE[8 if turns.dtype == jnp.float64 else 4]
-    s, c = jnp.full_like(x, of_sine[0]), jnp.full_like(x, of_cosine[0])
-    for coefficient in of_sine[1:]:
-        s = s * square + coefficient
-    for coefficient in of_cosine[1:]:
-        c = c * square + coefficient
-    s = x + x * square * s
-    c = 1 - square / 2 + square * square * c
+    s = x + x * square * polynomial(of_sine, square)
+    c = 1 - square / 2 + square * square * polynomial(of_cosine, square)
     turn = quarters - 4 * jnp.floor(quarters / 4)  # 0, 1, 2, 3
     odd, behind, below = (turn == 1) | (turn == 3), (turn == 1) | (turn == 2), turn >= 2
     sine, cosine = jnp.where(odd, c, s), jnp.where(odd, s, c)
@@ -331,3 +330,10 @@ def with_gradient_of(value: Scalars, smooth: Scalars) -> Scalars:
 
 
 with_gradient_of.defjvps(None, lambda tangent, result, value, smooth: tangent)
+
+
+def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.ndarray, " order"]]:
+    """Nodes in (0, 1) and weights of sum 1, no unit; exact for polynomials to degree
+    2 order - 1."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    return (x + 1) / 2, w / 2

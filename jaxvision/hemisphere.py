@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
+from ._numerics import dot, gauss_legendre, norm, normalize, safe_sqrt, sine_cosine
 from ._types import Scalars
-from ._vector import Vec, Vec3, as_array, as_vec
+from ._vector import Vec, Vec3, as_array, as_vec, where
 
 
 class Frame(eqx.Module):
@@ -60,15 +60,7 @@ def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
     wanted = as_vec(normalize(tangent))
     along = wanted - dot(wanted, n) * n
     usable = norm(along) > jnp.finfo(n.x.dtype).eps
-    chosen = as_vec(
-        normalize(
-            Vec(
-                jnp.where(usable, along.x, t.x),
-                jnp.where(usable, along.y, t.y),
-                jnp.where(usable, along.z, t.z),
-            )
-        )
-    )
+    chosen = as_vec(normalize(where(usable, along, t)))
     # Once more, for what rounding left along the normal where little was across it.
     chosen = normalize(chosen - dot(chosen, n) * n)
     return Frame(chosen, cross(n, chosen), n)
@@ -162,8 +154,7 @@ def product_nodes(
     """
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")
-    x, w = np.polynomial.legendre.leggauss(polar)
-    mu, w_mu = (x + 1) / 2, w / 2
+    mu, w_mu = gauss_legendre(polar)
     phi = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     sine = np.sqrt(1 - mu**2)[:, None]
     directions = np.stack(

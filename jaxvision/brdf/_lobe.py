@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, divide, safe_log, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, divide, gauss_legendre, safe_log, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec, where
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
@@ -100,8 +100,7 @@ def circles(
     integrated beyond `width` from where a part starts, nor beyond `end`; 48 Gauss-Legendre nodes
     each, the cut circles eased by sin^2 toward both ends, where phi_m goes as a square root.
     """
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
-    t, dt = (node + 1) / 2, weight / 2
+    t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))
     c = jnp.clip(cos_axis, 0, 1)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import dot, safe_sqrt, smallest_divisor
+from .._numerics import dot, polynomial, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector
 from ..geometry import mirror_direction
@@ -171,10 +171,7 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     near = chord <= other
     x = jnp.minimum(chord, other)
     coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if x.dtype == jnp.float64 else 4]
-    square = jnp.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        square = square * x + coefficient
-    square = square * x
+    square = x * polynomial(coefficients[::-1], x)
     return jnp.where(near, square, jnp.square(jnp.pi - safe_sqrt(jnp.where(near, 0, square))))
 
 

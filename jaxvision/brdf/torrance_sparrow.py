@@ -17,10 +17,18 @@ from typing import get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, divide, dot, norm, normalize, safe_sqrt, smallest_divisor
+from .._numerics import (
+    arctan2,
+    divide,
+    dot,
+    gauss_legendre,
+    norm,
+    normalize,
+    safe_sqrt,
+    smallest_divisor,
+)
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -235,8 +243,8 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
                 area = end * dt * 2 * r * jnp.exp(-r * r)
         return area @ jax.vmap(towards_light, in_axes=(0, None, None, None))(r, k, slope, squared)
 
-    t, dt = (jnp.asarray(x, dtype) for x in _unit_rule(_RADII))
-    s, ds = (jnp.asarray(x, dtype) for x in _unit_rule(_TURNS // 2))
+    t, dt = (jnp.asarray(x, dtype) for x in gauss_legendre(_RADII))
+    s, ds = (jnp.asarray(x, dtype) for x in gauss_legendre(_TURNS // 2))
     leap = jnp.clip(cos_o / jnp.maximum(steep, cos_o / 8), 1e-3)
     crowding = jnp.arcsinh(jnp.pi / 2 / leap)
     beyond = leap * jnp.sinh(crowding * (2 * s - 1))  # psi - pi / 2
@@ -245,12 +253,6 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
     cos_psi, sin_psi = -jnp.sin(beyond), jnp.cos(beyond)
     lobe = turn @ (rays(cos_psi, sin_psi) + rays(cos_psi, -sin_psi))
     return jnp.pi * material.diffuse + material.specular * jnp.where(viewer.z > 0, lobe, 0)
-
-
-def _unit_rule(count: int) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
-    """Gauss-Legendre nodes and weights on [0, 1]."""
-    node, weight = np.polynomial.legendre.leggauss(count)
-    return (node + 1) / 2, weight / 2
 
 
 register(TorranceSparrow, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

@@ -11,7 +11,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from threading import Lock
 from typing import Any
@@ -19,12 +19,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Int
 
 from .._types import Scalar
 from .._vector import as_array
 from ..scene import TriangleMesh
 from .rays import Ray
+
+Query = Callable[..., np.ndarray]  # of a scene and rays
 
 _SHARE = 2048  # rays that are worth a core of their own
 _KEPT = 8  # built scenes: each holds a search tree as large as its mesh
@@ -42,39 +45,23 @@ def available() -> bool:
 
 def embree_nearest(ray: Ray, mesh: TriangleMesh) -> Int[Array, ""]:
     """Index of the triangle met first, -1 for none."""
-    shape = jax.ShapeDtypeStruct(jnp.shape(ray.origin.x), jnp.int32)
-    return jax.pure_callback(
-        _nearest,
-        shape,
-        mesh.vertices,
-        mesh.faces,
-        as_array(ray.origin),
-        as_array(ray.direction),
-        vmap_method="expand_dims",
-    )
+    return _answer(_nearest, jnp.int32, ray, mesh)
 
 
 def embree_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray meets a triangle before `distance`, m."""
-    shape = jax.ShapeDtypeStruct(jnp.shape(ray.origin.x), jnp.bool_)
+    return _answer(_blocks, jnp.bool_, ray, mesh, distance)
+
+
+def _answer(query: Query, dtype: DTypeLike, ray: Ray, mesh: TriangleMesh, *distance: Scalar):
     return jax.pure_callback(
-        _blocks,
-        shape,
+        query,
+        jax.ShapeDtypeStruct(jnp.shape(ray.origin.x), dtype),
         mesh.vertices,
         mesh.faces,
-        as_array(ray.origin),
-        as_array(ray.direction),
-        distance,
+        *(as_array(ray.origin), as_array(ray.direction), *distance),
         vmap_method="expand_dims",
     )
-
-
-def _nearest(vertices: Any, faces: Any, origin: Any, direction: Any) -> np.ndarray:
-    return _ask(vertices, faces, (origin, direction), _found)
-
-
-def _blocks(vertices: Any, faces: Any, origin: Any, direction: Any, distance: Any) -> np.ndarray:
-    return _ask(vertices, faces, (origin, direction, distance), _found_before)
 
 
 def _found(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -102,7 +89,7 @@ def _beside(direction: np.ndarray) -> np.ndarray:
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
 
-def _ask(vertices: Any, faces: Any, rays: tuple[Any, ...], query: Any) -> np.ndarray:
+def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
     """`query(scene, *rays)` for rays with any leading axes, against one mesh or, where `vmap` ran
     over the mesh too, against each of several."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
@@ -126,9 +113,12 @@ def _ask(vertices: Any, faces: Any, rays: tuple[Any, ...], query: Any) -> np.nda
     vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
     faces = np.broadcast_to(faces, batch + faces.shape[-2:])
     one_by_one = [
-        _ask(vertices[at], faces[at], tuple(x[at] for x in full), query) for at in np.ndindex(batch)
+        _ask(query, vertices[at], faces[at], *(x[at] for x in full)) for at in np.ndindex(batch)
     ]
     return np.asarray(one_by_one).reshape(batch)
+
+
+_nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 
 def _by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:

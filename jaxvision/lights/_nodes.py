@@ -7,18 +7,12 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from .._numerics import gauss_legendre
 from .._types import Key
 
 # Steps of the two-dimensional Kronecker sequence: powers of the inverse of the plastic number,
 # x^3 = x + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-
-
-def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.ndarray, " order"]]:
-    """Nodes in (0, 1) and weights of sum 1, no unit; exact for polynomials to degree
-    2 order - 1."""
-    x, w = np.polynomial.legendre.leggauss(order)
-    return (x + 1) / 2, w / 2
 
 
 def product(

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, dot, smallest_divisor
+from .._numerics import divide, dot, polynomial, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked, where
@@ -96,9 +96,7 @@ def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     inverse = 1 / jnp.where(defined, jnp.maximum(square, adjacent), 1)
     ratio = jnp.where(defined, jnp.minimum(square, adjacent), 0) * inverse
     coefficients = _ARCTAN_OVER[8 if square.dtype == jnp.float64 else 4]
-    arctan = jnp.full_like(ratio, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        arctan = arctan * ratio + coefficient
+    arctan = polynomial(coefficients[::-1], ratio)
     quarters = jnp.where(steep, jnp.pi / 2, jnp.where(cosine < 0, jnp.pi, 0))
     turned = quarters * jax.lax.rsqrt(jnp.where(wide, square, 1))
     angle = turned + jnp.where(steep, -cosine, cosine) * inverse * arctan

@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, UInt32
 
+from .._numerics import polynomial
 from .._random import seed_of
 from .._types import Key, Scalars
 
@@ -143,17 +144,10 @@ def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
     from_median = (jnp.uint32(2**31) - nearer).astype(dtype) - jnp.asarray(0.5, dtype)
     x = from_median * jnp.asarray(2.0**-31, dtype)  # 1 - 2 probability, keeping its digits
     w = -jnp.log(4 * probability * (1 - probability))
-    centre = _polynomial(_CENTRE, w - 2.5)
-    tail = _polynomial(_TAIL, jnp.sqrt(jnp.maximum(w, 5)) - 3)
+    centre = polynomial(_CENTRE, w - 2.5)
+    tail = polynomial(_TAIL, jnp.sqrt(jnp.maximum(w, 5)) - 3)
     z = 2**0.5 * x * jnp.where(w < 5, centre, tail)
     return jnp.where(above, z, -z)
-
-
-def _polynomial(coefficients: tuple[float, ...], x: Scalars) -> Scalars:
-    value = jnp.full_like(x, coefficients[0])
-    for coefficient in coefficients[1:]:
-        value = value * x + coefficient
-    return value
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:

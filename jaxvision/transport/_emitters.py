@@ -9,7 +9,7 @@ in W m^-2 sr^-1, lengths in m, densities in sr^-1. For ONE point or ray; the cal
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._bands import Bands, apart, plus, times
-from .._groups import group_by_structure, row, take
-from .._numerics import divide, dot, reciprocal, safe_sqrt, select, smallest_divisor
+from .._groups import Tree, group_by_structure, of_member, row
+from .._numerics import divide, dot, reciprocal, safe_sqrt, smallest_divisor
 from .._staging import stored
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
@@ -120,25 +120,25 @@ def emitters_of(scene: Scene) -> Emitters:
 def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
     """One emitter, by u_2, and a direction toward it from `point`, m, by u_0 and u_1, uniform in
     [0, 1); the irradiance, W m^-2, stands for all emitters."""
-    count = emitters.count
-    index = jnp.minimum((u[2] * count).astype(jnp.int32), count - 1)
-    chosen = None
-    for members, group in zip(emitters.members, emitters.groups, strict=True):
-        emitter, among = take(members, group, index)
+
+    def toward(emitter: Light | Emissive) -> Toward:
         if isinstance(emitter, Emissive):
-            toward = _toward_surface(emitter, point, u[:2])
-        else:
-            toward = _toward_light(emitter, point, u[:2])
-        chosen = toward if chosen is None else select(among, toward, chosen)
-    if chosen is None:
-        raise ValueError("toward_emitter needs a scene with something that shines.")
-    return Toward(
-        chosen.direction,
-        chosen.distance,
-        chosen.clear,
-        chosen.irradiance * count,
-        chosen.density / count,
-    )
+            return _toward_surface(emitter, point, u[:2])
+        return _toward_light(emitter, point, u[:2])
+
+    drawn, count = of_drawn(emitters, u[2], toward), emitters.count
+    irradiance, density = drawn.irradiance * count, drawn.density / count
+    return Toward(drawn.direction, drawn.distance, drawn.clear, irradiance, density)
+
+
+def of_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
+    """`function` of the emitter that `u`, uniform in [0, 1), draws."""
+    count = emitters.count
+    index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
+    found = of_member(emitters.members, emitters.groups, index, function)
+    if found is None:
+        raise ValueError("light can only be drawn in a scene with something that shines.")
+    return found
 
 
 def _toward_light(light: Light, point: Vec, u: Float[Array, "2"]) -> Toward:
