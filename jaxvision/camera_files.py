@@ -19,7 +19,6 @@ of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `
 """
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from importlib.resources import files
@@ -35,10 +34,11 @@ from .colour_data import camera_sensitivities, wavelength_grid
 from .colour_filters import bayer
 from .errors import InputError, nearest
 from .scene import Camera
+from .toml_files import read_toml
 
 _TABLES = ("view", "sensor", "development")
 _BANDS = ("first", "last", "step")
-_SHIPPED = files("jaxvision") / "cameras"
+_SHIPPED = Path(str(files("jaxvision"))) / "cameras"
 
 
 def shipped_cameras() -> tuple[str, ...]:
@@ -51,8 +51,7 @@ def shipped_cameras() -> tuple[str, ...]:
         >>> jv.shipped_cameras()
         ('consumer_bayer', 'emva1288', 'ideal')
     """
-    found = (Path(entry.name) for entry in _SHIPPED.iterdir())
-    return tuple(sorted(name.stem for name in found if name.suffix == ".toml"))
+    return tuple(sorted(file.stem for file in _SHIPPED.glob("*.toml")))
 
 
 def read_camera(
@@ -76,11 +75,8 @@ def read_camera(
         >>> float(jv.read_camera("emva1288").sensor.bits)
         12.0
     """
-    place, text = _text(source)
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{place}: not a TOML file ({error}); correct that line.") from error
+    file = _found(source)
+    content, place = read_toml(file, "camera"), str(file)
     _check_keys(place, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
@@ -93,21 +89,16 @@ def read_camera(
     return _record(place, "", Camera, tables)
 
 
-def _text(source: str | os.PathLike[str]) -> tuple[str, str]:
-    """(name of the source for messages, content)."""
+def _found(source: str | os.PathLike[str]) -> Path:
     file = Path(source)
-    shipped = _SHIPPED / f"{source}.toml"
-    if not file.is_file() and file.name == str(source) and shipped.is_file():
-        return f"camera {source!r}", shipped.read_text(encoding="utf-8")
-    if not file.is_file():
-        known = ", ".join(shipped_cameras())
-        raise InputError(
-            f"{file}: no such camera file; check the name and the folder, or use one of {known}."
-        )
-    try:
-        return str(file), file.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file; save it as UTF-8.") from error
+    if file.is_file():
+        return file
+    if str(source) in shipped_cameras():
+        return _SHIPPED / f"{source}.toml"
+    known = ", ".join(shipped_cameras())
+    raise InputError(
+        f"{file}: no such camera file; check the name and the folder, or use one of {known}."
+    )
 
 
 def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:

@@ -10,6 +10,8 @@ Local frame, normal = +z; f_r in sr^-1. Source: Shafer, "Using Color to Separate
 Components", Color Research and Application 10(4) (1985).
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -57,32 +59,21 @@ class Dichromatic(Material):
 
 def evaluate(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
     """f_r, (bands,) in sr^-1."""
-    return _two_terms(
-        material,
-        family(material.body).evaluate(material.body, wi, wo),
-        family(material.interface).evaluate(material.interface, wi, wo),
-    )
+    return _two_terms(material, lambda part: family(part).evaluate(part, wi, wo))
 
 
 def shading(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
     """The two materials' own shadings times their spectra, (bands,) in sr^-1."""
-    return _two_terms(
-        material,
-        family(material.body).shading(material.body, wi, wo),
-        family(material.interface).shading(material.interface, wi, wo),
-    )
+    return _two_terms(material, lambda part: family(part).shading(part, wi, wo))
 
 
 def albedo(material: Dichromatic, wo: Vector) -> Colour:
     """The two materials' albedos times their spectra, (bands,), no unit."""
-    return _two_terms(
-        material,
-        family(material.body).albedo(material.body, wo),
-        family(material.interface).albedo(material.interface, wo),
-    )
+    return _two_terms(material, lambda part: family(part).albedo(part, wo))
 
 
-def _two_terms(material: Dichromatic, m_b: Body, m_i: Interface) -> Colour:
+def _two_terms(material: Dichromatic, of_part: Callable[[Material], Colour]) -> Colour:
+    m_b, m_i = of_part(material.body), of_part(material.interface)
     for name, m in (("body", m_b), ("interface", m_i)):
         if m.shape != (1,):
             raise ValueError(f"Dichromatic.{name} must reflect in one band, got {m.shape[0]}.")

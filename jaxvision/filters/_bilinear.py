@@ -6,6 +6,7 @@ faster than the transpose of the single shifts; being linear, it has forward and
 of any order. Images (n, h, w, c) and kernels (kh, kw, c) or (kh, kw, 1) of one dtype, in any unit.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -18,14 +19,6 @@ from ._methods import METHODS, Anchor, Kernel, Result, Stack, by_fft, padded
 
 # Inner products, one a tap, up to this many; a transform beyond.
 _MOST_PRODUCTS = 25
-
-
-def correlate_stack(
-    image: Stack, kernel: Kernel, *, anchor: Anchor, border: str, method: str
-) -> Result:
-    """g[p] = sum over i of kernel[i] image[p + i - anchor]; `border` "none", "zero", "clamp",
-    "wrap", "mirror" or "extend", `method` "conv", "direct" or "fft"."""
-    return _correlate(image, kernel, anchor=anchor, border=border, method=method)
 
 
 @partial(jax.jit, static_argnames=("anchor", "border", "method"))
@@ -105,7 +98,9 @@ def _shape(image: Any, kernel: Any, *, border: str, **_: Any) -> Any:
     return image.update(shape=(n, h, w, c), weak_type=False)
 
 
-_correlate = bilinear(
+# g[p] = sum over i of kernel[i] image[p + i - anchor]; `border` "none", "zero", "clamp", "wrap",
+# "mirror" or "extend", `method` "conv", "direct" or "fft".
+correlate_stack: Callable[..., Result] = bilinear(
     "jaxvision_correlate",
     _implementation,
     shape=_shape,

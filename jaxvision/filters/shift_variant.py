@@ -34,6 +34,8 @@ Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "..."]  # (h, w)
 print_by_name(globals(), "Kernels", "ScaleMap")
 # (radius in pixels, scale of each pixel) -> weight, before the weights are normalised to sum 1
+_REFUSED = ("constant", "normalised_zero")  # each pixel has a kernel of its own
+
 Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 
 Planes = Float[Array, "n h c w"]
@@ -90,7 +92,7 @@ def correlate_per_pixel(
     Raises:
         ValueError: for kernels of another shape, an anchor outside them, or another border.
     """
-    _check_linear(border)
+    check_border(border, refused=_REFUSED)
     plane = _plane(picture)
     if kernels.ndim != 4 or 0 in kernels.shape or kernels.shape[2:] != plane:
         raise ValueError(f"kernels must be (kh, kw, {plane[0]}, {plane[1]}), got {kernels.shape}.")
@@ -163,7 +165,7 @@ def radial_blur(
         ValueError: for a scale of another shape, a radius below 0, or another border.
     """
     _check_map("scale", scale, picture)
-    _check_linear(border)
+    check_border(border, refused=_REFUSED)
     check_count("radius", radius, 0)
     return _radial(picture, scale, profile=profile, radius=radius, border=border)
 
@@ -329,12 +331,3 @@ def _check_map(name: str, values: Float[Array, "..."], picture: Picture) -> None
     plane = _plane(picture)
     if values.shape != plane:
         raise ValueError(f"{name} must be {plane}, one a pixel, got {values.shape}.")
-
-
-def _check_linear(border: str) -> None:
-    check_border(border)
-    if border in ("constant", "normalised_zero"):
-        raise ValueError(
-            f"a kernel for each pixel takes border zero, clamp, wrap, mirror or extend, got "
-            f"{border!r}: pad the picture, or divide by the filter of ones."
-        )

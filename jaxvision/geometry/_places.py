@@ -91,7 +91,8 @@ def _face_areas(box: Box) -> Float[Array, "3"]:
 
 def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
     """A face in proportion to its area, by u_0; what is left of u_0 is uniform again."""
-    axis, side, rest = _pick(jnp.repeat(_face_areas(box), 2), u[0])
+    face, rest = _pick(jnp.repeat(_face_areas(box), 2), u[0])
+    axis, side = face // 2, face % 2
     place = jnp.stack([2 * rest - 1, 2 * u[1] - 1])
     sign = 1 - 2 * side.astype(rest.dtype)
     across = jnp.arange(3, dtype=axis.dtype) == axis
@@ -103,13 +104,7 @@ def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
     return SurfacePoint(as_vec(box.centre + point), as_vec(normal))
 
 
-def _pick(weights: Float[Array, "6"], u: Scalar) -> tuple[Array, Array, Scalar]:
-    """(axis, side, rest of u in [0, 1)) of six faces, two an axis."""
-    face, rest = _pick_one(weights, u)
-    return face // 2, face % 2, rest
-
-
-def _pick_one(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
+def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
     """An index with probability in proportion to its weight, and what is left of `u`."""
     ends = jnp.cumsum(weights)
     at = u * ends[-1]
@@ -132,7 +127,7 @@ def _triangle_areas(mesh: TriangleMesh) -> Float[Array, " faces"]:
 
 def _point_on_mesh(mesh: TriangleMesh, u: Float[Array, "2"]) -> SurfacePoint:
     """A triangle in proportion to its area, by u_0; what is left of u_0 is uniform again."""
-    index, rest = _pick_one(_triangle_areas(mesh), u[0])
+    index, rest = _pick(_triangle_areas(mesh), u[0])
     a, b, c = (Vec(corner.x[index], corner.y[index], corner.z[index]) for corner in _vertices(mesh))
     root = safe_sqrt(rest)
     point = a + scaled(b - a, 1 - root) + scaled(c - a, u[1] * root)

@@ -6,7 +6,7 @@ is a plane, or a tile of a plane. So bands need no transposition and a batch no 
 
 from collections.abc import Sequence
 from numbers import Integral
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -80,6 +80,15 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise ValueError(f"value_range must be finite with low < high, got ({low}, {high}).")
     return Binning(int(bins), float(low), float(high))
+
+
+def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
+    """`ValueError` for bins or a range of integers, which are equalised code by code."""
+    if levels_of(stack) is not None and (bins, value_range) != (None, None):
+        raise ValueError(
+            f"an integer image is equalised code by code, without bins or value_range; got {bins} "
+            f"and {value_range}."
+        )
 
 
 def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:

@@ -23,6 +23,7 @@ from ._planes import (
     as_stack,
     bin_counts,
     binning,
+    check_codes_whole,
     equalising_curves,
     interpolated,
     levels_of,
@@ -63,12 +64,7 @@ def equalise(
         ValueError: for bins or a range with an integer image, and as for `exact_histogram`.
     """
     stack = as_stack(image)
-    levels = levels_of(stack)
-    if levels is not None and (bins, value_range) != (None, None):
-        raise ValueError(
-            f"an integer image is equalised code by code, without bins or value_range; got {bins} "
-            f"and {value_range}."
-        )
+    check_codes_whole(stack, bins, value_range)
     return _equalised(stack, amount, binning(stack, bins, value_range)).reshape(image.shape)
 
 

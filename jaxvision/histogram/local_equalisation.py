@@ -22,6 +22,7 @@ from ._planes import (
     as_stack,
     bin_of_values,
     binning,
+    check_codes_whole,
     count,
     equalising_curves,
     interpolated,
@@ -72,12 +73,7 @@ def equalise_locally(
         raise ValueError(
             f"tiles must be (rows, columns), whole numbers of at least (1, 1), got {tiles}."
         )
-    levels = levels_of(stack)
-    if levels is not None and (bins, value_range) != (None, None):
-        raise ValueError(
-            f"an integer image is equalised code by code, without bins or value_range; got {bins} "
-            f"and {value_range}."
-        )
+    check_codes_whole(stack, bins, value_range)
     chosen, parts = binning(stack, bins, value_range), (int(tiles[0]), int(tiles[1]))
     return _equalised(stack, clip_limit, chosen=chosen, tiles=parts).reshape(image.shape)
 

@@ -17,7 +17,7 @@ from .._numerics import dot
 from .._types import Scalars
 from .._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
-from .rectangle import RectangleLight
+from .rectangle import RectangleLight, from_nearest
 
 _ORDERS = (2, 3, 4, 6)  # a side; more nodes take as long as the closed form
 _FACTOR = 100.0  # K of all but one in a thousand of the receivers that see the whole light
@@ -79,11 +79,7 @@ def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -
     """Which rule each receiver needs: the place of its order in `_ORDERS`, or one past the last."""
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     apart = points - light.corner
-    nearest = apart
-    for edge in (u, v):
-        square = dot(edge, edge)
-        inverse = 1 / jnp.where(square > 0, square, 1)
-        nearest = nearest - jnp.clip(dot(apart, edge) * inverse, 0, 1) * edge
+    nearest = from_nearest(light, points)
     distance, size = dot(nearest, nearest), jnp.maximum(dot(u, u), dot(v, v))
     needed = jnp.zeros(distance.shape, jnp.int32)
     for order in _ORDERS:

@@ -5,11 +5,11 @@ import math
 
 import jax.numpy as jnp
 
-from .._numerics import dot, norm
+from .._numerics import norm
 from .._types import Scalars
 from .._vector import Vec3, as_vec
 from ..errors import InputError
-from .rectangle import RectangleLight
+from .rectangle import RectangleLight, from_nearest
 
 ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
@@ -49,10 +49,6 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
 
 def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:
     """Distance from points to the nearest place of the rectangle, over its longer edge."""
-    apart = as_vec(points) - light.corner
-    nearest = apart
-    for edge in (light.edge_u, light.edge_v):
-        square = dot(edge, edge)
-        share = dot(apart, edge) / jnp.where(square > 0, square, 1)
-        nearest = nearest - jnp.clip(share, 0, 1) * as_vec(edge)
-    return norm(nearest) / jnp.maximum(norm(light.edge_u), norm(light.edge_v))
+    return norm(from_nearest(light, as_vec(points))) / jnp.maximum(
+        norm(light.edge_u), norm(light.edge_v)
+    )

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._bands import by_band
 from .._numerics import dot, smallest_divisor
-from .._types import Colour, as_float, check_fields
+from .._types import Colour, Scalar, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import direction_at
 from ..scene import Light
@@ -43,12 +43,19 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    toward = light.position - point
+    direction, distance, nearness = toward_place(light.position, point)
+    irradiance = by_band(lambda band: band * (nearness * nearness), light.intensity)
+    return Incident(direction, irradiance, distance)
+
+
+def toward_place(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
+    """The unit direction from a point to a position, their distance, m, and its inverse, m^-1; 0
+    where both are one."""
+    toward = position - point
     square = dot(toward, toward)
     apart = square > smallest_divisor(square.dtype) ** 2
     nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
-    irradiance = by_band(lambda band: band * (nearness * nearness), light.intensity)
-    return Incident(toward * nearness, irradiance, square * nearness)
+    return toward * nearness, square * nearness, nearness
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:

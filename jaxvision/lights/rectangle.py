@@ -8,8 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numerics import dot, reciprocal
 from .._types import Colour, Scalar, as_float, check_fields
-from .._vector import Vector, as_array
+from .._vector import Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light, Quad
 from ._emission import emitted_from_surface
@@ -44,6 +45,15 @@ class RectangleLight(Light):
 def window_of(light: RectangleLight) -> Window:
     """The rectangle without its radiance; lengths in m."""
     return Window(light.corner, light.edge_u, light.edge_v)
+
+
+def from_nearest(light: RectangleLight, points: Vec) -> Vec:
+    """From the nearest place of the rectangle to each point, m."""
+    apart = nearest = points - light.corner
+    for edge in (as_vec(light.edge_u), as_vec(light.edge_v)):
+        share = dot(apart, edge) * reciprocal(dot(edge, edge))
+        nearest = nearest - jnp.clip(share, 0, 1) * edge
+    return nearest
 
 
 def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:

@@ -5,18 +5,18 @@ of area A and radiance L far away is a `SmallLight` of intensity A L.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._bands import by_band
-from .._numerics import dot, normalize, smallest_divisor
+from .._numerics import dot, normalize
 from .._types import Colour, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
 from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register
+from .point import toward_place
 
 
 class SmallLight(Light):
@@ -59,15 +59,11 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    toward = light.position - point
-    square = dot(toward, toward)
-    apart = square > smallest_divisor(square.dtype) ** 2
-    nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
-    direction = toward * nearness
+    direction, distance, nearness = toward_place(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * nearness * nearness
     irradiance = by_band(lambda band: band * factor, light.intensity)
-    return Incident(direction, irradiance, square * nearness)
+    return Incident(direction, irradiance, distance)
 
 
 def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
