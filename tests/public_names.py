@@ -31,6 +31,7 @@ EAGER = {
     "jaxvision.command_line",
     "jaxvision.toml_files",
     "jaxvision.measured_files",
+    "jaxvision.measured_files.by_suffix",
     "jaxvision.measured_files.cornell",
     "jaxvision.measured_files.merl",
     "jaxvision.measured_files.rgl",

@@ -125,13 +125,13 @@ def report(wrong):
 
 # Compositions of functions that are swept themselves, seconds to compile four times over.
 LONG = {
-    "brdf.albedo",
+    "brdf.evaluation.albedo",
     "brdf.torrance_sparrow.albedo",
     "brdf.dichromatic_separation.body_colour",
     "brdf.rgl.evaluate",
     "brdf.rgl.sample",
-    "lights.incident_samples",
-    "lights.irradiance",
+    "lights.incidence.incident_samples",
+    "lights.incidence.irradiance",
     "lights.light_field.light_field_sample",
     "filters.nonlocal_means.nonlocal_means_filter",
     "sensor.raw.collect",

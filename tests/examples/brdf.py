@@ -57,12 +57,12 @@ def family(name, material, *functions):
 SAMPLED = "evaluate", "sample", "pdf", "albedo"
 
 EXAMPLES = {
-    "brdf.reflect": ((PHONG, N, WI, WO), {"tangent": WI}),
-    "brdf.shading": ((PHONG, WI, WO), {}),
-    "brdf.evaluate": ((PHONG, WI, WO), {}),
-    "brdf.sample": ((PHONG, WO, U), {}),
-    "brdf.pdf": ((PHONG, WI, as_vec(WO)), {}),
-    "brdf.albedo": ((PHONG, WO), {}),
+    "brdf.evaluation.reflect": ((PHONG, N, WI, WO), {"tangent": WI}),
+    "brdf.evaluation.shading": ((PHONG, WI, WO), {}),
+    "brdf.evaluation.evaluate": ((PHONG, WI, WO), {}),
+    "brdf.evaluation.sample": ((PHONG, WO, U), {}),
+    "brdf.evaluation.pdf": ((PHONG, WI, as_vec(WO)), {}),
+    "brdf.evaluation.albedo": ((PHONG, WO), {}),
     "brdf.lambert.lambert_shading": ((N, WI, KD), {}),
     **family("lambert", Lambert(KD), "evaluate", "albedo"),
     "brdf.mirror.specular": ((Mirror(KD), as_vec(WO)), {}),

@@ -1,0 +1,126 @@
+"""The BRDF of any material, its sampler and its albedo. Local frame, unless stated."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, Scalar, check_shape
+from .._vector import Vec, Vector, as_array, as_vec
+from ..hemisphere import local_frame, to_local
+from ..scene import Material
+from ._registry import family
+
+
+def evaluate(material: Material, wi: Vector, wo: Vector) -> Colour:
+    """The BRDF of any material, f_r(wi, wo).
+
+    Args:
+        material: any material.
+        wi: (3,) unit, local, toward the light.
+        wo: (3,) unit, local, toward the viewer.
+
+    Returns:
+        f_r, (bands,) in sr^-1; 0 where wi.z <= 0 or wo.z <= 0.
+
+    Raises:
+        ValueError: for a direction of another shape; so do the functions below.
+
+    Example:
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> print(jv.brdf.evaluate(jv.Lambert([0.25]), up, up))
+        [0.25]
+    """
+    return family(material).evaluate(material, _direction("wi", wi), _direction("wo", wo))
+
+
+def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
+    """A direction toward the light, near where f_r is large.
+
+    Args:
+        material: any material.
+        wo: (3,) unit, local, toward the viewer, wo.z > 0.
+        u: (3,) uniform in [0, 1), no unit.
+
+    Returns:
+        A unit direction of the density that `pdf` has; an array or a `Vec`, as `wo` is.
+    """
+    wi = family(material).sample(material, _direction("wo", wo), u)
+    return wi if isinstance(wo, Vec) else as_array(wi)
+
+
+def pdf(material: Material, wi: Vector, wo: Vector) -> Scalar:
+    """Density of the directions that `sample` draws.
+
+    Args:
+        material: any material.
+        wi: (3,) unit, local, toward the light.
+        wo: (3,) unit, local, toward the viewer.
+
+    Returns:
+        The density at `wi`, () in sr^-1 over the whole sphere.
+    """
+    return family(material).pdf(material, _direction("wi", wi), _direction("wo", wo))
+
+
+def albedo(material: Material, wo: Vector) -> Colour:
+    """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
+
+    It is what a viewer sees of light that comes alike from everywhere; for a reciprocal BRDF it is
+    also the share of the light from `wo` that is reflected.
+
+    Args:
+        material: any material.
+        wo: (3,) unit, local, toward the viewer.
+
+    Returns:
+        The albedo, (bands,), no unit; 0 where wo.z <= 0.
+    """
+    viewer = _direction("wo", wo)
+    return jnp.where(viewer.z > 0, family(material).albedo(material, viewer), 0)
+
+
+def shading(material: Material, wi: Vector, wo: Vector) -> Colour:
+    """Radiance toward the viewer per unit of irradiance on a surface that faces the light.
+
+    The cosine of incidence is included: f_r cos(theta_i).
+
+    Args:
+        material: any material.
+        wi: (3,) unit, local, toward the light.
+        wo: (3,) unit, local, toward the viewer.
+
+    Returns:
+        The shading, (bands,) in sr^-1.
+    """
+    return family(material).shading(material, _direction("wi", wi), _direction("wo", wo))
+
+
+def _direction(name: str, w: Vector) -> Vec:
+    """The components of a direction, `ValueError` if it is an array of another shape than (3,)."""
+    if not isinstance(w, Vec):
+        check_shape(name, w, (3,))
+    return as_vec(w)
+
+
+def reflect(
+    material: Material, normal: Vector, wi: Vector, wo: Vector, *, tangent: Vector | None = None
+) -> Colour:
+    """`shading` in world coordinates.
+
+    Args:
+        material: any material.
+        normal: (3,) unit, away from the surface.
+        wi: (3,) unit, toward the light; light from below the surface (n.wi <= 0) gives 0.
+        wo: (3,) unit, toward the viewer.
+        tangent: (3,), the direction of the first axis of an anisotropic material; without it that
+            axis is arbitrary.
+
+    Returns:
+        The shading, (bands,) in sr^-1.
+
+    Example:
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> print(jv.reflect(jv.Lambert([0.25]), up, aside, up).round(6))
+        [0.2]
+    """
+    frame = local_frame(normal, tangent=tangent)
+    return shading(material, to_local(frame, wi), to_local(frame, wo))

@@ -1,0 +1,178 @@
+"""Light of any kind as it arrives at a point, or as a ray sees it."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import dot
+from .._types import Colour, Scalar, common_dtype
+from .._vector import Vector
+from ..geometry import Ray
+from ..scene import Light
+from ._registry import Extended, Incident, Seen, can_be_seen, extended_kind, kind_of
+from ._samples import incident_sample, light_nodes
+from .rules import Rule
+
+
+def incident(light: Light, point: Vector) -> Incident:
+    """Light that arrives at a point from a light at one place.
+
+    Args:
+        light: a light at one place, such as `PointLight`, `SmallLight` or `DirectionalLight`.
+        point: (3,) m.
+
+    Returns:
+        The unit direction toward the light, the irradiance, (bands,) W m^-2, on a surface that
+        faces it, and the distance, m, or None.
+
+    Raises:
+        ValueError: for an extended light, which has `incident_samples`.
+
+    Example:
+        >>> lamp = jv.PointLight([0.0, 0.0, 2.0], [8.0])
+        >>> print(jv.incident(lamp, jnp.zeros(3)).irradiance.round(6))
+        [2.]
+    """
+    kind = kind_of(light)
+    if isinstance(kind, Extended):
+        raise ValueError(
+            f"incident needs a light at one place, got {type(light).__name__}; "
+            "incident_samples takes any."
+        )
+    return kind.incident(light, point)
+
+
+def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
+    """Light that arrives at a point from any light, as samples.
+
+    Args:
+        light: any light.
+        point: (3,) m.
+        rule: where an extended light is sampled; a light at one place gives one sample under any
+            rule.
+
+    Returns:
+        Samples along a new leading axis: unit directions, and the irradiance, (samples, bands)
+        W m^-2, that each puts on a surface that faces it.
+    """
+    nodes, weights = light_nodes(light, rule, common_dtype(light, point))
+    return jax.vmap(lambda u, weight: incident_sample(light, rule, point, u, weight))(
+        nodes, weights
+    )
+
+
+def irradiance(light: Light, point: Vector, normal: Vector, *, rule: Rule) -> Colour:
+    """Irradiance of any light on a receiver, E = sum_i E_i [n.l_i]+.
+
+    A rectangle has it exactly in `polygon.rectangle_irradiance` and for many receivers in
+    `adaptive`, an environment cheaply in `harmonics`.
+
+    Args:
+        light: any light.
+        point: (3,) m, the receiver.
+        normal: (3,) unit, where the receiver faces.
+        rule: where an extended light is sampled.
+
+    Returns:
+        The irradiance, (bands,) W m^-2.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> print(jv.irradiance(sky, jnp.zeros(3), up, rule=jv.Quadrature(64)).round(2))
+        [3.14]
+    """
+    arriving = incident_samples(light, point, rule)
+    cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
+    return (arriving.irradiance * cosines[:, None]).sum(axis=0)
+
+
+def seen(light: Light, ray: Ray) -> Seen:
+    """What a ray sees of an extended light.
+
+    Args:
+        light: an extended light.
+        ray: its origin in m.
+
+    Returns:
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1, against the ray.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
+    return extended_kind(light).seen(light, ray)
+
+
+def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
+    """The first of all extended lights that a ray meets.
+
+    Args:
+        lights: any lights; those that have no size are left out.
+        ray: its origin in m.
+
+    Returns:
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are infinitely far
+        away and add up. Where there is no extended light the radiance is () and 0.
+    """
+    distance = jnp.full_like(ray.origin.x, jnp.inf)
+    radiance = jnp.zeros_like(ray.origin.x)
+    for light in filter(can_be_seen, lights):
+        ahead = seen(light, ray)
+        both_far = jnp.isinf(distance) & jnp.isinf(ahead.distance)
+        behind = radiance + jnp.where(both_far, ahead.radiance, 0)
+        radiance = jnp.where(ahead.distance < distance, ahead.radiance, behind)
+        distance = jnp.minimum(ahead.distance, distance)
+    return Seen(distance, radiance)
+
+
+def radiance_from(light: Light, point: Vector, wi: Vector) -> Colour:
+    """Radiance that reaches a point from one direction.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        wi: (3,) unit, from the point.
+
+    Returns:
+        The radiance, (bands,) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
+    return extended_kind(light).seen(light, Ray(point, wi)).radiance
+
+
+def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incident:
+    """A direction drawn toward an extended light.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        u: (2,) uniform in [0, 1), no unit.
+
+    Returns:
+        A unit direction, radiance over density, (bands,) W m^-2, and the distance, m.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
+    return extended_kind(light).sample(light, point, u)
+
+
+def direction_pdf(light: Light, point: Vector, wi: Vector) -> Scalar:
+    """Density of the directions that `direction_sample` draws.
+
+    Args:
+        light: an extended light.
+        point: (3,) m.
+        wi: (3,) unit, from the point.
+
+    Returns:
+        The density toward `wi`, () in sr^-1.
+
+    Raises:
+        ValueError: for a light that has no size.
+    """
+    return extended_kind(light).pdf(light, point, wi)
