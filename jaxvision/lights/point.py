@@ -43,12 +43,12 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    direction, distance, nearness = toward_place(light.position, point)
+    direction, distance, nearness = _toward(light.position, point)
     irradiance = by_band(lambda band: band * (nearness * nearness), light.intensity)
     return Incident(direction, irradiance, distance)
 
 
-def toward_place(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
+def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
     """The unit direction from a point to a position, their distance, m, and its inverse, m^-1; 0
     where both are one."""
     toward = position - point

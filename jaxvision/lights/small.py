@@ -16,7 +16,7 @@ from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
 from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register
-from .point import toward_place
+from .point import _toward
 
 
 class SmallLight(Light):
@@ -59,7 +59,7 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    direction, distance, nearness = toward_place(light.position, point)
+    direction, distance, nearness = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * nearness * nearness
     irradiance = by_band(lambda band: band * factor, light.intensity)
