@@ -34,7 +34,6 @@ from .colour_data import camera_sensitivities, wavelength_grid
 from .colour_filters import bayer
 from .errors import InputError, nearest
 from .scene import Camera
-from .toml_files import read_toml
 
 _TABLES = ("view", "sensor", "development")
 _BANDS = ("first", "last", "step")
@@ -75,6 +74,8 @@ def read_camera(
         >>> float(jv.read_camera("emva1288").sensor.bits)
         12.0
     """
+    from .toml_files import read_toml
+
     file = _found(source)
     content, place = read_toml(file, "camera"), str(file)
     _check_keys(place, "", content, (*_TABLES, "bands", "about"))
