@@ -236,7 +236,10 @@ def test_gradients_of_flat_pictures_are_finite():
         (lambda: bilateral_filter(GREY, 1.0, 1.0, radius=-1), "got -1"),
         (lambda: bilateral_filter(GREY, 1.0, 1.0, radius=1, window="hexagon"), "hexagon"),
         (lambda: joint_bilateral_filter(GREY, COLOUR[1:], 1.0, 1.0, radius=1), "but for their"),
-        (lambda: nonlocal_means_filter(GREY, 1.0, patch=4), "patch=4"),
+        (
+            lambda: nonlocal_means_filter(GREY, 1.0, patch=4),
+            "patch must be an odd number of at least 1, got 4",
+        ),
         (lambda: nonlocal_means_filter(GREY, 1.0, profile="box"), "box"),
         (lambda: nonlocal_means_filter(np.zeros(4), 1.0), r"\(4,\)"),
     ],
