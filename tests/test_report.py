@@ -3,11 +3,13 @@ that ArviZ opens."""
 
 import json
 import warnings
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from matplotlib.figure import Figure
 
 from fitting.inference.emcee_run import SamplingOptions
@@ -160,8 +162,42 @@ def test_files_of_a_report_and_chains_that_arviz_opens(section, tmp_path):
     written = write_report(folder, sections, title="T", seed=1, settings={})
     assert sorted(path.name for path in written) == sorted(p.name for p in folder.iterdir())
     data = arviz.from_netcdf(folder / "brdf_chains.nc")
-    np.testing.assert_array_equal(data["posterior"]["green_1_read_noise"], chain.draws[:, :, 1])
-    np.testing.assert_array_equal(data["sample_stats"]["red_lp"], chain.log_density)
-    assert data["posterior"]["red_gain"].attrs["units"] == "DN/e-"
+    drawn = data["posterior"]
+    assert drawn["read_noise"].dims == ("chain", "draw", "channel")
+    np.testing.assert_array_equal(drawn["read_noise"].sel(channel="green 1"), chain.draws[:, :, 1])
+    np.testing.assert_array_equal(data["sample_stats"]["lp"].sel(channel="red"), chain.log_density)
+    assert drawn["gain"].attrs["units"] == "DN/e-"
+    table = arviz.summary(data, kind="stats", round_to="none")
+    assert [*table.index] == [f"{p.name}[{c}]" for p in SPACE for c in ("red", "green 1")]
+    np.testing.assert_allclose(table["mean"], np.repeat(chain.samples.mean(axis=0), 2))
     single = arviz.from_netcdf(folder / "noise_chains.nc")["posterior"]
     assert single["gain"].dims == ("chain", "draw")
+
+
+def test_channels_of_unequal_chains_and_parameters_share_a_file(section, tmp_path):
+    """The last draws of the longer one, and NaN for what a channel does not have."""
+    whole = section.posteriors[""]
+    short = replace(
+        whole,
+        space=SPACE[1:],
+        draws=whole.draws[:, :50, 1:],
+        log_density=np.zeros((1, 50)),
+        seed=3,
+    )
+    table = {"code": np.arange(3.0), "channel": np.array(["red", "red", "green"])}
+    both = Section(
+        "brdf", "R", (), posteriors={"red": whole, "green": short}, data={"curve": table}
+    )
+    write_report(tmp_path, [both], title="T", seed=1, settings={})
+    with xarray.open_dataset(tmp_path / "brdf_chains.nc", group="posterior") as found:
+        assert found.attrs["seed"].tolist() == [0, 3]
+        np.testing.assert_array_equal(
+            found["read_noise"].sel(channel="green"), short.draws[:, :, 0]
+        )
+        np.testing.assert_array_equal(found["gain"].sel(channel="red"), whole.draws[:, -50:, 0])
+        assert np.isnan(found["gain"].sel(channel="green")).all()
+    with xarray.open_dataset(tmp_path / "brdf_chains.nc", group="curve") as found:
+        np.testing.assert_array_equal(found["code"], table["code"])
+        assert found["channel"].values.tolist() == ["red", "red", "green"]
+    lines = (tmp_path / "curve.csv").read_text().splitlines()
+    assert lines == ["code,channel", "0.0,red", "1.0,red", "2.0,green"]

@@ -55,6 +55,21 @@ def test_section_of_a_colour_stack(calibration):
     assert all(sentence.endswith(".") for sentence in section.findings)
 
 
+def test_the_curve_leaves_whole(calibration):
+    """Every code of every channel; where pixels were seen it is the sRGB curve, within 5 %."""
+    curve = response_section(calibration).data["curve"]
+    for channel in ("red", "green", "blue"):
+        rows = (curve["channel"] == channel) & curve["seen"]
+        code, exposure = curve["code"][rows] / 255, curve["exposure"][rows]
+        assert rows.sum() > 200
+        linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        middle = (code > 0.1) & (code < 0.9)
+        ratio = exposure[middle] / linear[middle]
+        np.testing.assert_allclose(ratio / np.median(ratio), 1, atol=0.05)
+        half = np.log(curve["upper_95"] / curve["lower_95"])[rows] / 2
+        np.testing.assert_allclose(half, 1.96 * curve["standard_error"][rows] / exposure, rtol=1e-3)
+
+
 def test_pictures_are_drawn(calibration, tmp_path):
     for picture in response_section(calibration).pictures:
         picture.draw().savefig(tmp_path / f"{picture.name}.png", dpi=40)

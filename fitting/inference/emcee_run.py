@@ -25,8 +25,8 @@ TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
 UNDERESTIMATE = 1.7  # by which a chain of 14 autocorrelation times misses its own
 PATIENCE = 1.25  # growth of the chain from one judgement to the next
-# A density estimated from half of 64 walkers fails in many dimensions: tau of a banana is 15 with KDE
-# and DE at P = 5, 52 at 10, 260 at 20; with DE alone 37, 70, 131; with stretch moves 95, 171, 369.
+# A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
+# 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
 
 

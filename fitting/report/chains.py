@@ -1,5 +1,6 @@
 """The draws of a posterior: written as NetCDF, and drawn as corner plot and walkers' paths."""
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from jaxvision.io import replaced_on_success
 from ..inference.parameters import names
 from ..inference.posterior import Posterior
 from .formatting import format_axis
-from .section import Picture, Section
+from .section import Columns, Picture, Section
 
 MOST_WALKERS = 16  # paths drawn; more only blacken the panel
 
@@ -55,40 +56,67 @@ def trace_figure(posterior: Posterior) -> Figure:
     return figure
 
 
-def write_chains(path: Path, posteriors: dict[str, Posterior]) -> None:
+def write_chains(
+    path: Path, posteriors: dict[str, Posterior], *, data: Mapping[str, Columns] | None = None
+) -> None:
     """Draws of every posterior in one NetCDF file of ArviZ' layout.
 
-    The groups are `posterior` and `sample_stats`, their dimensions chain and draw; with several
-    posteriors each variable's name is preceded by its own (`red_exponent`).
+    The groups are `posterior` and `sample_stats` with the dimensions chain and draw, and, where
+    there are several posteriors, channel. Channels are of one length: of chains that ended at
+    different steps the last draws are kept, as many as the shortest has. What a channel does not
+    have is NaN in it.
 
     Args:
         path: of the file, replaced once it is complete.
         posteriors: by name.
+        data: columns of numbers, each record of them a group of its own.
     """
     import xarray
 
-    variables, statistics, attributes = {}, {}, {}
-    for name, posterior in posteriors.items():
-        prefix = "" if len(posteriors) == 1 else f"{name.replace(' ', '_')}_"
-        dimensions = (f"{prefix}chain", f"{prefix}draw") if prefix else ("chain", "draw")
-        for i, label in enumerate(names(posterior.space)):
-            variables[f"{prefix}{label}"] = (
-                dimensions,
-                posterior.draws[:, :, i],
-                {"units": posterior.space[i].unit},
-            )
-        if posterior.log_density is not None:
-            statistics[f"{prefix}lp"] = (dimensions, posterior.log_density)
-        attributes[f"{prefix}method"] = posterior.method
-        attributes[f"{prefix}seed"] = posterior.seed
+    first = next(iter(posteriors.values()))
+    chains, kept = np.min([p.draws.shape[:2] for p in posteriors.values()], axis=0)
+    parameters = {p.name: p for posterior in posteriors.values() for p in posterior.space}
+    dimensions, channels = ("chain", "draw"), {}
+    if len(posteriors) > 1:
+        dimensions, channels = (*dimensions, "channel"), {"channel": [*posteriors]}
+
+    def beside(columns: list[np.ndarray]) -> np.ndarray:
+        return np.stack(columns, axis=-1) if channels else columns[0]
+
+    absent = np.full((chains, kept), np.nan)
+    variables = {
+        label: (
+            dimensions,
+            beside([_draws_of(p, label, absent) for p in posteriors.values()]),
+            {"units": parameter.unit},
+        )
+        for label, parameter in parameters.items()
+    }
+    densities = [p.log_density for p in posteriors.values()]
+    known = [x[:chains, -kept:] for x in densities if x is not None]
+    attributes = {
+        "method": first.method,
+        "seed": [p.seed for p in posteriors.values()] if channels else first.seed,
+    }
     with replaced_on_success(path) as unfinished:
-        xarray.Dataset(variables, attrs=attributes).to_netcdf(
+        xarray.Dataset(variables, channels, attributes).to_netcdf(
             unfinished, mode="w", group="posterior", engine="h5netcdf"
         )
-        if statistics:
-            xarray.Dataset(statistics).to_netcdf(
+        if len(known) == len(densities):
+            xarray.Dataset({"lp": (dimensions, beside(known))}, channels).to_netcdf(
                 unfinished, mode="a", group="sample_stats", engine="h5netcdf"
             )
+        for group, columns in (data or {}).items():
+            rows = {name: ("row", values) for name, values in columns.items()}
+            xarray.Dataset(rows).to_netcdf(unfinished, mode="a", group=group, engine="h5netcdf")
+
+
+def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarray:
+    """(chains, draws) of one parameter, cut to the shape of what stands for an absent one."""
+    chains, kept = absent.shape
+    if label not in names(posterior.space):
+        return absent
+    return posterior.draws[:chains, -kept:, names(posterior.space).index(label)]
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:

@@ -3,6 +3,7 @@ draws as NetCDF in ArviZ' layout. Everything is prepared first and written last,
 leaves nothing half-written."""
 
 import base64
+import csv
 import io
 import json
 from collections.abc import Sequence
@@ -92,8 +93,8 @@ def write_report(
         settings: of the command.
 
     Returns:
-        Paths of `report.html`, `results.json` and, for each section with posteriors,
-        `<kind>_chains.nc`.
+        Paths of `report.html`, `results.json`, for each section with posteriors
+        `<kind>_chains.nc`, and for each name of its data `<name>.csv`.
     """
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
@@ -105,7 +106,14 @@ def write_report(
     for section in sections:
         if section.posteriors:
             path = folder / f"{section.kind}_chains.nc"
-            write_chains(path, section.posteriors)
+            write_chains(path, section.posteriors, data=section.data)
+            written.append(path)
+        for name, columns in section.data.items():
+            path = folder / f"{name}.csv"
+            with replaced_on_success(path) as partial, partial.open("w", newline="") as stream:
+                rows = csv.writer(stream)
+                rows.writerow(columns)
+                rows.writerows(zip(*columns.values(), strict=True))
             written.append(path)
     return written
 

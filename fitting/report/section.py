@@ -4,11 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..inference.estimates import Estimate
 from ..inference.posterior import Posterior
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Columns = dict[str, np.ndarray]  # of equal length, by their heads
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class Section:
         tables: beside the estimates.
         posteriors: by group.
         settings: everything needed to repeat the fit.
+        data: what is too long for a table, whole: columns by the name of their file.
     """
 
     kind: str
@@ -68,3 +73,4 @@ class Section:
     tables: tuple[Table, ...] = ()
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, Columns] = field(default_factory=dict)

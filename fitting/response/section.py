@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
-from ..report.section import Picture, Section, Table
+from ..report.section import Columns, Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .findings import PURE, findings, largest_departure
 from .gamma import GAMMA, SHUTTER_ERROR
+
+WIDTH_95 = 1.959964  # standard deviations of a Gaussian
 
 
 def section(calibration: ResponseCalibration) -> Section:
@@ -40,7 +42,34 @@ def section(calibration: ResponseCalibration) -> Section:
             for channel in calibration.channels
         },
         settings=_settings(calibration),
+        data={"curve": curve_columns(calibration.channels)},
     )
+
+
+def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
+    """The curves whole, one row a code and channel.
+
+    Args:
+        channels: with their curves.
+
+    Returns:
+        channel; code, DN; exposure, relative to mid-scale, with its standard error and its 95 %
+        band; and whether pixels were seen there or the prior extrapolates.
+    """
+    curves = [channel.curve for channel in channels]
+    labels = [channel.plane.label or "grey" for channel in channels]
+    log_exposure = np.concatenate([curve.log_exposure for curve in curves])
+    error = np.concatenate([curve.standard_error for curve in curves])
+    exposure, half = np.exp(log_exposure), WIDTH_95 * error
+    return {
+        "channel": np.repeat(labels, [len(curve.codes) for curve in curves]),
+        "code": np.concatenate([curve.codes for curve in curves]),
+        "exposure": exposure,
+        "standard_error": exposure * error,
+        "lower_95": np.exp(log_exposure - half),
+        "upper_95": np.exp(log_exposure + half),
+        "seen": np.concatenate([curve.seen for curve in curves]),
+    }
 
 
 def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
