@@ -8,66 +8,143 @@ from scipy import stats
 
 from fitting.inference.parameters import (
     Parameter,
+    ends,
     log_prior,
     names,
+    prior_values,
+    scalars,
     to_natural,
     to_unconstrained,
 )
+from fitting.inference.priors import Gamma, HalfNormal, LogNormal, Normal, Uniform
+from jaxvision.errors import InputError
 
 SPACE = (
     Parameter("offset", symbol="o", unit="DN"),
-    Parameter("gain", symbol="K", unit="DN/e-", transform="log", lower=0.0),
-    Parameter("albedo", symbol="a", unit="1", transform="logit", lower=0.0, upper=2.0),
+    Parameter("gain", symbol="K", unit="DN/e-", transform="log"),
+    Parameter("albedo", symbol="a", unit="1", lower=0.0, upper=2.0),
+    Parameter("height", unit="m", lower=-1.0),
+    Parameter("depth", unit="m", upper=3.0),
+    Parameter("exponent", transform="log", lower=1.0, upper=1e3),
+    Parameter("at_least", transform="log", lower=2.0),
+    Parameter("ratio", transform="log", upper=5.0),
 )
+NATURAL = [
+    [-3.0, 1e-6, 1e-9, -0.9, -1e3, 1.01, 2.01, 1e-4],
+    [0.0, 1.0, 1.0, 0.0, 0.0, 30.0, 10.0, 1.0],
+    [1e4, 1e6, 1.999, 1e4, 2.999, 999.0, 1e3, 4.99],
+]
 
 
 def test_round_trip_over_the_whole_range():
-    natural = jnp.array([[-3.0, 1e-6, 1e-9], [0.0, 1.0, 1.0], [1e4, 1e6, 2 - 1e-9]])
+    natural = jnp.array(NATURAL)
     back = to_natural(SPACE, to_unconstrained(SPACE, natural))
     np.testing.assert_allclose(back, natural, rtol=1e-9)
 
 
-def test_any_vector_lands_inside_the_bounds():
-    natural = to_natural(SPACE, jnp.array([[-40.0, -40.0, -40.0], [40.0, 40.0, 30.0]]))
-    lower, upper = ([getattr(p, end) for p in SPACE] for end in ("lower", "upper"))
-    assert (np.asarray(natural) >= lower).all()
-    assert (np.asarray(natural) <= upper).all()
+def test_no_vector_leaves_the_bounds():
+    for size in (3.0, 40.0, 600.0):
+        natural = np.asarray(to_natural(SPACE, jnp.array([[-size], [size]]) * jnp.ones((2, 8))))
+        lower, upper = (np.array(end) for end in zip(*map(ends, SPACE), strict=True))
+        assert (natural >= lower).all()
+        assert (natural <= upper).all()
 
 
 def test_gradient_is_finite_far_out():
-    jacobian = jax.jacobian(lambda v: to_natural(SPACE, v))(jnp.array([1e3, 300.0, 300.0]))
+    jacobian = jax.jacobian(lambda v: to_natural(SPACE[:3], v))(jnp.array([1e3, 300.0, 300.0]))
     assert np.isfinite(jacobian).all()
 
 
-def test_log_prior_is_the_gaussian_on_the_unconstrained_scale():
-    space = (
-        Parameter("a", symbol="a", unit="1"),
-        Parameter("b", symbol="b", unit="1", transform="log", prior_mean=0.5, prior_sd=2.0),
+PRIORS = [
+    (Normal(1.0, 2.0), stats.norm(1.0, 2.0)),
+    (LogNormal(3.0, 0.4), stats.lognorm(0.4, scale=3.0)),
+    (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
+    (HalfNormal(1.5), stats.halfnorm(scale=1.5)),
+    (Gamma(2.5, 0.7), stats.gamma(2.5, scale=0.7)),
+]
+
+
+@pytest.mark.parametrize(("prior", "reference"), PRIORS, ids=lambda p: type(p).__name__)
+def test_priors_against_scipy(prior, reference):
+    p = np.array([0.001, 0.2, 0.5, 0.97])
+    x = reference.ppf(p)
+    np.testing.assert_allclose(prior.quantile(p), x, rtol=1e-10)
+    np.testing.assert_allclose(prior.log_density(jnp.asarray(x)), reference.logpdf(x), rtol=1e-10)
+    outside = np.array([-1e3])
+    np.testing.assert_array_equal(
+        prior.log_density(jnp.asarray(outside)), reference.logpdf(outside)
     )
-    at = [jnp.array([9.0, 3.0]), jnp.array([-7.0, 1.0])]
-    difference = log_prior(space, at[0]) - log_prior(space, at[1])
-    expected = stats.norm.logpdf(3.0, 0.5, 2.0) - stats.norm.logpdf(1.0, 0.5, 2.0)
-    np.testing.assert_allclose(difference, expected, rtol=1e-12)
 
 
-def test_a_parameter_without_prior_is_not_traced():
-    text = str(jax.make_jaxpr(lambda v: log_prior(SPACE, v))(jnp.zeros(3)))
+@pytest.mark.parametrize(
+    ("parameter", "truth"),
+    [
+        (Parameter("x", prior=Normal(1.0, 2.0)), stats.norm(1.0, 2.0)),
+        (Parameter("x", prior=Gamma(2.5, 0.7)), stats.gamma(2.5, scale=0.7)),
+        (Parameter("x", transform="log", prior=HalfNormal(1.5)), stats.halfnorm(scale=1.5)),
+        (
+            Parameter("x", lower=0.5, upper=4.0, prior=Normal(1.0, 2.0)),
+            stats.truncnorm(-0.25, 1.5, 1.0, 2.0),
+        ),
+        (Parameter("x", lower=-1.0, upper=3.0), stats.uniform(-1.0, 4.0)),
+        (Parameter("x", transform="log", lower=0.1, upper=9.0), stats.loguniform(0.1, 9.0)),
+    ],
+)
+def test_the_density_of_the_vector_is_the_prior_with_its_jacobian(parameter, truth):
+    """By quadrature in u: probabilities of the natural value, whatever the transform."""
+    u = np.linspace(-60, 60, 400_001)[:, None]
+    logs = np.asarray(log_prior((parameter,), jnp.asarray(u)))
+    weight = np.exp(logs - logs.max())
+    x = np.asarray(to_natural((parameter,), jnp.asarray(u)))[:, 0]
+    for p in (0.1, 0.5, 0.9):
+        below = weight[x < truth.ppf(p)].sum() / weight.sum()
+        np.testing.assert_allclose(below, p, atol=2e-3)
+    known = prior_values(parameter)
+    np.testing.assert_allclose(known, truth.ppf((np.arange(400) + 0.5) / 400), rtol=0.01, atol=2e-3)
+
+
+def test_a_parameter_that_is_flat_is_not_traced():
+    text = str(jax.make_jaxpr(lambda v: log_prior(SPACE[:2], v))(jnp.zeros(2)))
     assert "mul" not in text
     assert "sub" not in text
 
 
+def test_an_array_parameter_is_its_numbers():
+    position = Parameter("lamp.position", unit="m", lower=(-1.0, -2.0, 0.0), upper=5.0)
+    numbers = scalars(position, (3,))
+    assert names(numbers) == ("lamp.position[0]", "lamp.position[1]", "lamp.position[2]")
+    assert [p.symbol for p in numbers] == ["position[0]", "position[1]", "position[2]"]
+    assert [ends(p) for p in numbers] == [(-1.0, 5.0), (-2.0, 5.0), (0.0, 5.0)]
+
+
 def test_names_keep_their_order():
-    assert names(SPACE) == ("offset", "gain", "albedo")
+    assert names(SPACE[:3]) == ("offset", "gain", "albedo")
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
         ({"lower": 2.0, "upper": 1.0}, "not below upper"),
-        ({"transform": "logit", "lower": 0.0}, "two finite bounds"),
-        ({"prior_sd": 0.0}, "prior_sd must be positive"),
+        ({"lower": (0.0, 2.0), "upper": 1.0}, "not below upper"),
+        ({"transform": "log", "upper": -1.0}, "a log parameter is positive"),
+        ({"upper": -1.0, "prior": HalfNormal(1.0)}, "leaves nothing within the bounds"),
     ],
 )
 def test_contradictory_parameters_are_refused(options, expected):
     with pytest.raises(ValueError, match=expected):
         Parameter("x", symbol="x", unit="1", **options)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: Normal(0.0, -1.0),
+        lambda: LogNormal(-1.0, 1.0),
+        lambda: Uniform(2.0, 1.0),
+        lambda: HalfNormal(np.inf),
+        lambda: Gamma(0.0, 1.0),
+    ],
+)
+def test_impossible_priors_are_refused(wrong):
+    with pytest.raises(InputError, match="positive and finite|two finite ends"):
+        wrong()

@@ -1,10 +1,12 @@
 """Maximum likelihood in a few unconstrained parameters: Newton's method, damped, free of saddles.
 
-For likelihoods that are not sums of squares: the curvature comes from forward-over-reverse
-differentiation, so that the Hessian at the end is the observed information itself.
+For likelihoods that are not sums of squares the curvature comes from forward-over-reverse
+differentiation, so that the Hessian at the end is the observed information itself. For those that
+are, or nearly so, `derivatives` may give Gauss and Newton's curvature instead.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -13,11 +15,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
+Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
 
 EASIER, HARDER = 0.1, 8.0  # what a success and a failure do to the damping
 STUCK = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
-SAME_COST = 1e-14  # relative rise of the cost that is rounding
+SAME_COST = 45  # units of rounding by which an equal cost may rise
 
 
 class NewtonSolution(eqx.Module):
@@ -60,6 +63,7 @@ def minimise(
     start: Float[Array, " parameters"],
     args: Any,
     *,
+    derivatives: Derivatives | None = None,
     max_steps: int = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
@@ -73,12 +77,15 @@ def minimise(
         objective: module-level function (it is part of the compile key), twice differentiable.
         start: (parameters,), unconstrained.
         args: all data of the objective.
+        derivatives: cost, gradient (parameters,) and curvature (parameters, parameters) of the
+            objective at (vector, args); None differentiates it twice.
         max_steps: most evaluations.
         tolerance: on the promised fall in cost.
 
     Returns:
         The end of the search.
     """
+    local = derivatives or partial(_twice, objective)
 
     def goes_on(state: _State) -> Array:
         unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
@@ -86,8 +93,9 @@ def minimise(
 
     def step(state: _State) -> _State:
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
-        cost, gradient, information = _local(objective, state.proposal, args)
-        better = cost <= state.cost + SAME_COST * jnp.abs(state.cost)
+        cost, gradient, information = local(state.proposal, args)
+        rounding = SAME_COST * jnp.finfo(cost.dtype).eps * jnp.abs(state.cost)
+        better = cost <= state.cost + jnp.where(jnp.isfinite(rounding), rounding, 0)
         here = _State(
             vector=jnp.where(better, state.proposal, state.vector),
             cost=jnp.where(better, cost, state.cost),
@@ -128,7 +136,7 @@ def minimise(
     )
 
 
-def _local(objective: Objective, vector: Array, args: Any) -> tuple[Array, Array, Array]:
+def _twice(objective: Objective, vector: Array, args: Any) -> tuple[Array, Array, Array]:
     """Cost, gradient and Hessian in one pass."""
 
     def first(vector: Array) -> tuple[Array, tuple[Array, Array]]:

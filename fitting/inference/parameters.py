@@ -1,12 +1,26 @@
 """Named parameters with units, bounds and priors, and their map to an unconstrained vector.
 
-A solver or a sampler moves freely in R^P; a reader wants numbers with units. `Parameter` says how
-one number goes across: `identity` (any real), `log` (positive), `logit` (between its bounds).
-A parameter that a fit does not need is left out of the space: it is then never traced.
-Natural and unconstrained values are vectors (..., P) in the order of the space.
+A solver or a sampler moves freely in R^P; a reader wants numbers with units. One number goes across
+in two steps. First the scale on which it is at home, v = x (`identity`) or v = ln x (`log`); then
+the bounds a < v < b, which no vector can leave:
+
+    v = u                            no bound
+    v = a + exp(u)                   lower bound alone
+    v = b - exp(-u)                  upper bound alone
+    v = a + (b - a) / (1 + exp(-u))  both
+
+A prior is a density of x in its own unit, p(x). Without one a parameter is flat in v, as far as its
+bounds reach. `log_prior` is the density of u that follows, ln p(x) + ln |dx/du|, so that a mode, a
+Gaussian about it and a chain of draws all refer to one posterior. The mode of a fit is taken in u.
+
+A parameter that a fit does not need is left out of the space: it is then never traced. Natural and
+unconstrained values are vectors (..., P) in the order of the space.
 """
 
-from typing import Literal
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -14,47 +28,66 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .priors import Prior, support
+
 Vector = Float[Array, "... parameters"]
-Transform = Literal["identity", "log", "logit"]
+Transform = Literal["identity", "log"]
+Bound = float | tuple[Any, ...]
+FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is read off
+
+
+def _frozen(value: Any) -> Any:
+    """Numbers as nested tuples, which a compile key can hold."""
+    if value is None or np.ndim(value) == 0:
+        return value if value is None else float(value)
+    return tuple(_frozen(part) for part in np.asarray(value))
 
 
 class Parameter(eqx.Module):
-    """One scalar to be estimated.
+    """One number, or one array of numbers, to be estimated.
 
-    Without a prior it is flat on the unconstrained scale.
+    Bounds bind in every solver and sampler.
 
     Attributes:
-        name: a word.
-        symbol: its letter, with a subscript behind `_`.
-        unit: of the natural value; "1" for none.
-        transform: how the natural value becomes unconstrained: `identity` (any real), `log`
-            (positive) or `logit` (between its bounds, which are then finite).
-        lower: bound of the natural value; bounded searches use it for every transform.
+        name: a word; a `Problem` takes it from its dictionary.
+        symbol: its letter, with a subscript behind `_`; the last part of the name by default.
+        unit: of the value; "1" for none.
+        transform: the scale on which it is searched, is flat without a prior, and has Gaussian
+            errors: `identity` (its own) or `log` (its logarithm; the value is positive).
+        lower: bound of the value, in its unit; for an array one for all or a tuple, one each.
         upper: the other bound.
-        prior_mean: of a Gaussian prior on the unconstrained scale (a `log` parameter has a
-            log-normal one).
-        prior_sd: its standard deviation; None for no prior.
+        prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); None for flat.
+        shape: of the value; None for that of its start, () if there is none.
+        start: where a search begins, in its unit; None leaves it to the bounds or the prior.
 
     Raises:
-        ValueError: for bounds that are not ascending, and a prior_sd that is not positive.
+        ValueError: for bounds that are not ascending, or that leave nothing to a prior.
+
+    Example:
+        >>> from fitting import Normal, Parameter
+        >>> height = Parameter(unit="m", lower=0.0, prior=Normal(mean=2.0, sd=0.1))
     """
 
-    name: str = eqx.field(static=True)
-    symbol: str = eqx.field(static=True, kw_only=True)
-    unit: str = eqx.field(static=True, kw_only=True)
+    name: str = eqx.field(static=True, default="")
+    symbol: str = eqx.field(static=True, kw_only=True, default="")
+    unit: str = eqx.field(static=True, kw_only=True, default="1")
     transform: Transform = eqx.field(static=True, kw_only=True, default="identity")
-    lower: float = eqx.field(static=True, kw_only=True, default=-np.inf)
-    upper: float = eqx.field(static=True, kw_only=True, default=np.inf)
-    prior_mean: float = eqx.field(static=True, kw_only=True, default=0.0)
-    prior_sd: float | None = eqx.field(static=True, kw_only=True, default=None)
+    lower: Bound = eqx.field(static=True, kw_only=True, default=-np.inf, converter=_frozen)
+    upper: Bound = eqx.field(static=True, kw_only=True, default=np.inf, converter=_frozen)
+    prior: Prior | None = eqx.field(static=True, kw_only=True, default=None)
+    shape: tuple[int, ...] | None = eqx.field(static=True, kw_only=True, default=None)
+    start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_frozen)
 
     def __check_init__(self) -> None:
-        if not self.lower < self.upper:
+        lower, upper = np.broadcast_arrays(np.asarray(self.lower), np.asarray(self.upper))
+        if not (lower < upper).all():
             raise ValueError(f"{self.name}: lower {self.lower} is not below upper {self.upper}.")
-        if self.transform == "logit" and not np.isfinite([self.lower, self.upper]).all():
-            raise ValueError(f"{self.name}: a logit parameter needs two finite bounds.")
-        if self.prior_sd is not None and not self.prior_sd > 0:
-            raise ValueError(f"{self.name}: prior_sd must be positive, got {self.prior_sd}.")
+        if self.transform == "log" and not (upper > 0).all():
+            raise ValueError(f"{self.name}: a log parameter is positive, upper is {self.upper}.")
+        if self.prior is not None:
+            low, high = support(self.prior)
+            if not ((lower < high) & (upper > low)).all():
+                raise ValueError(f"{self.name}: {self.prior} leaves nothing within the bounds.")
 
 
 ParameterSpace = tuple[Parameter, ...]
@@ -65,25 +98,93 @@ def names(space: ParameterSpace) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in space)
 
 
-def _to_natural(parameter: Parameter, x: Array) -> Array:
-    match parameter.transform:
-        case "identity":
-            return x
-        case "log":
-            return jnp.exp(x)
-        case "logit":
-            return parameter.lower + (parameter.upper - parameter.lower) * jax.nn.sigmoid(x)
+def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
+    """The numbers of which an array parameter consists, in row-major order.
+
+    Args:
+        parameter: of any shape.
+        shape: of its value.
+
+    Returns:
+        One parameter each; `position` of three becomes `position[0]` and so on.
+    """
+    short = parameter.symbol or parameter.name.rpartition(".")[2]
+    lower, upper = (np.broadcast_to(end, shape) for end in (parameter.lower, parameter.upper))
+    found = []
+    for index in np.ndindex(shape):
+        tail = f"[{','.join(map(str, index))}]" if index else ""
+        found.append(
+            replace(
+                parameter,
+                name=parameter.name + tail,
+                symbol=short + tail,
+                lower=float(lower[index]),
+                upper=float(upper[index]),
+                shape=(),
+                start=None,
+            )
+        )
+    return tuple(found)
 
 
-def _to_unconstrained(parameter: Parameter, value: Array) -> Array:
-    match parameter.transform:
-        case "identity":
-            return value
-        case "log":
-            return jnp.log(value)
-        case "logit":
-            below, above = value - parameter.lower, parameter.upper - value
-            return jnp.log(below) - jnp.log(above)
+def ends(parameter: Parameter) -> tuple[float, float]:
+    """Bounds of a scalar parameter, those of its prior included.
+
+    Args:
+        parameter: a scalar.
+
+    Returns:
+        Lower and upper bound in its unit, infinite where there is none.
+    """
+    lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
+    if parameter.prior is not None:
+        low, high = support(parameter.prior)
+        lower, upper = max(lower, low), min(upper, high)
+    return (max(lower, 0.0) if parameter.transform == "log" else lower), upper
+
+
+def _scaled_ends(parameter: Parameter) -> tuple[float, float]:
+    """a and b, the bounds of v."""
+    lower, upper = ends(parameter)
+    if parameter.transform == "identity":
+        return lower, upper
+    return (math.log(lower) if lower > 0 else -np.inf), math.log(upper)
+
+
+def _into_bounds(u: Array, a: float, b: float) -> Array:
+    """v(u)."""
+    match bool(np.isfinite(a)), bool(np.isfinite(b)):
+        case True, True:
+            return a + (b - a) * jax.nn.sigmoid(u)
+        case True, False:
+            return a + jnp.exp(u)
+        case False, True:
+            return b - jnp.exp(-u)
+    return u
+
+
+def _out_of_bounds(v: Array, a: float, b: float) -> Array:
+    """u(v)."""
+    match bool(np.isfinite(a)), bool(np.isfinite(b)):
+        case True, True:
+            return jnp.log(v - a) - jnp.log(b - v)
+        case True, False:
+            return jnp.log(v - a)
+        case False, True:
+            return -jnp.log(b - v)
+    return v
+
+
+def _log_slope(u: Array, a: float, b: float) -> Array | None:
+    """ln dv/du; None where it is 0."""
+    match bool(np.isfinite(a)), bool(np.isfinite(b)):
+        case True, True:
+            return jax.nn.log_sigmoid(u) + jax.nn.log_sigmoid(-u) + math.log(b - a)
+        case True, False:
+            return u
+        case False, True:
+            return -u
+    return None
 
 
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
@@ -102,8 +203,12 @@ def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
         >>> round(float(to_natural(space, jnp.array([0.0]))[0]), 3)
         1.0
     """
-    columns = [_to_natural(p, unconstrained[..., i]) for i, p in enumerate(space)]
-    return jnp.stack(columns, axis=-1)
+
+    def columns(parameter: Parameter, u: Array) -> Array:
+        v = _into_bounds(u, *_scaled_ends(parameter))
+        return v if parameter.transform == "identity" else jnp.exp(v)
+
+    return _by_kind(space, unconstrained, columns)
 
 
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
@@ -111,28 +216,104 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
 
     Args:
         space: the P parameters.
-        natural: (..., P); a `log` value must be positive, a `logit` one inside its bounds.
+        natural: (..., P), inside the bounds; a `log` value must be positive.
 
     Returns:
         (..., P).
     """
-    columns = [_to_unconstrained(p, natural[..., i]) for i, p in enumerate(space)]
-    return jnp.stack(columns, axis=-1)
+
+    def columns(parameter: Parameter, x: Array) -> Array:
+        v = x if parameter.transform == "identity" else jnp.log(x)
+        return _out_of_bounds(v, *_scaled_ends(parameter))
+
+    return _by_kind(space, natural, columns)
 
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
-    """Log prior density on the unconstrained scale, up to a constant.
+    """Log prior density of the unconstrained values, up to a constant.
 
     Args:
-        space: the P parameters; those without a prior add nothing and are not traced.
+        space: the P parameters; those that are flat in u add nothing and are not traced.
         unconstrained: (..., P).
 
     Returns:
         (...).
     """
     total = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
-    for i, parameter in enumerate(space):
-        if parameter.prior_sd is not None:
-            z = (unconstrained[..., i] - parameter.prior_mean) / parameter.prior_sd
-            total = total - z * z / 2
+    for parameter, index in _kinds(space):
+        u = unconstrained[..., np.array(index)]
+        a, b = _scaled_ends(parameter)
+        terms = [] if (slope := _log_slope(u, a, b)) is None else [slope]
+        if parameter.prior is not None:
+            v = _into_bounds(u, a, b)
+            logs = parameter.transform == "log"
+            terms += [
+                parameter.prior.log_density(jnp.exp(v) if logs else v),
+                *([v] if logs else []),
+            ]
+        for term in terms:
+            total = total + jnp.sum(term, axis=-1)
     return total
+
+
+def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each unconstrained value before any data.
+
+    Args:
+        space: the P parameters.
+
+    Returns:
+        (P,) means and (P,) standard deviations, infinite where nothing is known.
+    """
+    moments = []
+    for parameter in space:
+        x = prior_values(parameter)
+        if x is None:
+            moments.append((0.0, np.inf))
+            continue
+        u = np.asarray(to_unconstrained((parameter,), jnp.asarray(x)[:, None]))
+        moments.append((float(np.mean(u)), float(np.std(u))))
+    mean, sd = np.array(moments).reshape(-1, 2).T
+    return mean, sd
+
+
+def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
+    """Evenly spaced quantiles of a scalar parameter's prior within its bounds.
+
+    Args:
+        parameter: a scalar.
+
+    Returns:
+        (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it.
+    """
+    lower, upper = ends(parameter)
+    if parameter.prior is not None:
+        fine = parameter.prior.quantile((np.arange(20_000) + 0.5) / 20_000)
+        inside = fine[(fine > lower) & (fine < upper)]
+        return None if len(inside) < 2 else np.quantile(inside, FLAT_QUANTILES)
+    a, b = _scaled_ends(parameter)
+    if not np.isfinite([a, b]).all():
+        return None
+    v = a + (b - a) * FLAT_QUANTILES
+    return v if parameter.transform == "identity" else np.exp(v)
+
+
+Kind = tuple[Parameter, list[int]]
+
+
+def _kinds(space: ParameterSpace) -> list[Kind]:
+    """Scalars that go across alike, and where they stand: many numbers, few operations."""
+    found: dict[Any, Kind] = {}
+    for i, parameter in enumerate(space):
+        key = (parameter.transform, *ends(parameter), parameter.prior)
+        found.setdefault(key, (parameter, []))[1].append(i)
+    return list(found.values())
+
+
+def _by_kind(
+    space: ParameterSpace, values: Array, columns: Callable[[Parameter, Array], Array]
+) -> Array:
+    kinds = _kinds(space)
+    parts = [columns(parameter, values[..., np.array(index)]) for parameter, index in kinds]
+    order = np.argsort(np.concatenate([index for _, index in kinds]))
+    return jnp.concatenate(parts, axis=-1)[..., order]

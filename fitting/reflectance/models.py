@@ -55,13 +55,9 @@ class Reflectance:
     unit: str = "sr^-1"
 
 
-def _shape(name: str, symbol: str, unit: str, *, lower: float, upper: float) -> Parameter:
-    return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=lower, upper=upper)
-
-
 def amplitude(name: str, symbol: str, unit: str) -> Parameter:
     """An amplitude: positive, hence in the logarithm."""
-    return Parameter(name, symbol=symbol, unit=unit, transform="log", lower=0.0)
+    return Parameter(name, symbol=symbol, unit=unit, transform="log")
 
 
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
@@ -94,10 +90,12 @@ def _rough_body(shape: Array, index: float) -> Material:
     return OrenNayar(jnp.ones(1, shape.dtype), shape)
 
 
-_EXPONENT = _shape("exponent", "n", "1", lower=0.5, upper=20_000.0)
-_CONCENTRATION = _shape("concentration", "c", "1/rad", lower=0.5, upper=100.0)
-_FACET_ROUGHNESS = _shape("roughness", "α", "1", lower=0.005, upper=1.5)
-_BODY_ROUGHNESS = _shape("roughness", "σ", "rad", lower=0.01, upper=1.5)
+_EXPONENT = Parameter("exponent", symbol="n", unit="1", transform="log")
+_CONCENTRATION = Parameter("concentration", symbol="c", unit="1/rad", transform="log")
+_FACET_ROUGHNESS = Parameter("roughness", symbol="α", unit="1", transform="log")
+_BODY_ROUGHNESS = Parameter("roughness", symbol="σ", unit="rad", transform="log")
+# Between which values a shape is searched, by its symbol.
+SEARCHED = {"n": (0.5, 20_000.0), "c": (0.5, 100.0), "α": (0.005, 1.5), "σ": (0.01, 1.5)}
 
 REFLECTANCES: dict[Model, Reflectance] = {
     "lambert": Reflectance("Lambert", "none"),
@@ -154,10 +152,15 @@ def shape_of(model: Model) -> Parameter:
     return shape
 
 
+def shape_range(model: Model) -> tuple[float, float]:
+    """Between which values the shape of any model but Lambert's is searched, in its unit."""
+    return SEARCHED[shape_of(model).symbol]
+
+
 def log_range(model: Model) -> tuple[float, float]:
     """Between which logarithms the shape of any model but Lambert's is searched."""
-    shape = shape_of(model)
-    return float(np.log(shape.lower)), float(np.log(shape.upper))
+    low, high = shape_range(model)
+    return float(np.log(low)), float(np.log(high))
 
 
 def unit_brdf(

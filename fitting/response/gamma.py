@@ -38,20 +38,14 @@ from ..inference.parameters import (
     to_unconstrained,
 )
 from ..inference.posterior import Posterior, estimates, laplace, sample
+from ..inference.priors import LogNormal
 from .curve import ResponseCurve, shutter_basis, spread_of_times
 
-# Of ln tau, mean and standard deviation: about 1 %, within a factor of 4.5 at one sigma.
-SHUTTER_PRIOR = float(np.log(0.01)), 1.5
-GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log", lower=0.05, upper=20.0)
+SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
+TABULATED = (1e-6, 1.0)  # range of tau over which gamma's errors are mixed
+GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
-    "shutter_error",
-    symbol="τ",
-    unit="",
-    transform="log",
-    lower=1e-6,
-    upper=1.0,
-    prior_mean=SHUTTER_PRIOR[0],
-    prior_sd=SHUTTER_PRIOR[1],
+    "shutter_error", symbol="τ", unit="", transform="log", prior=SHUTTER_PRIOR
 )
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
@@ -272,9 +266,9 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
     """(grid of ln tau, its posterior weights, gamma at each)."""
-    log_tau = np.linspace(np.log(SHUTTER_ERROR.lower), np.log(SHUTTER_ERROR.upper), 1001)
+    log_tau = np.linspace(*np.log(TABULATED), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
-    prior = -(((log_tau - SHUTTER_PRIOR[0]) / SHUTTER_PRIOR[1]) ** 2) / 2
+    prior = -(((log_tau - np.log(SHUTTER_PRIOR.median)) / SHUTTER_PRIOR.log_sd) ** 2) / 2
     log_weight = np.asarray(given.log_evidence) + prior
     weights = np.exp(log_weight - log_weight.max())
     return log_tau, weights / weights.sum(), given

@@ -24,7 +24,7 @@ from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import SamplingOptions, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
-from ..models import REFLECTANCES, amplitude, check_index, has_lobe, unit_brdf
+from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range, unit_brdf
 from ..names import INDEX, Model, Objective
 from .fit import LobeFit, ModelFit, compressed, darkness, fit_models, reflected
 from .read import MeasuredBRDF
@@ -141,7 +141,7 @@ def calibrate(
     space = parameter_space(reported)
     mean = _natural(chosen.whole, space)
     covariance = _log_covariance(chosen, space)
-    reasons = _open_parameters(space, mean, covariance)
+    reasons = _open_parameters(reported, space, mean, covariance)
     posterior = None
     if not reasons:
         posterior = _posterior(
@@ -292,18 +292,24 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
     return Amplitudes(fit.whole.diffuse, fit.whole.specular, diffuse, specular)
 
 
+def _end_of_range(model: Model, shape: float) -> str:
+    """At which end of the range searched a shape lies; empty where at none."""
+    low, high = shape_range(model)
+    if shape < low * (1 + EDGE):
+        return "lower"
+    return "upper" if shape > high / (1 + EDGE) else ""
+
+
 def _open_parameters(
-    space: ParameterSpace, mean: np.ndarray, covariance: np.ndarray
+    model: Model, space: ParameterSpace, mean: np.ndarray, covariance: np.ndarray
 ) -> dict[str, str]:
     """Parameters that the samples do not determine, and why."""
     reasons: dict[str, str] = {}
     for i, parameter in enumerate(space):
-        low, high = parameter.lower, parameter.upper
         if parameter.name in ("diffuse", "specular"):
             if mean[i] <= 0:
                 reasons[parameter.name] = "the best fit has none: its amplitude is zero"
-        elif mean[i] < low * (1 + EDGE) or mean[i] > high / (1 + EDGE):
-            end = "lower" if mean[i] < low * (1 + EDGE) else "upper"
+        elif end := _end_of_range(model, mean[i]):
             reasons[parameter.name] = (
                 f"the best fit lies at the {end} end of its range, {mean[i]:.3g}"
             )

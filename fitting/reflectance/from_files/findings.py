@@ -6,7 +6,7 @@ import numpy as np
 
 from ...inference.diagnostics import listed
 from ...inference.posterior import convergence_in_words
-from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of
+from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration, Errors, best
 
@@ -137,7 +137,8 @@ def _ends(calibration: BRDFCalibration) -> list[str]:
         if fit.whole.shape is None or model == calibration.model:
             continue
         shape = shape_of(model)
-        if not 1.001 * shape.lower < fit.whole.shape < shape.upper / 1.001:
+        low, high = shape_range(model)
+        if not 1.001 * low < fit.whole.shape < high / 1.001:
             stuck.append(f"{LABELS[model]} ({shape.name} {fit.whole.shape:.3g})")
     if not stuck:
         return []

@@ -62,9 +62,7 @@ def parameter_space(form: Form) -> ParameterSpace:
     if form.ambient:
         space.append(amplitude("ambient", "k_a", "DN"))
     if form.free_gamma:
-        space.append(
-            Parameter("gamma", symbol="γ", unit="1", transform="log", lower=0.5, upper=4.0)
-        )
+        space.append(Parameter("gamma", symbol="γ", unit="1", transform="log"))
     return tuple(space)
 
 

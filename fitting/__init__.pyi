@@ -1,0 +1,33 @@
+# What `import fitting` offers, each name where it is defined: read by type checkers, and by
+# `__init__.py`, which loads a name when it is first used.
+
+from .fits.result import (
+    Bands as Bands,
+    Fit as Fit,
+)
+from .fits.solve import (
+    fit as fit,
+)
+from .inference.emcee_run import (
+    SamplingOptions as SamplingOptions,
+)
+from .inference.likelihoods import (
+    Censored as Censored,
+    Clustered as Clustered,
+    Gaussian as Gaussian,
+    StudentT as StudentT,
+)
+from .inference.parameters import (
+    Parameter as Parameter,
+)
+from .inference.priors import (
+    Gamma as Gamma,
+    HalfNormal as HalfNormal,
+    LogNormal as LogNormal,
+    Normal as Normal,
+    Uniform as Uniform,
+)
+from .inference.problem import (
+    Problem as Problem,
+    Tied as Tied,
+)

@@ -1,0 +1,283 @@
+"""`Fit`: what a fit gives its user."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.estimates import Estimate
+from ..inference.likelihoods import with_values
+from ..inference.misfit import Misfit
+from ..inference.posterior import Posterior, estimates
+from ..inference.problem import Problem, give, prediction, values_from
+from ..inference.search import Optimum
+from ..report.formatting import format_interval, format_unit, format_value
+from .words import agreeing, prior_share
+
+LEVELS = (0.16, 0.84, 0.025, 0.975)
+BATCH = 8  # draws pushed through a function at a time
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Something that follows from the parameters, with its uncertainty.
+
+    Attributes:
+        mean: of the draws, in the unit of the thing.
+        sd: their standard deviation.
+        interval_68: (2, ...) lower and upper end.
+        interval_95: (2, ...).
+        draws: (draws, ...).
+    """
+
+    mean: Float[np.ndarray, "..."]
+    sd: Float[np.ndarray, "..."]
+    interval_68: Float[np.ndarray, "2 ..."]
+    interval_95: Float[np.ndarray, "2 ..."]
+    draws: Float[np.ndarray, "draws ..."]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted problem. Print it, or show it in a notebook.
+
+    Attributes:
+        problem: that was fitted.
+        optimum: the mode of the unconstrained values, and where the searches ended.
+        posterior: draws.
+        misfit: chi-square and the correlation of neighbouring residuals.
+        residuals: standardised, of the data's shape; NaN where a datum is missing.
+        failures: why the fit did not converge, in sentences; empty if it did.
+        findings: what else a reader should know.
+    """
+
+    problem: Problem
+    optimum: Optimum
+    posterior: Posterior
+    misfit: Misfit
+    residuals: Float[np.ndarray, "..."]
+    failures: tuple[str, ...]
+    findings: tuple[str, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended at a maximum that describes the data within their noise, or
+        whose misfit is allowed for."""
+        return not self.failures
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Value, standard error and 68 and 95 % intervals of every free number, in its unit."""
+        return estimates(self.posterior)
+
+    @property
+    def values(self) -> dict[str, np.ndarray]:
+        """The best fit by name, in natural units, fixed and tied numbers among them."""
+        found = values_from(self.problem, jnp.asarray(self.posterior.mode))
+        return {name: np.asarray(value) for name, value in found.items()}
+
+    @property
+    def draws(self) -> dict[str, np.ndarray]:
+        """(chains, draws, ...) of every free parameter by name, in its unit."""
+        found, begin = {}, 0
+        for parameter in self.problem.free:
+            shape = parameter.shape or ()
+            size = int(np.prod(shape))
+            part = self.posterior.draws[..., begin : begin + size]
+            found[parameter.name] = part.reshape(*part.shape[:2], *shape)
+            begin += size
+        return found
+
+    def derived(self, function: Callable[..., Any], *, draws: int = 1000) -> Bands:
+        """Something that follows from the parameters, with intervals: the draws pushed through it.
+
+        Args:
+            function: any JAX function to one array; its arguments are named as those of `predict`.
+            draws: how many.
+
+        Returns:
+            Mean, standard deviation and intervals, in the unit of what it returns.
+
+        Example:
+            >>> from fitting import Gaussian, Parameter, Problem, fit
+            >>> problem = Problem(
+            ...     {"a": Parameter(start=0.0), "b": Parameter(start=0.0)},
+            ...     predict=lambda a, b: jnp.stack([a, b]),
+            ...     likelihood=Gaussian(sd=0.1),
+            ...     data=[1.0, 2.0],
+            ... )
+            >>> total = fit(problem).derived(lambda a, b: a + b)
+            >>> abs(float(total.sd) - 0.1 * 2**0.5) < 0.01
+            True
+        """
+        thinned = _thinned(self.posterior, draws)
+        return _bands(np.asarray(_pushed(self.problem, function, jnp.asarray(thinned))))
+
+    def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
+        """Data as they are to be expected, the uncertainty of the parameters and noise included.
+
+        Args:
+            inputs: in place of the problem's own, arrays; None for the data that were fitted.
+            draws: how many; the ends of 95 % intervals need many.
+
+        Returns:
+            Mean and bands, in the unit of the data. A new datum lies within `interval_95` in 95 of
+            100 cases.
+        """
+        thinned = jnp.asarray(_thinned(self.posterior, draws))
+        keys = jax.random.split(jax.random.key(self.posterior.seed), len(thinned))
+        given = self.problem.inputs if inputs is None else jax.tree.map(jnp.asarray, inputs)
+        expected, drawn = _simulated(self.problem, keys, thinned, given)
+        bands = _bands(np.asarray(drawn))
+        return Bands(
+            np.asarray(expected).mean(0),
+            bands.sd,
+            bands.interval_68,
+            bands.interval_95,
+            bands.draws,
+        )
+
+    def to_arviz(self) -> Any:
+        """The draws as ArviZ' InferenceData: array parameters keep their dimensions.
+
+        Returns:
+            Groups `posterior`, `observed_data` and, for a sampled posterior, `sample_stats`.
+
+        Raises:
+            InputError: when ArviZ is not installed.
+        """
+        try:
+            import arviz
+        except ImportError as error:
+            raise InputError("to_arviz needs ArviZ: pip install arviz.") from error
+        density = self.posterior.log_density
+        data = np.asarray(self.problem.data)
+        if self.problem.present is not None:
+            data = np.where(self.problem.present, data, np.nan)
+        return arviz.from_dict(
+            posterior=self.draws,
+            sample_stats=None if density is None else {"lp": density},
+            observed_data={"data": data},
+        )
+
+    def write(self, folder: Path | str, *, title: str = "Fit") -> list[Path]:
+        """Writes the report: `report.html`, `results.json` and the draws as NetCDF.
+
+        Args:
+            folder: made if needed.
+            title: of the page.
+
+        Returns:
+            Paths of the files.
+        """
+        from ..report.page import write_report
+        from .section import section
+
+        return write_report(
+            Path(folder), [section(self, title)], title=title, seed=self.posterior.seed, settings={}
+        )
+
+    def summary(self) -> str:
+        """Chi-square and starts in one line."""
+        checks, starts = self.misfit, len(self.optimum.costs)
+        p = f" (p = {checks.p:.2g})" if np.isfinite(checks.p) else ""
+        return (
+            f"chi-square {checks.chi_square:.5g} for {checks.dof:.5g} degrees of freedom{p}; "
+            f"{agreeing(self.optimum)} of {starts} starts reached this optimum"
+        )
+
+    def _heading(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return f"Fit of {len(self.problem.space)} parameters to {self._data_count()} data: {state}"
+
+    def _data_count(self) -> int:
+        return int(np.sum(~np.isnan(self.residuals)))
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        before, _ = prior_share(self.problem.space, self.posterior)
+        return [
+            (
+                estimate.name,
+                format_value(estimate),
+                format_unit(estimate.unit),
+                format_interval(estimate, 68),
+                format_interval(estimate, 95),
+                "" if np.isinf(width) else f"{width:.3g}",
+            )
+            for estimate, width in zip(self.estimates, before, strict=True)
+        ]
+
+    def __str__(self) -> str:
+        rows = [HEADS, *self._rows()]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
+        lines = [
+            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+            for row in rows
+        ]
+        remarks = [f"• {sentence}" for sentence in (*self.failures, *self.findings)]
+        text = [self._heading(), *lines, self.summary(), *remarks]
+        return "\n".join(line.rstrip() for line in text)
+
+    def __repr__(self) -> str:
+        return f"<{self._heading()}>"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        def row(cells: tuple[str, ...], tag: str) -> str:
+            return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+        table = row(HEADS, "th") + "".join(row(cells, "td") for cells in self._rows())
+        remarks = "".join(f"<li>{escape(line)}</li>" for line in (*self.failures, *self.findings))
+        return (
+            f"<p><b>{escape(self._heading())}</b></p><table>{table}</table>"
+            f"<p>{escape(self.summary())}</p><ul>{remarks}</ul>"
+        )
+
+
+HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
+
+
+def _thinned(posterior: Posterior, draws: int) -> np.ndarray:
+    """(draws, P) spread over all chains."""
+    every = posterior.samples
+    return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
+
+
+@eqx.filter_jit
+def _pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
+    def one(natural: Array) -> Array:
+        return jnp.asarray(give(problem, function, values_from(problem, natural), problem.inputs))
+
+    return jax.lax.map(one, natural, batch_size=BATCH)
+
+
+@eqx.filter_jit
+def _simulated(problem: Problem, keys: Array, natural: Array, inputs: Any) -> tuple[Array, Array]:
+    def one(key_and_natural: tuple[Array, Array]) -> tuple[Array, Array]:
+        key, natural = key_and_natural
+        values = values_from(problem, natural)
+        likelihood = with_values(problem.likelihood, values)
+        predicted = prediction(problem, values, inputs=inputs)
+        return likelihood.expected(predicted), likelihood.draw(key, predicted)
+
+    return jax.lax.map(one, (keys, natural), batch_size=BATCH)
+
+
+def _bands(draws: np.ndarray) -> Bands:
+    low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
+    return Bands(
+        np.asarray(draws.mean(0)),
+        np.asarray(draws.std(0)),
+        np.stack([low68, high68]),
+        np.stack([low95, high95]),
+        draws,
+    )

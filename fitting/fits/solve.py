@@ -1,0 +1,205 @@
+"""`fit`: a problem to its posterior, with a verdict."""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.clustering import cluster_robust, curvature_stretch
+from ..inference.diagnostics import identifiability
+from ..inference.emcee_run import SamplingOptions
+from ..inference.likelihoods import Clustered, with_values
+from ..inference.misfit import Misfit, judge
+from ..inference.posterior import Posterior, laplace, sample
+from ..inference.problem import (
+    Problem,
+    Vector,
+    log_density,
+    log_likelihood_terms,
+    prediction,
+    values_at,
+)
+from ..inference.search import Optimum, search, spread_starts, start_at
+from .result import Fit
+from .words import about_posterior, about_search, verdict
+
+
+def fit(
+    problem: Problem,
+    *,
+    start: dict[str, Any] | None = None,
+    starts: int = 16,
+    posterior: Literal["laplace", "emcee"] = "laplace",
+    misfit: Literal["fail", "inflate"] = "fail",
+    sampling: SamplingOptions | None = None,
+    seed: int = 0,
+) -> Fit:
+    """Fits a problem: the best of many searches, its posterior, and whether to believe it.
+
+    A second fit of a problem with equal shapes and the same `predict` compiles nothing
+    (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
+    `failures`, or print the result.
+
+    Args:
+        problem: parameters, model, likelihood and data.
+        start: natural values by name, in their units, from which the only search begins; None for
+            `starts` of them.
+        starts: searches spread over bounds and priors, of which the best is kept.
+        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or `emcee`, draws
+            from the exact posterior.
+        misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
+            or `inflate` the intervals by the square root of chi-square per degree of freedom
+            (Birge's factor), which takes the model for a sufficient approximation.
+        sampling: how to run emcee; None for its defaults.
+        seed: of starts and draws.
+
+    Returns:
+        The fit.
+
+    Raises:
+        InputError: for a start that names no parameter, a model that is finite nowhere, and data
+            that leave a direction open.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> time = jnp.linspace(0.0, 3.0, 50)
+        >>> noise = 0.01 * np.random.default_rng(0).standard_normal(50)
+        >>> problem = Problem(
+        ...     {"height": Parameter(lower=0, upper=10), "rate": Parameter(unit="s^-1", lower=0, upper=5)},
+        ...     predict=lambda height, rate, inputs: height * jnp.exp(-rate * inputs),
+        ...     likelihood=Gaussian(sd=0.01),
+        ...     data=2 * np.exp(-1.3 * time) + noise,
+        ...     inputs=time,
+        ... )
+        >>> result = fit(problem)
+        >>> result.converged
+        True
+        >>> abs(float(result.values["rate"]) - 1.3) < 0.05
+        True
+    """
+    if start is None:
+        begin = spread_starts(problem, starts, seed=seed)
+    else:
+        begin = _given(problem, start)[None]
+    optimum = search(problem, begin)
+    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+    judged = identifiability(problem.space, optimum.information)
+    if not judged.determined:
+        raise InputError(" ".join(judged.sentences))
+    covariance = _inverse(optimum)
+    residuals = _residuals(problem, vector)
+    determined = float(np.trace(optimum.data_information @ covariance))
+    checks = judge(residuals, determined)
+    widened, explanation = _widened(problem, vector, optimum, covariance, checks, misfit)
+    drawn = _draw(problem, vector, optimum, widened, posterior, sampling, seed)
+    failures = verdict(optimum, checks, explanation)
+    failures += about_search(optimum)
+    findings = (*explanation, *checks.remarks, *about_posterior(problem, optimum, drawn))
+    return Fit(problem, optimum, drawn, checks, residuals, tuple(failures), findings)
+
+
+def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
+    """One start from natural values by name."""
+    wanted = {parameter.name: parameter for parameter in problem.free}
+    for name in start.keys() ^ wanted.keys():
+        what = "is no free parameter" if name in start else "has no value"
+        raise InputError(f"start: {name!r} {what}; give one of each: {', '.join(wanted)}.")
+    parts = [
+        np.broadcast_to(np.asarray(start[p.name], np.float64), p.shape or ()).ravel()
+        for p in problem.free
+    ]
+    return start_at(problem.space, np.concatenate(parts))
+
+
+def _inverse(optimum: Optimum) -> np.ndarray:
+    """Covariance from the information, its saddle directions taken positive: a search that did not
+    end at a maximum says so in words, not by a matrix that cannot be drawn from."""
+    scale = np.sqrt(np.abs(np.diagonal(optimum.information)))
+    values, axes = np.linalg.eigh(optimum.information / np.outer(scale, scale))
+    half = axes / np.sqrt(np.abs(values)) / scale[:, None]
+    return half @ half.T
+
+
+@eqx.filter_jit
+def _at_mode(vector: Vector, problem: Problem) -> tuple[Array, Any]:
+    values = values_at(problem, vector)
+    return prediction(problem, values), with_values(problem.likelihood, values)
+
+
+def _residuals(problem: Problem, vector: Array) -> Float[np.ndarray, "..."]:
+    """Standardised residuals, NaN where a datum is missing."""
+    predicted, likelihood = _at_mode(vector, problem)
+    chance = np.random.default_rng(0).uniform(size=problem.data.shape)
+    found = np.asarray(
+        likelihood.residuals(np.asarray(predicted), np.asarray(problem.data), chance), np.float64
+    )
+    return found if problem.present is None else np.where(problem.present, found, np.nan)
+
+
+@eqx.filter_jit
+def _scores(vector: Vector, problem: Problem) -> Array:
+    """(P, data) gradient of every datum's log density."""
+    terms = jax.jacfwd(lambda v: log_likelihood_terms(v, problem).ravel())(vector)
+    return terms.T
+
+
+def _widened(
+    problem: Problem,
+    vector: Array,
+    optimum: Optimum,
+    covariance: np.ndarray,
+    checks: Misfit,
+    misfit: str,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The covariance that allows for what the model misses, and why, in words."""
+    if isinstance(problem.likelihood, Clustered):
+        labels = np.unique(np.asarray(problem.likelihood.labels).ravel(), return_inverse=True)[1]
+        scores = np.asarray(_scores(vector, problem), np.float64)
+        robust = cluster_robust(scores, optimum.information, labels, np.zeros_like(labels))
+        words = f"Residuals share errors within the {labels.max() + 1} groups"
+        if np.isnan(robust.by_light):
+            words = "Too few groups to see errors that they share"
+        elif robust.design_effect == 1:
+            words = "The groups' residuals show no shared errors"
+        return robust.covariance, (
+            f"{words}; the variance is {robust.design_effect:.3g} times that of independent data.",
+        )
+    if misfit == "inflate" and checks.dof > 0 and checks.chi_square > checks.dof:
+        factor = checks.chi_square / checks.dof
+        return factor * covariance, (
+            f"Chi-square per degree of freedom is {factor:.4g}; all intervals are widened by "
+            f"{np.sqrt(factor):.3g}, as if the noise were that much larger.",
+        )
+    return covariance, ()
+
+
+def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
+    """The posterior, stretched about its mode to a wider covariance."""
+    problem, mode, stretch = args
+    return log_density(mode + stretch @ (vector - mode), problem)
+
+
+def _draw(
+    problem: Problem,
+    vector: Array,
+    optimum: Optimum,
+    covariance: np.ndarray,
+    method: str,
+    sampling: SamplingOptions | None,
+    seed: int,
+) -> Posterior:
+    space = problem.space
+    if method == "laplace":
+        return laplace(log_density, space, vector, problem, covariance=covariance, seed=seed)
+    if method != "emcee":
+        raise InputError(f"posterior = {method!r}: use 'laplace' or 'emcee'.")
+    stretch = jnp.asarray(curvature_stretch(optimum.information, covariance), vector.dtype)
+    args = (problem, vector, stretch)
+    return sample(
+        _stretched_log_density, space, vector, covariance, args, options=sampling, seed=seed
+    )

@@ -1,0 +1,238 @@
+"""Likelihoods: how data scatter about a prediction.
+
+Each is a record with
+
+    log_density(prediction, data)       ln p of every datum, (data)
+    residuals(prediction, data, chance) standard normal for every datum if the model holds, (data)
+    expected(prediction)                mean of the data, (data)
+    draw(key, prediction)               data as they might have been, (data)
+
+and `least_squares`: whether ln p is -residual^2 / 2 but for constants, so that a fit may use
+Levenberg and Marquardt's method. A record of your own with these parts is as good. A field that
+holds a string is the name of a parameter, whose value takes its place.
+
+Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
+of the probability below a datum. Where a datum covers an interval, a clipped one for instance,
+`chance`, uniform on 0 .. 1, picks a place in it.
+"""
+
+from typing import Any, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln, log_ndtr
+from jaxtyping import Array, Float
+from scipy.special import ndtr, ndtri, stdtr
+
+from .priors import HALF_LOG_2PI
+
+Numbers = Float[Array, "..."] | Float[np.ndarray, "..."]
+Scale = Float[Array, "..."] | str
+
+
+@runtime_checkable
+class Likelihood(Protocol):
+    """How data scatter about a prediction."""
+
+    @property
+    def least_squares(self) -> bool: ...
+    def log_density(self, prediction: Array, data: Array) -> Array: ...
+    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers: ...
+    def expected(self, prediction: Array) -> Array: ...
+    def draw(self, key: Array, prediction: Array) -> Array: ...
+
+
+def _scale(value: Any) -> Any:
+    return value if isinstance(value, str) else jnp.asarray(value, jnp.result_type(float))
+
+
+def _end(value: Any) -> Any:
+    return None if value is None else _scale(value)
+
+
+class Gaussian(eqx.Module):
+    """data = prediction + sd * Normal(0, 1).
+
+    Attributes:
+        sd: standard deviation in the unit of the data: a number, an array of the data's shape, or
+            the name of a parameter.
+
+    Example:
+        >>> from fitting import Gaussian
+        >>> round(float(Gaussian(sd=0.5).log_density(jnp.array(1.0), jnp.array(1.5))), 4)
+        -0.7258
+    """
+
+    sd: Scale = eqx.field(converter=_scale)
+
+    @property
+    def least_squares(self) -> bool:
+        """Whether the standard deviation is known."""
+        return not isinstance(self.sd, str)
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """-((data - prediction) / sd)^2 / 2 - ln(sqrt(2 pi) sd)."""
+        z = (data - prediction) / self.sd
+        return -(z**2) / 2 - jnp.log(self.sd) - HALF_LOG_2PI
+
+    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> Numbers:
+        """(data - prediction) / sd."""
+        del chance
+        return (data - prediction) / self.sd
+
+    def expected(self, prediction: Array) -> Array:
+        """The prediction."""
+        return prediction
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Data as they might have been."""
+        noise = jax.random.normal(key, prediction.shape, prediction.dtype)
+        return prediction + self.sd * noise
+
+
+class StudentT(eqx.Module):
+    """data = prediction + sd * t, with Student's t: outliers count for little.
+
+    Attributes:
+        sd: scale in the unit of the data, a little below the standard deviation: a number, an array
+            of the data's shape, or the name of a parameter.
+        dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian.
+
+    Source:
+        Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989.
+    """
+
+    sd: Scale = eqx.field(converter=_scale)
+    dof: Scale = eqx.field(converter=_scale, default=4.0)
+    least_squares: bool = eqx.field(static=True, init=False, default=False)
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / sd, normalised."""
+        z, dof = (data - prediction) / self.sd, jnp.asarray(self.dof)
+        norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - jnp.log(dof * jnp.pi) / 2
+        return norm - jnp.log(self.sd) - (dof + 1) / 2 * jnp.log1p(z**2 / dof)
+
+    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> np.ndarray:
+        """Normal deviates of the probabilities under Student's t."""
+        del chance
+        z = (np.asarray(data) - np.asarray(prediction)) / np.asarray(self.sd)
+        return np.copysign(ndtri(stdtr(np.asarray(self.dof), -np.abs(z))), z)
+
+    def expected(self, prediction: Array) -> Array:
+        """The prediction."""
+        return prediction
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Data as they might have been."""
+        return prediction + self.sd * jax.random.t(
+            key, self.dof, prediction.shape, prediction.dtype
+        )
+
+
+class Censored(eqx.Module):
+    """A Gaussian signal that saturates: a datum at an end says only that the signal lies beyond.
+
+    Attributes:
+        sd: standard deviation of the signal, in the unit of the data: a number, an array of the
+            data's shape, or the name of a parameter.
+        low: data at or below are clipped there; None for no such end.
+        high: data at or above are clipped there; None for no such end.
+
+    Source:
+        Tobin, Econometrica 26, 1958.
+    """
+
+    sd: Scale = eqx.field(converter=_scale)
+    low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    least_squares: bool = eqx.field(static=True, init=False, default=False)
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """The Gaussian's between the ends; ln of the probability beyond, at an end."""
+        density = Gaussian(self.sd).log_density(prediction, data)
+        if self.low is not None:
+            below = log_ndtr((self.low - prediction) / self.sd)
+            density = jnp.where(data <= self.low, below, density)
+        if self.high is not None:
+            above = log_ndtr((prediction - self.high) / self.sd)
+            density = jnp.where(data >= self.high, above, density)
+        return density
+
+    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> np.ndarray:
+        """Normal deviates; of a clipped datum, one of those that it may stand for."""
+        data, prediction, sd = (np.asarray(part) for part in (data, prediction, self.sd))
+        z = (data - prediction) / sd
+        if self.low is not None:
+            below = ndtri(chance * ndtr((np.asarray(self.low) - prediction) / sd))
+            z = np.where(data <= self.low, below, z)
+        if self.high is not None:
+            above = -ndtri(chance * ndtr((prediction - np.asarray(self.high)) / sd))
+            z = np.where(data >= self.high, above, z)
+        return z
+
+    def expected(self, prediction: Array) -> Array:
+        """The prediction: the mean of the signal before it is clipped."""
+        return prediction
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Data as they might have been, clipped."""
+        return jnp.clip(Gaussian(self.sd).draw(key, prediction), self.low, self.high)
+
+
+class Clustered(eqx.Module):
+    """Groups of data share an error, which the likelihood does not know.
+
+    The best fit is that of `likelihood`; its errors are widened by what the groups' residuals show
+    (a sandwich covariance, `clustering`).
+
+    Attributes:
+        likelihood: of each datum by itself.
+        labels: (data) whole numbers, the group of each datum (its image, say).
+
+    Source:
+        Liang & Zeger, Biometrika 73, 1986.
+    """
+
+    likelihood: Any
+    labels: Any = eqx.field(converter=lambda labels: np.asarray(labels, np.int64), static=False)
+
+    @property
+    def least_squares(self) -> bool:
+        """That of the likelihood inside."""
+        return self.likelihood.least_squares
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """Of each datum by itself."""
+        return self.likelihood.log_density(prediction, data)
+
+    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers:
+        """Of each datum by itself."""
+        return self.likelihood.residuals(prediction, data, chance)
+
+    def expected(self, prediction: Array) -> Array:
+        """That of the likelihood inside."""
+        return self.likelihood.expected(prediction)
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Data as they might have been, without the shared error."""
+        return self.likelihood.draw(key, prediction)
+
+
+def with_values(likelihood: Any, values: dict[str, Array]) -> Any:
+    """A likelihood with the values of parameters in place of their names.
+
+    Args:
+        likelihood: whose fields may name parameters.
+        values: natural values by name, each in the unit of the data.
+
+    Returns:
+        The likelihood of these values.
+    """
+    return jax.tree.map(lambda leaf: values[leaf] if isinstance(leaf, str) else leaf, likelihood)
+
+
+def names_within(likelihood: Any) -> set[str]:
+    """The parameters that a likelihood names."""
+    return {leaf for leaf in jax.tree.leaves(likelihood) if isinstance(leaf, str)}

@@ -1,0 +1,194 @@
+"""Prior densities of one number, in its own unit: what is known before the data are seen.
+
+Each is a record of plain numbers with two functions: `log_density(x)`, normalised over all x, and
+`quantile(p)`, its inverse distribution function in NumPy, from which starts are spread. A record of
+your own with the same two functions is as good.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln
+from jaxtyping import Array, Float
+from scipy.special import gammaincinv, ndtri
+
+from jaxvision.errors import InputError
+
+Probabilities = Float[np.ndarray, "..."]
+HALF_LOG_2PI = math.log(2 * math.pi) / 2
+
+
+@runtime_checkable
+class Prior(Protocol):
+    """The density of one number."""
+
+    def log_density(self, x: Array) -> Array:
+        """ln p(x), (...), for x (...) in the unit of the number."""
+        ...
+
+    def quantile(self, p: np.ndarray) -> np.ndarray:
+        """The x below which p of the probability lies."""
+        ...
+
+
+def _check(what: str, **positive: float) -> None:
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{what}: {name} must be positive and finite, got {value}.")
+
+
+@dataclass(frozen=True)
+class Normal:
+    """exp(-((x - mean) / sd)^2 / 2) / (sqrt(2 pi) sd).
+
+    Attributes:
+        mean: in the unit of the parameter.
+        sd: standard deviation, in the same unit.
+
+    Example:
+        >>> from fitting import Normal
+        >>> round(float(Normal(mean=2.0, sd=0.5).log_density(jnp.array(2.0))), 4)
+        -0.2258
+    """
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        _check("Normal", sd=self.sd)
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x)."""
+        return -(((x - self.mean) / self.sd) ** 2) / 2 - HALF_LOG_2PI - math.log(self.sd)
+
+    def quantile(self, p: Probabilities) -> Probabilities:
+        """Inverse distribution function."""
+        return self.mean + self.sd * ndtri(p)
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """ln x is Normal with mean ln median and standard deviation log_sd; x > 0.
+
+    Attributes:
+        median: in the unit of the parameter, positive.
+        log_sd: standard deviation of ln x: .1 is about 10 %.
+    """
+
+    median: float
+    log_sd: float
+
+    def __post_init__(self) -> None:
+        _check("LogNormal", median=self.median, log_sd=self.log_sd)
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x), -inf for x <= 0."""
+        log_x = jnp.log(jnp.where(x > 0, x, 1))
+        z = (log_x - math.log(self.median)) / self.log_sd
+        inside = -(z**2) / 2 - log_x - HALF_LOG_2PI - math.log(self.log_sd)
+        return jnp.where(x > 0, inside, -jnp.inf)
+
+    def quantile(self, p: Probabilities) -> Probabilities:
+        """Inverse distribution function."""
+        return self.median * np.exp(self.log_sd * ndtri(p))
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Equally likely everywhere between two ends.
+
+    The ends act as bounds of the parameter.
+
+    Attributes:
+        lower: end, in the unit of the parameter.
+        upper: the other end.
+    """
+
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
+            raise InputError(
+                f"Uniform: needs two finite ends in ascending order, got {self.lower} "
+                f"and {self.upper}."
+            )
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x), -inf outside."""
+        inside = (x >= self.lower) & (x <= self.upper)
+        return jnp.where(inside, -math.log(self.upper - self.lower), -jnp.inf)
+
+    def quantile(self, p: Probabilities) -> Probabilities:
+        """Inverse distribution function."""
+        return self.lower + (self.upper - self.lower) * p
+
+
+@dataclass(frozen=True)
+class HalfNormal:
+    """The positive half of a Normal about 0: small is likelier, for scales that may vanish.
+
+    The parameter is bounded below by 0.
+
+    Attributes:
+        sd: of the whole Normal, in the unit of the parameter.
+    """
+
+    sd: float
+
+    def __post_init__(self) -> None:
+        _check("HalfNormal", sd=self.sd)
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x), -inf for x < 0."""
+        inside = math.log(2) - ((x / self.sd) ** 2) / 2 - HALF_LOG_2PI - math.log(self.sd)
+        return jnp.where(x >= 0, inside, -jnp.inf)
+
+    def quantile(self, p: Probabilities) -> Probabilities:
+        """Inverse distribution function."""
+        return self.sd * ndtri((1 + p) / 2)
+
+
+@dataclass(frozen=True)
+class Gamma:
+    """x^(shape - 1) exp(-x / scale), normalised; x > 0.
+
+    The parameter is bounded below by 0. Its mean is shape * scale.
+
+    Attributes:
+        shape: no unit, positive.
+        scale: in the unit of the parameter, positive.
+    """
+
+    shape: float
+    scale: float
+
+    def __post_init__(self) -> None:
+        _check("Gamma", shape=self.shape, scale=self.scale)
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x), -inf for x <= 0."""
+        log_z = jnp.log(jnp.where(x > 0, x / self.scale, 1))
+        norm = gammaln(jnp.asarray(self.shape, x.dtype)) + math.log(self.scale)
+        inside = (self.shape - 1) * log_z - x / self.scale - norm
+        return jnp.where(x > 0, inside, -jnp.inf)
+
+    def quantile(self, p: Probabilities) -> Probabilities:
+        """Inverse distribution function."""
+        return self.scale * gammaincinv(self.shape, p)
+
+
+def support(prior: Prior) -> tuple[float, float]:
+    """The ends between which a prior has any probability.
+
+    Args:
+        prior: of one number.
+
+    Returns:
+        Lower and upper end in the unit of the number; infinite where there is none.
+    """
+    lower, upper = (float(prior.quantile(np.array(p))) for p in (0.0, 1.0))
+    return lower, upper

@@ -1,0 +1,333 @@
+"""A problem: what is unknown, what is predicted from it, how data scatter about that, and the data.
+
+    u  ->  values  ->  prediction  ->  ln p(data | values) + ln p(u)
+
+The model is written once, as `predict`; residuals, cost and log density follow from it. `predict`
+is any JAX function, and the names of its arguments say what it is given: `values` (natural values
+by name), `inputs`, a record (a scene with the unknown numbers in place), or one parameter's value.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxvision.errors import InputError, nearest
+
+from .likelihoods import Likelihood, names_within, with_values
+from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
+from .records import is_path, read, replaced
+
+Values = dict[str, Array]
+Vector = Float[Array, " parameters"]
+GIVEN = ("values", "inputs")
+
+
+class Tied(eqx.Module):
+    """A number that others decide.
+
+    Attributes:
+        of: from the natural values of parameters and fixed numbers, by name, to the number.
+
+    Example:
+        >>> from fitting import Tied
+        >>> tie = Tied(lambda values: 1 - values["diffuse"])
+    """
+
+    of: Callable[[Values], Any] = eqx.field(static=True)
+
+
+class Problem(eqx.Module):
+    """Something to be fitted.
+
+    Attributes:
+        free: the parameters, each with its name and shape.
+        fixed: numbers that stay, by name.
+        tied: numbers that others decide, by name.
+        predict: from the values to what the likelihood compares with the data.
+        asks: the names of its arguments.
+        likelihood: how data scatter about the prediction.
+        data: of any shape; 0 where missing.
+        present: which data there are; None if all.
+        records: by name, into which paths lead.
+        inputs: what else `predict` is given.
+        space: the free numbers one by one, the order of every vector.
+
+    Raises:
+        InputError: for a path, an argument of `predict` or a shape that does not fit.
+    """
+
+    free: tuple[Parameter, ...]
+    fixed: Values
+    tied: dict[str, Tied]
+    predict: Callable[..., Any] = eqx.field(static=True)
+    asks: tuple[str, ...] = eqx.field(static=True)
+    likelihood: Likelihood
+    data: Array
+    present: Bool[Array, "..."] | None
+    records: dict[str, Any]
+    inputs: Any
+    space: ParameterSpace
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Parameter | Tied | Any],
+        predict: Callable[..., Any],
+        likelihood: Likelihood,
+        data: Any,
+        *,
+        records: Mapping[str, Any] | None = None,
+        inputs: Any = None,
+    ) -> None:
+        """States the problem.
+
+        Args:
+            parameters: by name or by path into a record (`scene.lights[0].position`): a
+                `Parameter` to fit, a number to keep, or `Tied` to the others.
+            predict: any JAX function; its arguments are named after what they are given: `values`
+                (natural values by name), `inputs`, a record, or a parameter. Part of the compile
+                key: use one function for fits that shall share a compilation.
+            likelihood: how data scatter about the prediction.
+            data: an array of the prediction's shape; NaN where a datum is missing.
+            records: PyTrees by name, such as {"scene": scene}.
+            inputs: what else `predict` needs, in arrays (times, angles, other scenes).
+        """
+        self.records = dict(records or {})
+        self.inputs = _as_arrays(inputs)
+        self.free = tuple(
+            _placed(name, entry, self.records)
+            for name, entry in parameters.items()
+            if isinstance(entry, Parameter)
+        )
+        self.tied = {name: entry for name, entry in parameters.items() if isinstance(entry, Tied)}
+        self.fixed = {
+            name: jnp.asarray(entry, jnp.result_type(float))
+            for name, entry in parameters.items()
+            if not isinstance(entry, (Parameter, Tied))
+        }
+        self.space = tuple(
+            number for parameter in self.free for number in scalars(parameter, _shape(parameter))
+        )
+        self.likelihood = likelihood
+        self.predict = predict
+        self.asks = tuple(inspect.signature(predict).parameters)
+        _check_names(self, parameters)
+        data = np.asarray(data, jnp.result_type(float))
+        missing = np.isnan(data)
+        self.data = jnp.asarray(np.where(missing, 0, data))
+        self.present = jnp.asarray(~missing) if missing.any() else None
+        _check_shapes(self)
+
+    def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":
+        """The same problem with other data; of equal shapes, its fit compiles nothing.
+
+        Args:
+            data: of the prediction's shape; NaN where missing.
+            inputs: in place of the present ones; None keeps them.
+
+        Returns:
+            The problem.
+        """
+        parameters = {p.name: p for p in self.free} | self.fixed | self.tied
+        return Problem(
+            parameters,
+            self.predict,
+            self.likelihood,
+            data,
+            records=self.records,
+            inputs=self.inputs if inputs is None else inputs,
+        )
+
+
+def _as_arrays(tree: Any) -> Any:
+    """Floating-point leaves as arrays: data, which are no part of a compile key."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, tree)
+
+
+def _placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
+    """A parameter with its name, and the shape and start of what it replaces."""
+    known = None
+    if is_path(name):
+        known = np.asarray(read(records, name))
+        if parameter.shape is not None and parameter.shape != known.shape:
+            raise InputError(
+                f"{name}: shape {parameter.shape} does not fit, the record's is {known.shape}."
+            )
+    start = parameter.start if parameter.start is not None else known
+    shape = parameter.shape
+    if shape is None:
+        shape = np.shape(start) if start is not None else np.shape(parameter.lower)
+    return replace(parameter, name=name, shape=tuple(shape), start=start)
+
+
+def _shape(parameter: Parameter) -> tuple[int, ...]:
+    return parameter.shape or ()
+
+
+def _check_names(problem: Problem, parameters: Mapping[str, Any]) -> None:
+    if not problem.free:
+        raise InputError("Nothing to fit: give at least one Parameter.")
+    for name in (*problem.fixed, *problem.tied):
+        if is_path(name):
+            read(problem.records, name)
+    clash = {*GIVEN} & {*parameters, *problem.records} or problem.records.keys() & parameters.keys()
+    if clash:
+        raise InputError(f"{sorted(clash)[0]!r} is taken: choose another name.")
+    known = {*GIVEN, *problem.records, *(name for name in parameters if not is_path(name))}
+    for argument in problem.asks:
+        if argument not in known:
+            raise InputError(
+                f"predict asks for {argument!r}: its arguments are named after what they are given, "
+                f"{', '.join(sorted(known))}."
+            )
+    for name in names_within(problem.likelihood) - parameters.keys():
+        raise InputError(
+            f"The likelihood names {name!r}: no such parameter; {nearest(name, parameters)}."
+        )
+
+
+def _check_shapes(problem: Problem) -> None:
+    sizes = _shape_of_prediction(problem)
+    if sizes != problem.data.shape:
+        raise InputError(
+            f"predict gives an array of shape {sizes}, the data have {problem.data.shape}: "
+            "they must be equal."
+        )
+
+
+def _shape_of_prediction(problem: Problem) -> tuple[int, ...]:
+    def at_origin(problem: Problem) -> Array:
+        return prediction(problem, values_at(problem, jnp.zeros(len(problem.space))))
+
+    return eqx.filter_eval_shape(at_origin, problem).shape
+
+
+def values_at(problem: Problem, vector: Vector) -> Values:
+    """Natural values of every parameter, fixed and tied numbers among them.
+
+    Args:
+        problem: of P free numbers.
+        vector: (P,) unconstrained.
+
+    Returns:
+        By name, each of its own shape and in its own unit.
+    """
+    return values_from(problem, to_natural(problem.space, vector))
+
+
+def values_from(problem: Problem, natural: Vector) -> Values:
+    """As `values_at`, from natural numbers.
+
+    Args:
+        problem: of P free numbers.
+        natural: (P,) in their own units.
+
+    Returns:
+        By name.
+    """
+    values, begin = {}, 0
+    for parameter in problem.free:
+        size = int(np.prod(_shape(parameter)))
+        values[parameter.name] = natural[begin : begin + size].reshape(_shape(parameter))
+        begin += size
+    values |= problem.fixed
+    for name, tie in problem.tied.items():
+        values[name] = jnp.asarray(tie.of(values))
+    return values
+
+
+def give(problem: Problem, function: Callable[..., Any], values: Values, inputs: Any) -> Any:
+    """Calls a function with what the names of its arguments ask for.
+
+    Args:
+        problem: whose records, inputs and parameters there are.
+        function: `predict`, or one that derives something.
+        values: natural values by name.
+        inputs: what an argument `inputs` is given.
+
+    Returns:
+        Its result.
+    """
+    paths = {name: value for name, value in values.items() if is_path(name)}
+    known = {"values": values, "inputs": inputs, **values, **replaced(problem.records, paths)}
+    return function(*(known[name] for name in inspect.signature(function).parameters))
+
+
+def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
+    """What the likelihood compares with the data.
+
+    Args:
+        problem: to predict for.
+        values: natural values by name.
+        inputs: in place of the problem's own.
+
+    Returns:
+        Of the data's shape, in its unit.
+    """
+    return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
+
+
+def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
+    """ln p of every datum, 0 where it is missing.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: to judge.
+
+    Returns:
+        Of the data's shape.
+    """
+    values = values_at(problem, vector)
+    likelihood = with_values(problem.likelihood, values)
+    terms = likelihood.log_density(prediction(problem, values), problem.data)
+    return terms if problem.present is None else jnp.where(problem.present, terms, 0)
+
+
+def log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
+    """ln p(data | values).
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: to judge.
+
+    Returns:
+        ().
+    """
+    return jnp.sum(log_likelihood_terms(vector, problem))
+
+
+def log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
+    """Log posterior density of the unconstrained vector, up to a constant.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: to judge.
+
+    Returns:
+        ().
+    """
+    return log_likelihood(vector, problem) + log_prior(problem.space, vector)
+
+
+def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
+    """Standardised residuals of a likelihood that is a sum of squares.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: whose likelihood is one of least squares.
+
+    Returns:
+        In a row, 0 where a datum is missing.
+    """
+    values = values_at(problem, vector)
+    likelihood = with_values(problem.likelihood, values)
+    found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))
+    if problem.present is not None:
+        found = jnp.where(problem.present, found, 0)
+    return found.ravel()

@@ -1,0 +1,133 @@
+"""Paths into records: `scene.lights[0].position`, `camera.sensor.gain`.
+
+A path names a record, then attributes, places in lists and keys of dictionaries, down to an array;
+a last `[i]` may name one number of that array.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxvision.errors import InputError, nearest
+
+STEP = re.compile(r"\.(\w+)|\[(\d+)\]|\[['\"]([^'\"]+)['\"]\]")
+Step = str | int
+
+
+def is_path(name: str) -> bool:
+    """Whether a parameter's name leads into a record."""
+    return "." in name or "[" in name
+
+
+def head(path: str) -> str:
+    """The record in which a path begins."""
+    return re.split(r"[.\[]", path, maxsplit=1)[0]
+
+
+def _steps(path: str) -> list[Step]:
+    rest = path[len(head(path)) :]
+    found = list(STEP.finditer(rest))
+    if "".join(step[0] for step in found) != rest:
+        raise InputError(f"{path!r} is no path: write it like 'scene.lights[0].position'.")
+    return [step[1] or step[3] or int(step[2]) for step in found]
+
+
+def _inside(value: Any) -> dict[Step, Any]:
+    """What a step can lead to."""
+    if is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return dict(value)
+    if hasattr(value, "_fields"):
+        return value._asdict()
+    return dict(enumerate(value)) if isinstance(value, (list, tuple)) else {}
+
+
+def _is_number(value: Any) -> bool:
+    return eqx.is_inexact_array_like(value)
+
+
+def _offers(value: Any) -> str:
+    """What is there, in words."""
+    there = _inside(value)
+    if _is_number(value):
+        return f"an array of shape {np.shape(value)}"
+    if not there:
+        return "nothing that can be fitted" if value is not None else "None: it is switched off"
+    if all(isinstance(key, int) for key in there):
+        return f"{len(there)} of them, [0] to [{len(there) - 1}]"
+    return ", ".join(str(key) for key, part in there.items() if part is not None) or "nothing"
+
+
+def read(records: Mapping[str, Any], path: str) -> Array:
+    """The number or array that a path leads to.
+
+    Args:
+        records: by name.
+        path: such as "scene.lights[0].position".
+
+    Returns:
+        The value, of any shape, in its own unit.
+
+    Raises:
+        InputError: for a path that leads to no floating-point number; it lists what is there.
+    """
+    if head(path) not in records:
+        raise InputError(
+            f"{path}: there is no record {head(path)!r}; {nearest(head(path), records)}."
+        )
+    value, walked = records[head(path)], head(path)
+    for step in _steps(path):
+        if _is_number(value) and isinstance(step, int) and np.ndim(value):
+            if step >= len(value):
+                raise InputError(f"{path}: {walked} has {len(value)} numbers.")
+            value = value[step]
+        elif step in (there := _inside(value)):
+            value = there[step]
+        else:
+            raise InputError(f"{path}: {walked} has no {step!r}; there is {_offers(value)}.")
+        walked += f"[{step}]" if isinstance(step, int) else f".{step}"
+    if not _is_number(value):
+        raise InputError(f"{path} is no number; there is {_offers(value)}.")
+    return jnp.asarray(value)
+
+
+def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Any]:
+    """The records with other numbers at some paths.
+
+    Args:
+        records: by name.
+        values: by path, each of the shape of what it replaces.
+
+    Returns:
+        New records.
+    """
+    new = dict(records)
+    for path, value in values.items():
+        name = head(path)
+        new[name] = _with(new[name], _steps(path), value)
+    return new
+
+
+def _with(record: Any, steps: list[Step], value: Array) -> Any:
+    if not steps:
+        return value
+    if _is_number(record):
+        return jnp.asarray(record).at[tuple(steps)].set(value)
+    step = steps[0]
+    inner = _with(_inside(record)[step], steps[1:], value)
+
+    def where(record: Any) -> Any:
+        return (
+            getattr(record, step)
+            if isinstance(step, str) and hasattr(record, step)
+            else record[step]
+        )
+
+    return eqx.tree_at(where, record, inner, is_leaf=lambda leaf: leaf is None)

@@ -1,0 +1,283 @@
+"""The best fit of a problem: a search from many starts, then Newton's method to the mode.
+
+Likelihoods that are sums of squares are searched by Levenberg and Marquardt's method. It needs
+squares throughout, so that a prior enters the search as the Gaussian of its own mean and standard
+deviation in the unconstrained value. Newton's method then takes the best end to the mode of the
+exact posterior, with Gauss and Newton's curvature J^T J of the data. Other likelihoods are searched
+by Newton's method itself.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from .diagnostics import listed
+from .least_squares import minimise_residuals
+from .newton import NewtonSolution, minimise
+from .parameters import (
+    ParameterSpace,
+    ends,
+    log_prior,
+    prior_gaussian,
+    prior_values,
+    to_unconstrained,
+)
+from .problem import Problem, Vector, least_squares_residuals, log_density
+
+BATCH = 8  # starts searched at a time
+STEPS = 100  # of a search; a straggler ends there
+EDGE = 1e-3  # of a range, the nearest to an end that a search begins
+SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the searches ended.
+
+    Attributes:
+        vector: (P,) the mode, unconstrained.
+        cost: negative log posterior density there.
+        information: (P, P) curvature of the cost.
+        prior_information: (P, P) the prior's part of it.
+        decrement: fall in cost that one more step promises.
+        stationary: whether that is negligible beside a squared standard deviation.
+        ends: (starts, P) where each search ended, unconstrained.
+        costs: (starts,) there, relative to the lowest.
+    """
+
+    vector: Float[np.ndarray, " parameters"]
+    cost: float
+    information: Float[np.ndarray, "parameters parameters"]
+    prior_information: Float[np.ndarray, "parameters parameters"]
+    decrement: float
+    stationary: bool
+    ends: Float[np.ndarray, "starts parameters"]
+    costs: Float[np.ndarray, " starts"]
+
+    @property
+    def data_information(self) -> Float[np.ndarray, "parameters parameters"]:
+        """(P, P) what the data alone say."""
+        return self.information - self.prior_information
+
+
+def spread_starts(
+    problem: Problem, count: int, *, seed: int
+) -> Float[np.ndarray, "starts parameters"]:
+    """Starts spread evenly over bounds and priors.
+
+    The first is each parameter's own start where it has one. The others fill the box of prior
+    quantiles by a Kronecker sequence; a parameter without both bounds and prior lies about its
+    start.
+
+    Args:
+        problem: of P free numbers.
+        count: of starts.
+        seed: shifts the sequence.
+
+    Returns:
+        (count, P), unconstrained.
+
+    Raises:
+        InputError: when nothing says where to search for a parameter.
+
+    Source:
+        The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
+    """
+    given = given_start(problem)
+    lost = [
+        p.name
+        for p, start in zip(problem.space, given, strict=True)
+        if np.isnan(start) and prior_values(p) is None
+    ]
+    if lost:
+        raise InputError(
+            f"Nothing says where to search for {listed(lost)}: give bounds, a prior or a start."
+        )
+    shares = _kronecker(count, len(problem.space), seed)
+    columns = []
+    for parameter, start, share in zip(problem.space, given, shares.T, strict=True):
+        values = prior_values(parameter)
+        if values is None:
+            columns.append(start + _normal(share))
+            continue
+        rank = np.interp(share, (np.arange(len(values)) + 0.5) / len(values), values)
+        columns.append(_unconstrained((parameter,), rank[:, None])[:, 0])
+    spread = np.stack(columns, axis=-1)
+    known = ~np.isnan(given)
+    if known.all():
+        spread[0] = given
+    return spread
+
+
+def given_start(problem: Problem) -> Float[np.ndarray, " parameters"]:
+    """Each parameter's own start, unconstrained; NaN where it has none.
+
+    Args:
+        problem: of P free numbers.
+
+    Returns:
+        (P,).
+    """
+    natural = [
+        np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ()).ravel()
+        for p in problem.free
+    ]
+    return start_at(problem.space, np.concatenate(natural))
+
+
+def start_at(
+    space: ParameterSpace, natural: Float[np.ndarray, " parameters"]
+) -> Float[np.ndarray, " parameters"]:
+    """A start from natural values, moved inside the bounds.
+
+    Args:
+        space: the P parameters.
+        natural: (P,) in their own units; NaN stays NaN.
+
+    Returns:
+        (P,), unconstrained.
+    """
+    inside = []
+    for parameter, value in zip(space, natural, strict=True):
+        low, high = ends(parameter)
+        range_ = high - low if np.isfinite(high - low) else abs(value) or 1.0
+        inside.append(np.clip(value, low + EDGE * range_, high - EDGE * range_))
+    return _unconstrained(space, np.array(inside)[None])[0]
+
+
+def _unconstrained(space: ParameterSpace, natural: np.ndarray) -> np.ndarray:
+    return np.asarray(to_unconstrained(space, jnp.asarray(natural)), np.float64)
+
+
+def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
+    """(count, dimensions) evenly spread over the unit cube."""
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (dimensions + 1))
+    steps = ratio ** -np.arange(1.0, dimensions + 1)
+    shift = np.random.default_rng(seed).random(dimensions)
+    return (shift + np.outer(np.arange(count), steps)) % 1
+
+
+def _normal(share: np.ndarray) -> np.ndarray:
+    from scipy.special import ndtri
+
+    return ndtri(np.clip(share, 0.01, 0.99))
+
+
+def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> Optimum:
+    """The mode of a problem's posterior.
+
+    Args:
+        problem: of P free numbers.
+        starts: (starts, P), unconstrained.
+
+    Returns:
+        The best end, taken to the mode, and where all searches ended.
+
+    Raises:
+        InputError: when the prediction is finite at none of the starts.
+    """
+    begin = jnp.asarray(starts, jnp.result_type(float))
+    mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
+    if problem.likelihood.least_squares:
+        vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
+    else:
+        vectors, costs = _newton(begin, problem)
+    vectors, costs = np.asarray(vectors, np.float64), np.asarray(costs, np.float64)
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    best = int(np.argmin(costs))
+    if not np.isfinite(costs[best]):
+        raise InputError(
+            f"The log density is finite at none of the {len(costs)} starts: check predict, bounds "
+            "and start."
+        )
+    found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
+    return Optimum(
+        vector=np.asarray(found.vector, np.float64),
+        cost=float(found.cost),
+        information=np.asarray(found.information, np.float64),
+        prior_information=np.asarray(prior_information, np.float64),
+        decrement=float(found.decrement),
+        stationary=bool(found.converged),
+        ends=vectors,
+        costs=costs - costs[best],
+    )
+
+
+def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
+    """The cost that Newton's method lowers.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: to fit.
+
+    Returns:
+        ().
+    """
+    return -log_density(vector, problem)
+
+
+def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
+    problem, mean, weight = args
+    residuals = least_squares_residuals(vector, problem)
+    return jnp.concatenate([residuals, weight * (vector - mean)])
+
+
+def _gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
+    """Cost, gradient and J^T J of a sum of squares, with the prior's exact derivatives."""
+    residuals, along = jax.linearize(lambda v: least_squares_residuals(v, problem), vector)
+    jacobian = jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))
+
+    def prior(vector: Array) -> Array:
+        return -log_prior(problem.space, vector)
+
+    cost, slope = jax.value_and_grad(prior)(vector)
+    return (
+        residuals @ residuals / 2 + cost,
+        jacobian @ residuals + slope,
+        jacobian @ jacobian.T + jax.hessian(prior)(vector),
+    )
+
+
+@eqx.filter_jit
+def _levenberg_marquardt(
+    starts: Array, problem: Problem, mean: Array, weight: Array
+) -> tuple[Array, Array]:
+    def one(start: Array) -> tuple[Array, Array]:
+        args = (problem, mean, weight)
+        found = minimise_residuals(_with_gaussian_prior, start, args, max_steps=STEPS)
+        return found.vector, found.cost
+
+    return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
+
+
+@eqx.filter_jit
+def _newton(starts: Array, problem: Problem) -> tuple[Array, Array]:
+    def one(start: Array) -> tuple[Array, Array]:
+        found = minimise(negative_log_density, start, problem, max_steps=STEPS)
+        return found.vector, found.cost
+
+    return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
+
+
+@eqx.filter_jit
+def _to_mode(start: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
+    squares = problem.likelihood.least_squares
+    precise = start.dtype == jnp.float64
+    found = minimise(
+        negative_log_density,
+        start,
+        problem,
+        derivatives=_gauss_newton if squares else None,
+        tolerance=1e-7 if precise else 1e-3,
+    )
+    prior = jax.hessian(lambda vector: -log_prior(problem.space, vector))(found.vector)
+    return found, prior
