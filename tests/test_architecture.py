@@ -41,7 +41,7 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference"},
     {"observation", "report"},
-    {"noise", "response", "reflectance"},
+    {"noise", "response", "reflectance", "fits"},
     {"demo"},
     {"cli"},
 ]
@@ -261,6 +261,12 @@ def test_a_name_or_a_help_text_loads_no_library_that_computes(program):
     loaded, stderr = loaded_by(program)
     assert "jaxvision" in loaded, stderr
     assert not loaded & {"jax", *NEVER_ON_IMPORT} - {"pydantic"}  # typer's own, for --help
+
+
+def test_fitting_names_what_a_user_may_use_and_loads_nothing_for_it():
+    loaded, stderr = loaded_by("import fitting; assert 'Problem' in dir(fitting)")
+    assert "fitting" in loaded, stderr
+    assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT}
 
 
 def test_names_load_when_first_used_also_in_a_trace():

@@ -171,7 +171,8 @@ def test_rooms_not_converted_are_rooms():
 
 
 def test_everything_exported_exists_and_nothing_is_forgotten():
-    assert all(hasattr(jaxvision, name) for name in jaxvision.__all__)
+    for package in (jaxvision, fitting):
+        assert all(hasattr(package, name) for name in package.__all__)
     public = {id(getattr(jaxvision, name)) for name in jaxvision.__all__}
     of_scenes = (jaxvision.Light, jaxvision.Material)
     missing = [

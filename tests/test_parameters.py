@@ -146,5 +146,5 @@ def test_contradictory_parameters_are_refused(options, expected):
     ],
 )
 def test_impossible_priors_are_refused(wrong):
-    with pytest.raises(InputError, match="positive and finite|two finite ends"):
+    with pytest.raises(InputError, match=r"positive and finite|two finite ends"):
         wrong()

@@ -50,8 +50,8 @@ def fit(
         start: natural values by name, in their units, from which the only search begins; None for
             `starts` of them.
         starts: searches spread over bounds and priors, of which the best is kept.
-        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or `emcee`, draws
-            from the exact posterior.
+        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or `emcee`,
+            draws from the exact posterior.
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
             or `inflate` the intervals by the square root of chi-square per degree of freedom
             (Birge's factor), which takes the model for a sufficient approximation.
@@ -70,7 +70,7 @@ def fit(
         >>> time = jnp.linspace(0.0, 3.0, 50)
         >>> noise = 0.01 * np.random.default_rng(0).standard_normal(50)
         >>> problem = Problem(
-        ...     {"height": Parameter(lower=0, upper=10), "rate": Parameter(unit="s^-1", lower=0, upper=5)},
+        ...     {"height": Parameter(lower=0, upper=10), "rate": Parameter(lower=0, upper=5)},
         ...     predict=lambda height, rate, inputs: height * jnp.exp(-rate * inputs),
         ...     likelihood=Gaussian(sd=0.01),
         ...     data=2 * np.exp(-1.3 * time) + noise,

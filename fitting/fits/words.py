@@ -30,8 +30,8 @@ def verdict(optimum: Optimum, checks: Misfit, explanation: tuple[str, ...]) -> l
     failures = []
     if not optimum.stationary:
         failures.append(
-            f"The search stopped before a maximum: another step promises {optimum.decrement:.2g} in "
-            "log density; try more starts, or narrower bounds."
+            "The search stopped before a maximum: another step promises "
+            f"{optimum.decrement:.2g} in log density; try more starts, or narrower bounds."
         )
     if not explanation:
         failures += checks.faults

@@ -126,9 +126,8 @@ class StudentT(eqx.Module):
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been."""
-        return prediction + self.sd * jax.random.t(
-            key, self.dof, prediction.shape, prediction.dtype
-        )
+        noise = jax.random.t(key, self.dof, prediction.shape, prediction.dtype)
+        return prediction + self.sd * noise
 
 
 class Censored(eqx.Module):

@@ -59,9 +59,9 @@ def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
         p, other = float(chdtrc(dof, chi_square)), float(1 - chdtrc(dof, chi_square))
         if not p > CHANCE:
             faults.append(
-                f"The model does not describe the data within their noise: chi-square per degree of "
-                f"freedom is {chi_square / dof:.4g}, where {_largest(dof):.4g} is exceeded once in "
-                f"{1 / CHANCE:.0f} cases."
+                "The model does not describe the data within their noise: chi-square per degree of "
+                f"freedom is {chi_square / dof:.4g}; {_largest(dof):.4g} is exceeded by chance in "
+                f"one of {1 / CHANCE:.0f} cases."
             )
         elif other < CHANCE:
             remarks.append(

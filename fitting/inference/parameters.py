@@ -20,6 +20,7 @@ unconstrained values are vectors (..., P) in the order of the space.
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -151,6 +152,11 @@ def _scaled_ends(parameter: Parameter) -> tuple[float, float]:
     return (math.log(lower) if lower > 0 else -np.inf), math.log(upper)
 
 
+def _natural(parameter: Parameter, v: Array) -> Array:
+    """x(v)."""
+    return v if parameter.transform == "identity" else jnp.exp(v)
+
+
 def _into_bounds(u: Array, a: float, b: float) -> Array:
     """v(u)."""
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
@@ -187,6 +193,7 @@ def _log_slope(u: Array, a: float, b: float) -> Array | None:
     return None
 
 
+@partial(jax.jit, static_argnums=0)
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
     """Unconstrained values to values in the parameters' own units.
 
@@ -205,12 +212,12 @@ def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
     """
 
     def columns(parameter: Parameter, u: Array) -> Array:
-        v = _into_bounds(u, *_scaled_ends(parameter))
-        return v if parameter.transform == "identity" else jnp.exp(v)
+        return _natural(parameter, _into_bounds(u, *_scaled_ends(parameter)))
 
     return _by_kind(space, unconstrained, columns)
 
 
+@partial(jax.jit, static_argnums=0)
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
     """Inverse of `to_natural`.
 
@@ -246,11 +253,9 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
         terms = [] if (slope := _log_slope(u, a, b)) is None else [slope]
         if parameter.prior is not None:
             v = _into_bounds(u, a, b)
-            logs = parameter.transform == "log"
-            terms += [
-                parameter.prior.log_density(jnp.exp(v) if logs else v),
-                *([v] if logs else []),
-            ]
+            terms.append(parameter.prior.log_density(_natural(parameter, v)))
+            if parameter.transform == "log":
+                terms.append(v)
         for term in terms:
             total = total + jnp.sum(term, axis=-1)
     return total
@@ -265,16 +270,12 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         (P,) means and (P,) standard deviations, infinite where nothing is known.
     """
-    moments = []
-    for parameter in space:
-        x = prior_values(parameter)
-        if x is None:
-            moments.append((0.0, np.inf))
-            continue
-        u = np.asarray(to_unconstrained((parameter,), jnp.asarray(x)[:, None]))
-        moments.append((float(np.mean(u)), float(np.std(u))))
-    mean, sd = np.array(moments).reshape(-1, 2).T
-    return mean, sd
+    known = [prior_values(parameter) for parameter in space]
+    nothing = np.full(len(FLAT_QUANTILES), np.nan)
+    table = np.stack([nothing if x is None else x for x in known], axis=-1)
+    u = np.asarray(to_unconstrained(space, jnp.asarray(table)), np.float64)
+    limited = np.array([x is not None for x in known])
+    return np.where(limited, u.mean(0), 0.0), np.where(limited, u.std(0), np.inf)
 
 
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:

@@ -262,7 +262,7 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     centre = jnp.asarray(posterior.unconstrained_mode)
     steps = norm.ppf(QUANTILES)[:, None] * deviation
     ends = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
-    slope = np.diagonal(np.asarray(jax.jacfwd(partial(to_natural, posterior.space))(centre)))
+    slope = np.asarray(_slope(posterior.space, centre))
     spread = np.abs(slope) * deviation
     return tuple(
         quantile_estimate(
@@ -315,6 +315,12 @@ def _independent_chains_in_words(posterior: Posterior, name: str, effective: flo
         f"{told}: too few to trust the intervals; about {posterior.missing_steps} more draws of "
         "each chain are missing."
     )
+
+
+@partial(jax.jit, static_argnums=0)
+def _slope(space: ParameterSpace, vector: Array) -> Array:
+    """d natural / d unconstrained, each of its own."""
+    return jax.jvp(partial(to_natural, space), (vector,), (jnp.ones_like(vector),))[1]
 
 
 @eqx.filter_jit

@@ -183,8 +183,8 @@ def _check_names(problem: Problem, parameters: Mapping[str, Any]) -> None:
     for argument in problem.asks:
         if argument not in known:
             raise InputError(
-                f"predict asks for {argument!r}: its arguments are named after what they are given, "
-                f"{', '.join(sorted(known))}."
+                f"predict asks for {argument!r}: its arguments are named after what they are "
+                f"given, {', '.join(sorted(known))}."
             )
     for name in names_within(problem.likelihood) - parameters.keys():
         raise InputError(

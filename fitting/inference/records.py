@@ -50,7 +50,7 @@ def _inside(value: Any) -> dict[Step, Any]:
 
 
 def _is_number(value: Any) -> bool:
-    return eqx.is_inexact_array_like(value)
+    return isinstance(value, float) or eqx.is_inexact_array(value)
 
 
 def _offers(value: Any) -> str:
@@ -123,11 +123,4 @@ def _with(record: Any, steps: list[Step], value: Array) -> Any:
     step = steps[0]
     inner = _with(_inside(record)[step], steps[1:], value)
 
-    def where(record: Any) -> Any:
-        return (
-            getattr(record, step)
-            if isinstance(step, str) and hasattr(record, step)
-            else record[step]
-        )
-
-    return eqx.tree_at(where, record, inner, is_leaf=lambda leaf: leaf is None)
+    return eqx.tree_at(lambda record: _inside(record)[step], record, inner)

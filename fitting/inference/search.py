@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import ndtri
 
 from jaxvision.errors import InputError
 
@@ -22,6 +23,7 @@ from .diagnostics import listed
 from .least_squares import minimise_residuals
 from .newton import NewtonSolution, minimise
 from .parameters import (
+    FLAT_QUANTILES,
     ParameterSpace,
     ends,
     log_prior,
@@ -102,16 +104,14 @@ def spread_starts(
         )
     shares = _kronecker(count, len(problem.space), seed)
     columns = []
-    for parameter, start, share in zip(problem.space, given, shares.T, strict=True):
+    for parameter, share in zip(problem.space, shares.T, strict=True):
         values = prior_values(parameter)
-        if values is None:
-            columns.append(start + _normal(share))
-            continue
-        rank = np.interp(share, (np.arange(len(values)) + 0.5) / len(values), values)
-        columns.append(_unconstrained((parameter,), rank[:, None])[:, 0])
-    spread = np.stack(columns, axis=-1)
-    known = ~np.isnan(given)
-    if known.all():
+        nothing = np.full(count, np.nan)
+        columns.append(nothing if values is None else np.interp(share, FLAT_QUANTILES, values))
+    spread = _unconstrained(problem.space, np.stack(columns, axis=-1))
+    about = given + ndtri(np.clip(shares, 0.01, 0.99))
+    spread = np.where(np.isnan(spread), about, spread)
+    if not np.isnan(given).any():
         spread[0] = given
     return spread
 
@@ -164,12 +164,6 @@ def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
     steps = ratio ** -np.arange(1.0, dimensions + 1)
     shift = np.random.default_rng(seed).random(dimensions)
     return (shift + np.outer(np.arange(count), steps)) % 1
-
-
-def _normal(share: np.ndarray) -> np.ndarray:
-    from scipy.special import ndtri
-
-    return ndtri(np.clip(share, 0.01, 0.99))
 
 
 def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> Optimum:
