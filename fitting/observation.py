@@ -1,26 +1,69 @@
-"""Images of a rig as arrays, checked before any fit sees them.
+"""Images of a rig as arrays, checked before any fit sees them, whether they lie in files or in
+memory already.
 
 Digital numbers come as float64 (h, w) or (h, w, channels), as stored: black level, gamma and
 saturation belong to the models, not to the reading.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence, Sized
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
+from jaxvision.toml_files import checked
 
 from .rig import Camera, Rig
 
+Load = Callable[[Path], np.ndarray]  # an image by its path
 
-def read_frame(path: Path, camera: Camera) -> np.ndarray:
+MEMORY = Path("arrays")  # where messages say that images in memory lie
+
+
+def in_memory(images: Mapping[str, ArrayLike], **entries: Any) -> tuple[Rig, Load]:
+    """A rig of images that are in memory, and how they are had by their paths.
+
+    Args:
+        images: arrays as an image file would hold them, by name.
+        **entries: of the rig, as in its file; they name the images.
+
+    Returns:
+        The rig, and what to read its images by.
+
+    Raises:
+        InputError: for entries that no rig file may have.
+    """
+    rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig")
+    stored = {rig.path(name): np.asarray(image) for name, image in images.items()}
+    return rig, stored.__getitem__
+
+
+def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:
+    """Refuses two lists that belong together but differ in length.
+
+    Args:
+        what: name of the first.
+        given: the first.
+        as_: name of the second.
+        others: the second.
+
+    Raises:
+        InputError: names both lengths.
+    """
+    if len(given) != len(others):
+        raise InputError(f"{len(given)} {what} for {len(others)} {as_}; give one for each.")
+
+
+def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.ndarray:
     """Digital numbers of one image.
 
     Args:
         path: of the image.
         camera: whose bits the numbers must fit.
+        load: how an image is had by its path.
 
     Returns:
         (h, w) or (h, w, channels) DN, float64, as stored.
@@ -29,7 +72,7 @@ def read_frame(path: Path, camera: Camera) -> np.ndarray:
         InputError: for non-finite, negative or too large numbers, and for data of a depth that
             contradicts the camera's `bits`.
     """
-    stored = read_image(path)
+    stored = load(path)
     numeric = np.issubdtype(stored.dtype, np.integer) or np.issubdtype(stored.dtype, np.floating)
     if not numeric or stored.ndim not in (2, 3) or stored.size == 0:
         raise InputError(
@@ -53,12 +96,13 @@ def read_frame(path: Path, camera: Camera) -> np.ndarray:
     return frame
 
 
-def read_stack(rig: Rig, files: Sequence[str]) -> np.ndarray:
+def read_stack(rig: Rig, files: Sequence[str], *, load: Load = read_image) -> np.ndarray:
     """Frames of one size.
 
     Args:
         rig: that names them.
         files: names within the rig.
+        load: how an image is had by its path.
 
     Returns:
         (frames, h, w) or (frames, h, w, channels) DN.
@@ -66,7 +110,7 @@ def read_stack(rig: Rig, files: Sequence[str]) -> np.ndarray:
     Raises:
         InputError: for frames of different size, and as `read_frame` does.
     """
-    frames = [read_frame(rig.path(name), rig.camera) for name in files]
+    frames = [read_frame(rig.path(name), rig.camera, load=load) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
             raise InputError(
@@ -105,12 +149,13 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     }
 
 
-def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
+def read_mask(path: Path, shape: tuple[int, int], *, load: Load = read_image) -> np.ndarray:
     """A mask of pixels.
 
     Args:
         path: of the image.
         shape: (h, w) that it must have.
+        load: how an image is had by its path.
 
     Returns:
         (h, w), true where any channel of the image is non-zero.
@@ -118,7 +163,7 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: for another size.
     """
-    mask = read_image(path) != 0
+    mask = load(path) != 0
     mask = mask.any(axis=-1) if mask.ndim == 3 else mask
     if mask.shape != shape:
         raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")

@@ -7,7 +7,8 @@ Gelman, Simpson, Carpenter & Bürkner, Bayesian Analysis 16, 2021), so that heav
 
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import irfft, next_fast_len, rfft
+from numpy.fft import irfft, rfft
+from scipy.fft import next_fast_len
 from scipy.special import ndtri
 from scipy.stats import rankdata
 

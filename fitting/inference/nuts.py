@@ -199,7 +199,7 @@ def _advance(
         adapting = first + i < WARM_UP
         size = jnp.exp(jnp.where(adapting, now.adaptation[0], now.adaptation[1]))
         keys = jax.random.split(jax.random.fold_in(key, first + i), chains)
-        places = HMCState(now.position, now.log_density, now.gradient)
+        places = HMCState(now.position, now.log_density, now.gradient)  # type: ignore[arg-type]
         moved, info = jax.vmap(
             lambda k, place: kernel(k, place, density, size, round_metric),
         )(keys, places)
@@ -214,7 +214,7 @@ def _advance(
             "divergent": info.is_divergent,
         }
         drawn = {name: drawn[name].at[i].set(value) for name, value in new.items()}
-        return _State(*moved, adaptation), drawn
+        return _State(moved.position, moved.logdensity, moved.logdensity_grad, adaptation), drawn
 
     empty = {
         "chain": jnp.zeros((block, *state.position.shape), mode.dtype),

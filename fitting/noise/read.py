@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxvision.errors import InputError
+from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
-from ..observation import read_frame, split_channels
+from ..observation import Load, read_frame, split_channels
 from ..rig import Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
@@ -41,16 +42,17 @@ def read_photon_transfer(
         measurement = read_table(file, bits)
     else:
         measurement = reduce_rig(load_rig(file), channel=channel)
-    _check(file, measurement)
+    check(file, measurement)
     return measurement
 
 
-def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
+def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
     """Reduces all frames of a rig, one frame in memory at a time.
 
     Args:
         rig: with `[[flat]]` and `[[dark]]`.
         channel: site of a Bayer mosaic; empty for the first green.
+        load: how an image is had by its path.
 
     Returns:
         The measurement, unchecked.
@@ -75,8 +77,8 @@ def reduce_rig(rig: Rig, *, channel: str = "") -> PhotonTransfer:
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
     channel = channel or ("grey" if rig.camera.pattern is None else "green 1")
-    bright = _reduced(rig, flats, channel)
-    dark = _reduced(rig, darks, channel)
+    bright = _reduced(rig, flats, channel, load)
+    dark = _reduced(rig, darks, channel, load)
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
@@ -124,8 +126,10 @@ def _light(rig: Rig, flat: Flat) -> float | None:
     return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
 
 
-def _reduced(rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str) -> Levels:
-    rows = [_level(rig, entry.files, channel) for entry in entries]
+def _reduced(
+    rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
+) -> Levels:
+    rows = [_level(rig, entry.files, channel, load) for entry in entries]
     if len({row[-1] for row in rows}) > 1:
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
     mean, variance, spatial, frames, pixels = np.array(rows, float).T
@@ -140,13 +144,13 @@ def _reduced(rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str) -
     )
 
 
-def _level(rig: Rig, files: Sequence[str], channel: str) -> tuple[float, ...]:
+def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> tuple[float, ...]:
     """(mean, temporal variance, spatial variance, frames, pixels) of one level."""
     # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
-    first = _plane(rig, files[0], channel)
+    first = _plane(rig, files[0], channel, load)
     total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
     for name in files[1:]:
-        frame = _plane(rig, name, channel)
+        frame = _plane(rig, name, channel, load)
         if frame.shape != first.shape:
             raise InputError(
                 f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {first.shape}; all frames "
@@ -169,8 +173,8 @@ def _level(rig: Rig, files: Sequence[str], channel: str) -> tuple[float, ...]:
     return float(average.mean()), variance, float(average.var(ddof=1)), float(count), float(pixels)
 
 
-def _plane(rig: Rig, name: str, channel: str) -> np.ndarray:
-    frame = read_frame(rig.path(name), rig.camera)
+def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:
+    frame = read_frame(rig.path(name), rig.camera, load=load)
     if frame.ndim == 3:
         raise InputError(
             f"{rig.path(name)}: is a colour picture {frame.shape}; photon transfer needs raw data, "
@@ -182,8 +186,16 @@ def _plane(rig: Rig, name: str, channel: str) -> np.ndarray:
     return planes[channel]
 
 
-def _check(file: Path, measurement: PhotonTransfer) -> None:
-    """`InputError` for a measurement from which no photon transfer can be had."""
+def check(file: Path, measurement: PhotonTransfer) -> None:
+    """Refuses a measurement from which no photon transfer can be had.
+
+    Args:
+        file: where it comes from, for messages.
+        measurement: bright and dark levels.
+
+    Raises:
+        InputError: for what is missing or wrong.
+    """
     bright, dark = measurement.bright, measurement.dark
     for name, levels in (("flat", bright), ("dark", dark)):
         if bool(jnp.any(levels.exposure <= 0)):

@@ -1,0 +1,5 @@
+"""Reflectance of surfaces, from images or from files of measured BRDFs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,5 @@
+"""The response of a camera from an exposure stack: curve, gamma and radiance map."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

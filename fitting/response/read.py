@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16
 
 from jaxvision.errors import InputError
+from jaxvision.io import read_image
 
-from ..observation import read_frame, read_stack, split_channels
+from ..observation import Load, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, require
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
@@ -69,7 +70,9 @@ class ExposureStack:
         return 2**self.bits - 1
 
 
-def read_exposure_stack(rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None) -> ExposureStack:
+def read_exposure_stack(
+    rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None, load: Load = read_image
+) -> ExposureStack:
     """A rig's `[[exposure]]` images, group by group, split into planes.
 
     The black level is the camera's, else the mean of the `[[dark]]` frames, else the code of the
@@ -80,6 +83,7 @@ def read_exposure_stack(rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None
         rig: with `[[exposure]]`.
         mask: (h, w) of full images, true where the scene may be used (a mosaic site keeps its own
             pixels); None for everywhere.
+        load: how an image is had by its path.
 
     Returns:
         The stack.
@@ -90,10 +94,10 @@ def read_exposure_stack(rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None
     """
     require(rig, "exposure", purpose="a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
-    known_black = _black_level(rig)
+    known_black = _black_level(rig, load)
     planes: list[Plane] = []
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
-        planes += _planes(rig, group, tuple(entries), mask, known_black)
+        planes += _planes(rig, group, tuple(entries), mask, known_black, load)
     return ExposureStack(tuple(planes), rig.camera.bits)
 
 
@@ -103,6 +107,7 @@ def _planes(
     entries: tuple[Exposure, ...],
     mask: np.ndarray | None,
     known_black: float | None,
+    load: Load,
 ) -> list[Plane]:
     times = np.array([entry.exposure for entry in entries])
     where = f"{rig.folder}: the exposures" + (f" of group {group!r}" if group else "")
@@ -112,7 +117,7 @@ def _planes(
         raise InputError(
             f"{where} all last {times[0]:g} s; give at least two different exposure times."
         )
-    frames = [_codes(rig, entry.file) for entry in entries]
+    frames = [_codes(rig, entry.file, load) for entry in entries]
     for entry, frame in zip(entries, frames, strict=True):
         if frame.shape != frames[0].shape:
             raise InputError(
@@ -178,8 +183,8 @@ def ceiling_level(
     return float(np.quantile(np.minimum(before, after)[stuck], LOWEST_STUCK))
 
 
-def _codes(rig: Rig, name: str) -> UInt16[np.ndarray, "h w *channels"]:
-    frame = read_frame(rig.path(name), rig.camera)
+def _codes(rig: Rig, name: str, load: Load) -> UInt16[np.ndarray, "h w *channels"]:
+    frame = read_frame(rig.path(name), rig.camera, load=load)
     codes = frame.astype(np.uint16)
     if not np.array_equal(codes, frame):
         raise InputError(
@@ -207,7 +212,7 @@ def _mask_planes(
     return dict.fromkeys(channels, mask)
 
 
-def _black_level(rig: Rig) -> float | None:
+def _black_level(rig: Rig, load: Load) -> float | None:
     if rig.camera.black_level is not None or not rig.dark:
         return rig.camera.black_level
-    return float(np.mean([read_stack(rig, entry.files).mean() for entry in rig.dark]))
+    return float(np.mean([read_stack(rig, entry.files, load=load).mean() for entry in rig.dark]))

@@ -6,6 +6,7 @@ direction is the same everywhere. Angles are radians, digital numbers as stored.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from jaxvision.errors import InputError
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
-from ...observation import read_mask, read_stack
+from ...observation import Load, read_mask, read_stack
 from ...rig import Geometry, Light, Rig, SphereGeometry, require
 
 VIEW = (0.0, 0.0, 1.0)
@@ -85,7 +86,7 @@ class ReflectanceObservation:
         return self.dn >= self.clip
 
 
-def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
+def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> ReflectanceObservation:
     """Reads and checks all that a rig's `[[light]]` and `[geometry]` entries name.
 
     Lights marked `held_out` are kept for testing; if none is and there are at least four, every
@@ -93,6 +94,7 @@ def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
 
     Args:
         rig: with `[[light]]` and `[geometry]`.
+        load: how an image is had by its path.
 
     Returns:
         The observation.
@@ -108,9 +110,9 @@ def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; {PURPOSE} needs "
             "demosaicked images (or one plane), so convert them and remove the pattern."
         )
-    frames = _read_frames(rig)
+    frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
-    rows, columns, normals = _surface(rig, rig.geometry, shape)
+    rows, columns, normals = _surface(rig, rig.geometry, shape, load)
     wi, falloff = _light_field(rig, normals)
     cosine, log_cos_mirror, mirror_angle = _angles(normals, wi)
     black = rig.camera.black_level or 0.0
@@ -142,8 +144,8 @@ def read_reflectance_observation(rig: Rig) -> ReflectanceObservation:
     return observation
 
 
-def _read_frames(rig: Rig) -> Float[np.ndarray, "channels lights h w"]:
-    stack = read_stack(rig, [light.file for light in rig.light])
+def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w"]:
+    stack = read_stack(rig, [light.file for light in rig.light], load=load)
     if stack.ndim == 3:
         return stack[None]
     if stack.shape[3] != 3:
@@ -154,17 +156,17 @@ def _read_frames(rig: Rig) -> Float[np.ndarray, "channels lights h w"]:
 
 
 def _surface(
-    rig: Rig, geometry: Geometry, shape: tuple[int, int]
+    rig: Rig, geometry: Geometry, shape: tuple[int, int], load: Load
 ) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
     """Rows, columns and unit normals of the pixels that show the object."""
     mask = None
     if geometry.mask is not None:
-        mask = read_mask(rig.path(geometry.mask), shape)
+        mask = read_mask(rig.path(geometry.mask), shape, load=load)
     if geometry.sphere is not None:
         normals, seen = _sphere_normals(geometry.sphere, shape)
     else:
         assert geometry.normals is not None
-        normals, seen = _stored_normals(rig, geometry.normals, shape, mask)
+        normals, seen = _stored_normals(rig.path(geometry.normals), shape, mask, load)
     if mask is not None:
         seen = seen & mask
     rows, columns = np.nonzero(seen)
@@ -188,10 +190,9 @@ def _sphere_normals(
 
 
 def _stored_normals(
-    rig: Rig, name: str, shape: tuple[int, int], mask: np.ndarray | None
+    path: Path, shape: tuple[int, int], mask: np.ndarray | None, load: Load
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    path = rig.path(name)
-    normals = np.asarray(read_image(path), np.float64)
+    normals = np.asarray(load(path), np.float64)
     if normals.shape != (*shape, 3):
         raise InputError(
             f"{path}: the normals are {normals.shape}, the images are {shape}; give one normal "

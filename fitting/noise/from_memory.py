@@ -1,0 +1,73 @@
+"""Photon transfer from frames in memory: the measurement that a rig of the same frames gives."""
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from jaxvision.errors import InputError
+
+from ..observation import MEMORY, in_memory, require_as_many
+from ..rig import Camera
+from .levels import PhotonTransfer
+from .read import check, reduce_rig
+
+
+def from_frames(
+    flats: Sequence[Sequence[ArrayLike]],
+    darks: Sequence[Sequence[ArrayLike]],
+    exposures: Sequence[float],
+    photons: Sequence[float] | None,
+    *,
+    camera: Camera,
+    dark_exposures: Sequence[float] | None = None,
+    channel: str = "",
+) -> PhotonTransfer:
+    """A photon transfer measurement from frames in memory, for `noise.calibration.calibrate`.
+
+    Args:
+        flats: of each level of light two or more frames, (h, w) DN.
+        darks: of each exposure two or more frames, (h, w) DN.
+        exposures: of the levels of light, s.
+        photons: mean photons per pixel and exposure of the levels; None where unknown.
+        camera: its bits, and what else is known of it.
+        dark_exposures: of the darks, s; None where each level has darks of its own exposure.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        The measurement, checked as one of a folder is.
+
+    Raises:
+        InputError: for lists of unequal length, and for what cannot be used.
+    """
+    require_as_many("exposures", exposures, "levels of flats", flats)
+    if photons is not None:
+        require_as_many("photon counts", photons, "levels of flats", flats)
+    if dark_exposures is None and len(darks) != len(flats):
+        raise InputError(
+            f"{len(darks)} sets of darks for {len(flats)} levels of flats; give dark_exposures."
+        )
+    times = exposures if dark_exposures is None else dark_exposures
+    require_as_many("dark_exposures", times, "sets of darks", darks)
+    images = {
+        f"{kind}[{i}][{j}]": frame
+        for kind, levels in (("flats", flats), ("darks", darks))
+        for i, level in enumerate(levels)
+        for j, frame in enumerate(level)
+    }
+    flat = [
+        {"files": _names("flats", i, level), "exposure": float(exposures[i])}
+        | ({} if photons is None else {"photons": float(photons[i])})
+        for i, level in enumerate(flats)
+    ]
+    dark = [
+        {"files": _names("darks", i, level), "exposure": float(times[i])}
+        for i, level in enumerate(darks)
+    ]
+    rig, load = in_memory(images, camera=camera, flat=flat, dark=dark)
+    measurement = reduce_rig(rig, channel=channel, load=load)
+    check(MEMORY, measurement)
+    return measurement
+
+
+def _names(kind: str, i: int, level: Sequence[ArrayLike]) -> list[str]:
+    return [f"{kind}[{i}][{j}]" for j in range(len(level))]

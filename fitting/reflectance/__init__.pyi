@@ -1,0 +1,3 @@
+# What `fitting.reflectance` offers, each name where it is defined.
+
+from .from_images.from_memory import from_photographs as from_photographs

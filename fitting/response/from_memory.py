@@ -1,0 +1,42 @@
+"""Exposure stacks from images in memory: the stack that a rig of the same images gives."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+from numpy.typing import ArrayLike
+
+from ..observation import in_memory, require_as_many
+from ..rig import Camera
+from .read import ExposureStack, read_exposure_stack
+
+
+def from_stack(
+    images: Sequence[ArrayLike],
+    exposures: Sequence[float],
+    *,
+    camera: Camera,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+) -> ExposureStack:
+    """An exposure stack of one still scene in memory, for `response.calibration.calibrate`.
+
+    Args:
+        images: (h, w) or (h, w, 3) integer DN each, in any order.
+        exposures: of the images, s.
+        camera: its bits, and what else is known of it.
+        mask: (h, w), true where the scene may be used; None for everywhere.
+
+    Returns:
+        The stack, checked as one of a folder is.
+
+    Raises:
+        InputError: for lists of unequal length, and for what cannot be used.
+    """
+    require_as_many("exposures", exposures, "images", images)
+    entries = [
+        {"file": f"images[{i}]", "exposure": float(exposure)}
+        for i, exposure in enumerate(exposures)
+    ]
+    named = {f"images[{i}]": image for i, image in enumerate(images)}
+    rig, load = in_memory(named, camera=camera, exposure=entries)
+    return read_exposure_stack(rig, mask=mask, load=load)

@@ -1,0 +1,193 @@
+"""Arrays in memory give the measurement and the estimates of the same images in files."""
+
+from dataclasses import fields
+
+import jax
+import numpy as np
+import pytest
+
+from fitting.noise import calibrate as calibrate_noise
+from fitting.noise import from_frames, read_photon_transfer
+from fitting.reflectance import from_photographs
+from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
+from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.response import calibrate as calibrate_response
+from fitting.response import from_stack, read_exposure_stack
+from fitting.rig import Camera, SphereGeometry, load_rig
+from jaxvision.errors import InputError
+from jaxvision.io import read_image, write_image
+
+CAMERA = Camera(bits=12, black_level=64.0)
+HEAD = "[camera]\nbits = 12\nblack_level = 64\n"
+PHOTONS = [0.0, 500.0, 1000.0, 2000.0, 4000.0, 6000.0]
+
+
+def assert_equal(one, other):
+    """Records equal to the last bit but for what only says where an image lies."""
+    for field in fields(one):
+        if field.name != "files":
+            ours, theirs = (jax.tree.leaves(getattr(x, field.name)) for x in (one, other))
+            for a, b in zip(ours, theirs, strict=True):
+                np.testing.assert_array_equal(a, b, err_msg=field.name)
+
+
+def written(folder, images, text):
+    for name, image in images.items():
+        write_image(folder / f"{name}.tif", image)
+    (folder / "rig.toml").write_text(text)
+    return folder
+
+
+def levels(light, seed, frames=3):
+    rng = np.random.default_rng(seed)
+    electrons = rng.poisson(light, (frames, 20, 30)) + 3 * rng.standard_normal((frames, 20, 30))
+    return np.clip(np.round(64 + 0.4 * electrons), 0, 4095).astype(np.uint16)
+
+
+def test_frames_of_photon_transfer(tmp_path):
+    flats = [levels(0.5 * p, i) for i, p in enumerate(PHOTONS)]
+    darks = [levels(0, 20)]
+    text, images = HEAD, {}
+    for kind, sets in (("flat", flats), ("dark", darks)):
+        for i, frames in enumerate(sets):
+            images |= {f"{kind}{i}_{j}": frame for j, frame in enumerate(frames)}
+            names = [f"{kind}{i}_{j}.tif" for j in range(len(frames))]
+            text += f"[[{kind}]]\nfiles = {names}\nexposure = 0.01\n"
+            text += f"photons = {PHOTONS[i]}\n" if kind == "flat" else ""
+    exposures = np.full(len(flats), 0.01)
+    ours = from_frames(flats, darks, exposures, PHOTONS, camera=CAMERA, dark_exposures=[0.01])
+    theirs = read_photon_transfer(written(tmp_path, images, text))
+    assert jax.tree.structure(ours) == jax.tree.structure(theirs)
+    assert_equal(ours.bright, theirs.bright)
+    assert_equal(ours.dark, theirs.dark)
+    assert_equal(ours, theirs)
+
+
+def test_what_does_not_fit_together_is_said_in_one_sentence():
+    flats = [levels(0.5 * p, i) for i, p in enumerate(PHOTONS)]
+    times = [0.01] * len(flats)
+    with pytest.raises(InputError, match=r"5 exposures for 6 levels of flats; give one for each\."):
+        from_frames(flats, flats, times[1:], None, camera=CAMERA)
+    with pytest.raises(InputError, match="1 sets of darks for 6 levels of flats; give dark_exp"):
+        from_frames(flats, flats[:1], times, None, camera=CAMERA)
+    with pytest.raises(InputError, match="vary the exposure"):
+        from_frames(flats, flats, times, None, camera=CAMERA)
+    small = Camera(bits=8)
+    with pytest.raises(InputError, match=r"arrays/flats\[0\]\[0\]: values .* do not fit a 8-bit"):
+        from_frames([f + 300 for f in flats], flats, times, PHOTONS, camera=small)
+    with pytest.raises(InputError, match=r"arrays/images\[1\]: holds fractions"):
+        from_stack([np.ones((9, 9)), np.full((9, 9), 1.5)], [1, 2], camera=CAMERA)
+    with pytest.raises(InputError, match=r"flat\[1\].exposure = -1.0: must be greater than 0"):
+        from_frames(flats, flats, [-1.0] * 6, PHOTONS, camera=CAMERA)
+    with pytest.raises(InputError, match="give either sphere or normals"):
+        from_photographs([np.ones((9, 9))], np.array([[0.0, 0.0, 1.0]]), camera=CAMERA)
+
+
+@pytest.mark.parametrize("colours", [(), (3,)])
+def test_images_of_an_exposure_stack(tmp_path, colours):
+    rng = np.random.default_rng(0)
+    scene = rng.uniform(50, 3000, (12, 16, *colours))
+    times = [0.1, 0.4, 1.0]
+    images = [np.round(64 + t * scene).astype(np.uint16) for t in times]
+    text = HEAD + "".join(
+        f'[[exposure]]\nfile = "e{i}.tif"\nexposure = {t}\n' for i, t in enumerate(times)
+    )
+    folder = written(tmp_path, {f"e{i}": image for i, image in enumerate(images)}, text)
+    mask = scene.reshape(12, 16, -1)[..., 0] > 200
+    theirs = read_exposure_stack(load_rig(folder), mask=mask)
+    ours = from_stack(images[::-1], times[::-1], camera=CAMERA, mask=mask)
+    assert len(ours.planes) == len(theirs.planes) == (colours or (1,))[0]
+    for a, b in zip(ours.planes, theirs.planes, strict=True):
+        assert_equal(a, b)
+
+
+LIGHTS = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.6, 0.0, 0.8]])
+SPHERE = SphereGeometry(centre=(15.0, 15.0), radius=14.0, radius_m=0.1)
+
+
+def normals_of_the_sphere():
+    row, column = np.indices((31, 31))
+    x, y = (column - 15) / 14, (15 - row) / 14
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    return np.where((np.hypot(x, y) < 0.9)[..., None], np.stack([x, y, z], -1), 0.0)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "normals", "point lights"])
+def test_photographs_of_a_known_shape(tmp_path, shape):
+    normals = normals_of_the_sphere()
+    images = [np.round(64 + 2000 * np.maximum(normals @ v, 0)).astype(np.uint16) for v in LIGHTS]
+    text, kind, scale = HEAD, "direction", 1.0
+    if shape == "point lights":
+        kind, scale = "position", 2.0
+    for i, light in enumerate(LIGHTS):
+        text += f'[[light]]\nfile = "l{i}.tif"\n{kind} = {(scale * light).tolist()}\n'
+        text += f"intensity = [{1 + i / 10}]\nheld_out = {str(i == 2).lower()}\n"
+    files = {f"l{i}": image for i, image in enumerate(images)}
+    if shape == "normals":
+        np.save(tmp_path / "n.npy", normals)
+        files["m"] = (normals[..., 2] > 0.5).astype(np.uint8)
+        text += '[geometry]\nnormals = "n.npy"\nmask = "m.tif"\n'
+        given = {"normals": normals, "mask": normals[..., 2] > 0.5}
+    else:
+        text += "[geometry.sphere]\ncentre = [15, 15]\nradius = 14\nradius_m = 0.1\n"
+        given = {"sphere": SPHERE}
+    theirs = read_reflectance_observation(load_rig(written(tmp_path, files, text)))
+    ours = from_photographs(
+        *(images, scale * LIGHTS),
+        camera=CAMERA,
+        intensities=1 + np.arange(4) / 10,
+        held_out=[2],
+        point_lights=shape == "point lights",
+        **given,
+    )
+    assert_equal(ours, theirs)
+
+
+def loaded(rig, names):
+    return [read_image(rig.path(name)) for name in names]
+
+
+@pytest.mark.slow
+def test_the_noise_is_that_of_the_files(lab):
+    rig = load_rig(lab[0] / "noise")
+    ours = from_frames(
+        [loaded(rig, flat.files) for flat in rig.flat],
+        [loaded(rig, dark.files) for dark in rig.dark],
+        [flat.exposure for flat in rig.flat],
+        [flat.photons for flat in rig.flat],
+        camera=rig.camera,
+        dark_exposures=[dark.exposure for dark in rig.dark],
+    )
+    theirs = read_photon_transfer(lab[0] / "noise")
+    assert calibrate_noise(ours).sheet == calibrate_noise(theirs).sheet
+
+
+@pytest.mark.slow
+def test_the_response_is_that_of_the_files(lab):
+    rig = load_rig(lab[0] / "response")
+    images = loaded(rig, [entry.file for entry in rig.exposure])
+    ours = from_stack(images, [entry.exposure for entry in rig.exposure], camera=rig.camera)
+    results = [calibrate_response(stack) for stack in (ours, read_exposure_stack(rig))]
+    for a, b in zip(*(result.channels for result in results), strict=True):
+        assert a.gamma.gamma == b.gamma.gamma
+        np.testing.assert_array_equal(a.curve.log_exposure, b.curve.log_exposure)
+
+
+@pytest.mark.slow
+def test_the_reflectance_is_that_of_the_files(lab):
+    rig = load_rig(lab[0] / "brdf")
+    ours = from_photographs(
+        loaded(rig, [light.file for light in rig.light]),
+        np.array([light.direction for light in rig.light]),
+        camera=rig.camera,
+        sphere=rig.geometry.sphere,
+        intensities=[light.intensity for light in rig.light],
+        held_out=[i for i, light in enumerate(rig.light) if light.held_out],
+    )
+    results = [
+        calibrate_reflectance(observation, model="phong")
+        for observation in (ours, read_reflectance_observation(rig))
+    ]
+    for a, b in zip(*(result.reported for result in results), strict=True):
+        np.testing.assert_array_equal(a.vector, b.vector)
+        np.testing.assert_array_equal(a.robustness.covariance, b.robustness.covariance)
