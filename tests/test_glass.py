@@ -87,7 +87,8 @@ def test_family_is_a_delta():
 @pytest.mark.parametrize(("theta", "absorption"), [(0.0, None), (0.6, None), (0.6, 0.8)])
 def test_slab_in_closed_form(theta, absorption):
     """T = (1 - R)^2 a / (1 - R^2 a^2) of a slab that absorbs 1 - a along one crossing; without
-    absorption 1 - 2 R / (1 + R)."""
+    absorption 1 - 2 R / (1 + R), and to an eye in the glass n^2 / (1 + R): radiance squeezed
+    once."""
     n, thickness = 1.5, 0.1
     back = Quad([-50, -50, -1], [100, 0, 0], [0, 100, 0])
     glass = Glass(n, absorption=None if absorption is None else [absorption])
@@ -96,10 +97,13 @@ def test_slab_in_closed_form(theta, absorption):
         [Surface(Box([0, 0, 0], [40, 40, thickness / 2]), glass), Surface(back, black, [2.0])], []
     )
     w = at(theta)
-    seen = jax.jit(partial(ray_tree_radiance, rays=24))(scene, Ray(2 * w, -w))
+    trace = jax.jit(partial(ray_tree_radiance, rays=24))
+    seen = trace(scene, Ray(2 * w, -w))
     r = reflectance(theta, n) if theta else ((n - 1) / (n + 1)) ** 2
     way = thickness / np.cos(np.arcsin(np.sin(theta) / n))
     a = np.exp(-(absorption or 0) * way)
     assert float(seen[0]) == pytest.approx(2 * (1 - r) ** 2 * a / (1 - r**2 * a**2), rel=1e-9)
     if absorption is None:
         assert float(seen[0]) == pytest.approx(2 * (1 - 2 * r / (1 + r)), rel=1e-9)
+        within = trace(scene, Ray(jnp.zeros(3), -at(np.arcsin(np.sin(theta) / n))))
+        assert float(within[0]) == pytest.approx(2 * n**2 / (1 + r), rel=1e-9)

@@ -178,6 +178,28 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
     assert (both.error < 1.5 * sampled.error + 1e-3 * reference).all()
 
 
+@pytest.mark.parametrize("light", ["rectangle", "white sky"])
+def test_balanced_samples_find_the_closed_form(light):
+    """A Lambert surface under a rectangle and under a sky of radiance 1, which its plane halves:
+    the mean over 64 keys, within its standard error."""
+    material = REFLECTING["lambert"]
+    if light == "rectangle":
+        source = SHINING["rectangle"]
+        expected = material.diffuse * rectangle_irradiance(source, POINT, NORMAL)
+    else:
+        source, expected = environment_map(np.ones((2, 4, 2))), np.pi * material.diffuse
+
+    @jax.jit
+    @jax.vmap
+    def drawn(key):
+        return outgoing_radiance(material, [source], POINT, NORMAL, WO, rule=Balanced(key, 64))
+
+    values = np.asarray(drawn(jax.random.split(KEY, 64)))
+    error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
+    assert (error < 0.01 * expected).all()
+    assert (np.abs(values.mean(axis=0) - expected) < 4 * error).all()
+
+
 @pytest.mark.sweep("normalised phong")
 @pytest.mark.parametrize("kind", ["lambert", "normalised phong", "torrance-sparrow", "oren-nayar"])
 def test_under_a_white_sky_it_is_the_albedo(kind):

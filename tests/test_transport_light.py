@@ -77,6 +77,7 @@ def traced_by_numpy(o, d, weight=1.0):
     """Whitted's recursion until a branch counts for less than 1e-9."""
     if weight < 1e-9:
         return np.zeros(2)
+    d = d / np.linalg.norm(d)  # else its length drifts, and a ray meets again what it left
     ball, mirror = sphere_by_numpy(o, d, *GLASS[:2]), sphere_by_numpy(o, d, *MIRROR)
     wall, emission = walls_by_numpy(o, d)
     nearest = min(ball, mirror, wall)
