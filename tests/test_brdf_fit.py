@@ -18,9 +18,14 @@ from typer.testing import CliRunner
 from fitting import cli
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.separable import fit_separable
-from fitting.reflectance.from_files.calibration import best, errors, prediction_of_held_out
+from fitting.reflectance.from_files.calibration import (
+    amplitudes,
+    best,
+    errors,
+    prediction_of_held_out,
+)
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
-from fitting.reflectance.from_files.fit import fit_model
+from fitting.reflectance.from_files.fit import LobeFit, ModelFit, fit_model
 from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import materials_section
 from fitting.reflectance.from_files.section import section as material_section
@@ -227,6 +232,20 @@ def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
     assert np.all(deviation < 0.2)
     assert again.posterior.method == "Laplace"
     np.testing.assert_allclose(again.amplitudes.diffuse.mean(), again.mean[0])
+
+
+def test_errors_of_amplitudes_are_the_jackknifes_of_a_mean():
+    """Of means with one of six numbers left out the jackknife is the error of the mean, s / sqrt(6)
+    by NumPy, here as wide as Student's t of five degrees of freedom, whose variance is 5 / 3."""
+    numbers = np.random.default_rng(9).uniform(1, 2, (6, 3))
+    without = [np.delete(numbers, i, axis=0).mean(axis=0) for i in range(6)]
+
+    def lobe(mean):
+        return LobeFit("lambert", mean, 0 * mean, None, np.zeros((6, 3)))
+
+    fit = ModelFit("lambert", "cosine", lobe(numbers.mean(axis=0)), tuple(map(lobe, without)))
+    expected = numbers.std(axis=0, ddof=1) / np.sqrt(6) * np.sqrt(5 / 3)
+    np.testing.assert_allclose(amplitudes(fit).diffuse_error, expected, rtol=1e-12)
 
 
 def test_misfit_widens_the_intervals(calibration):

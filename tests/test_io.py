@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxvision import io
 from jaxvision.errors import InputError
 from jaxvision.io import read_image, write_exr, write_image
 
@@ -92,6 +93,21 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
     with pytest.raises(InputError):
         write_image(tmp_path / "a.png", np.zeros((2, 2)))
     assert (read_image(tmp_path / "a.png") == 7).all()
+
+
+def test_a_write_that_dies_half_way_keeps_the_old_file(tmp_path, monkeypatch):
+    file = tmp_path / "a.png"
+    write_image(file, np.full((2, 2), 7, np.uint8))
+
+    def dies(partial, *_):
+        partial.write_bytes(b"half of it")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(io, "_write", dies)
+    with pytest.raises(KeyboardInterrupt):
+        write_image(file, np.zeros((2, 2), np.uint8))
+    assert (read_image(file) == 7).all()
+    assert list(tmp_path.iterdir()) == [file]
 
 
 # ------------------------------------------------ JPEG

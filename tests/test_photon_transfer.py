@@ -1,5 +1,7 @@
 """Reading photon transfer: frames against NumPy on the whole stack, tables, and what is refused."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -209,3 +211,11 @@ def test_saturation_is_the_peak_of_the_variance_only_if_it_falls_behind(tmp_path
     assert saturation_index(falling.bright) == 8
     # 95 % of the saturation signal, 1350 DN, lies between the signals 1200 and 1350.
     np.testing.assert_array_equal(linear_levels(falling), np.arange(8))
+
+
+def test_levels_within_four_deviations_of_full_scale_are_left_out(tmp_path):
+    measured = read_photon_transfer(write_table(tmp_path / "ptc.csv"))
+    top, deviation = float(measured.bright.mean[5]), float(measured.bright.variance[5]) ** 0.5
+    for deviations, usable in ((3.9, 5), (4.1, 6)):
+        clipped = replace(measured, full_scale=top + deviations * deviation)
+        np.testing.assert_array_equal(linear_levels(clipped), np.arange(usable))
