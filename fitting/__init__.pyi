@@ -31,3 +31,7 @@ from .inference.problem import (
     Problem as Problem,
     Tied as Tied,
 )
+from .sensor_likelihoods import (
+    SensorCounts as SensorCounts,
+    SensorNoise as SensorNoise,
+)

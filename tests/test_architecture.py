@@ -41,7 +41,7 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference"},
     {"observation", "report"},
-    {"noise", "response", "reflectance", "fits"},
+    {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"demo"},
     {"cli"},
 ]

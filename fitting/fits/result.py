@@ -14,10 +14,9 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 
 from ..inference.estimates import Estimate
-from ..inference.likelihoods import with_values
 from ..inference.misfit import Misfit
 from ..inference.posterior import Posterior, estimates
-from ..inference.problem import Problem, give, prediction, values_from
+from ..inference.problem import Problem, give, likelihood_at, prediction, values_from
 from ..inference.search import Optimum
 from ..report.formatting import format_interval, format_unit, format_value
 from .words import agreeing, prior_share
@@ -265,7 +264,7 @@ def _simulated(problem: Problem, keys: Array, natural: Array, inputs: Any) -> tu
     def one(key_and_natural: tuple[Array, Array]) -> tuple[Array, Array]:
         key, natural = key_and_natural
         values = values_from(problem, natural)
-        likelihood = with_values(problem.likelihood, values)
+        likelihood = likelihood_at(problem, values)
         predicted = prediction(problem, values, inputs=inputs)
         return likelihood.expected(predicted), likelihood.draw(key, predicted)
 

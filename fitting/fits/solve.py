@@ -13,12 +13,13 @@ from jaxvision.errors import InputError
 from ..inference.clustering import cluster_robust, curvature_stretch
 from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import SamplingOptions
-from ..inference.likelihoods import Clustered, with_values
+from ..inference.likelihoods import Clustered
 from ..inference.misfit import Misfit, judge
 from ..inference.posterior import Posterior, laplace, sample
 from ..inference.problem import (
     Problem,
     Vector,
+    likelihood_at,
     log_density,
     log_likelihood_terms,
     prediction,
@@ -128,7 +129,7 @@ def _inverse(optimum: Optimum) -> np.ndarray:
 @eqx.filter_jit
 def _at_mode(vector: Vector, problem: Problem) -> tuple[Array, Any]:
     values = values_at(problem, vector)
-    return prediction(problem, values), with_values(problem.likelihood, values)
+    return prediction(problem, values), likelihood_at(problem, values)
 
 
 def _residuals(problem: Problem, vector: Array) -> Float[np.ndarray, "..."]:

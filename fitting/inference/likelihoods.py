@@ -9,13 +9,14 @@ Each is a record with
 
 and `least_squares`: whether ln p is -residual^2 / 2 but for constants, so that a fit may use
 Levenberg and Marquardt's method. A record of your own with these parts is as good. A field that
-holds a string is the name of a parameter, whose value takes its place.
+holds a string is the name of a parameter or a path into a record, whose value takes its place.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
 of the probability below a datum. Where a datum covers an interval, a clipped one for instance,
 `chance`, uniform on 0 .. 1, picks a place in it.
 """
 
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -29,7 +30,7 @@ from scipy.special import ndtr, ndtri, stdtr
 from .priors import HALF_LOG_2PI
 
 Numbers = Float[Array, "..."] | Float[np.ndarray, "..."]
-Scale = Float[Array, "..."] | str
+Scale = Any  # a number, an array, or the name of a parameter whose value takes its place
 
 
 @runtime_checkable
@@ -106,7 +107,11 @@ class StudentT(eqx.Module):
 
     sd: Scale = eqx.field(converter=_scale)
     dof: Scale = eqx.field(converter=_scale, default=4.0)
-    least_squares: bool = eqx.field(static=True, init=False, default=False)
+
+    @property
+    def least_squares(self) -> bool:
+        """No: -2 ln p is no sum of squares."""
+        return False
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / sd, normalised."""
@@ -146,7 +151,11 @@ class Censored(eqx.Module):
     sd: Scale = eqx.field(converter=_scale)
     low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
     high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
-    least_squares: bool = eqx.field(static=True, init=False, default=False)
+
+    @property
+    def least_squares(self) -> bool:
+        """No: -2 ln p is no sum of squares."""
+        return False
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's between the ends; ln of the probability beyond, at an end."""
@@ -219,19 +228,19 @@ class Clustered(eqx.Module):
         return self.likelihood.draw(key, prediction)
 
 
-def with_values(likelihood: Any, values: dict[str, Array]) -> Any:
-    """A likelihood with the values of parameters in place of their names.
+def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
+    """A likelihood with values in place of their names.
 
     Args:
-        likelihood: whose fields may name parameters.
-        values: natural values by name, each in the unit of the data.
+        likelihood: whose fields may hold names.
+        value_of: a name to its value: a number in the unit of the data, or a record.
 
     Returns:
         The likelihood of these values.
     """
-    return jax.tree.map(lambda leaf: values[leaf] if isinstance(leaf, str) else leaf, likelihood)
+    return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 
 
 def names_within(likelihood: Any) -> set[str]:
-    """The parameters that a likelihood names."""
+    """The parameters and records that a likelihood names."""
     return {leaf for leaf in jax.tree.leaves(likelihood) if isinstance(leaf, str)}

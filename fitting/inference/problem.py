@@ -22,7 +22,7 @@ from jaxvision.errors import InputError, nearest
 
 from .likelihoods import Likelihood, names_within, with_values
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
-from .records import is_path, read, replaced
+from .records import is_path, reach, read, replaced
 
 Values = dict[str, Array]
 Vector = Float[Array, " parameters"]
@@ -187,6 +187,9 @@ def _check_names(problem: Problem, parameters: Mapping[str, Any]) -> None:
                 f"given, {', '.join(sorted(known))}."
             )
     for name in names_within(problem.likelihood) - parameters.keys():
+        if is_path(name) or name in problem.records:
+            reach(problem.records, name)
+            continue
         raise InputError(
             f"The likelihood names {name!r}: no such parameter; {nearest(name, parameters)}."
         )
@@ -254,8 +257,7 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
     Returns:
         Its result.
     """
-    paths = {name: value for name, value in values.items() if is_path(name)}
-    known = {"values": values, "inputs": inputs, **values, **replaced(problem.records, paths)}
+    known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
     return function(*(known[name] for name in inspect.signature(function).parameters))
 
 
@@ -273,6 +275,38 @@ def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
+def records_at(problem: Problem, values: Values) -> dict[str, Any]:
+    """The records with the values in place.
+
+    Args:
+        problem: whose records they are.
+        values: natural values by name, each in its own unit.
+
+    Returns:
+        By name.
+    """
+    return replaced(
+        problem.records, {name: value for name, value in values.items() if is_path(name)}
+    )
+
+
+def likelihood_at(problem: Problem, values: Values) -> Likelihood:
+    """The likelihood with the values of the parameters and records that it names.
+
+    Args:
+        problem: whose likelihood it is.
+        values: natural values by name, each in its own unit.
+
+    Returns:
+        The likelihood.
+    """
+
+    def value_of(name: str) -> Any:
+        return values[name] if name in values else reach(records_at(problem, values), name)
+
+    return with_values(problem.likelihood, value_of)
+
+
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
     """ln p of every datum, 0 where it is missing.
 
@@ -284,7 +318,7 @@ def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."
         Of the data's shape.
     """
     values = values_at(problem, vector)
-    likelihood = with_values(problem.likelihood, values)
+    likelihood = likelihood_at(problem, values)
     terms = likelihood.log_density(prediction(problem, values), problem.data)
     return terms if problem.present is None else jnp.where(problem.present, terms, 0)
 
@@ -326,7 +360,7 @@ def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " 
         In a row, 0 where a datum is missing.
     """
     values = values_at(problem, vector)
-    likelihood = with_values(problem.likelihood, values)
+    likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))
     if problem.present is not None:
         found = jnp.where(problem.present, found, 0)

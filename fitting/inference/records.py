@@ -78,6 +78,25 @@ def read(records: Mapping[str, Any], path: str) -> Array:
     Raises:
         InputError: for a path that leads to no floating-point number; it lists what is there.
     """
+    value = reach(records, path)
+    if not _is_number(value):
+        raise InputError(f"{path} is no number; there is {_offers(value)}.")
+    return jnp.asarray(value)
+
+
+def reach(records: Mapping[str, Any], path: str) -> Any:
+    """What a path leads to, a number or a record.
+
+    Args:
+        records: by name.
+        path: such as "camera.sensor".
+
+    Returns:
+        What is there.
+
+    Raises:
+        InputError: for a path that leads nowhere; it lists what is there.
+    """
     if head(path) not in records:
         raise InputError(
             f"{path}: there is no record {head(path)!r}; {nearest(head(path), records)}."
@@ -93,9 +112,7 @@ def read(records: Mapping[str, Any], path: str) -> Array:
         else:
             raise InputError(f"{path}: {walked} has no {step!r}; there is {_offers(value)}.")
         walked += f"[{step}]" if isinstance(step, int) else f".{step}"
-    if not _is_number(value):
-        raise InputError(f"{path} is no number; there is {_offers(value)}.")
-    return jnp.asarray(value)
+    return value
 
 
 def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Any]:

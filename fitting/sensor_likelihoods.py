@@ -1,0 +1,204 @@
+"""Likelihoods of a sensor: the prediction is light, the data are digital numbers.
+
+`SensorNoise` takes mean and variance of a datum from the sensor's moments; `SensorCounts` gives
+the probability of every code, for codes that are coarse beside the noise and electrons that can be
+counted. Both are as `inference.likelihoods` says. With the path of a sensor among the problem's
+records in its place ("camera.sensor") its numbers can be fitted along ("camera.sensor.gain").
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammainc, gammaincc, gammaln, log_ndtr, logsumexp, ndtr
+from jaxtyping import Array, Float
+from scipy.special import ndtri
+
+from jaxvision import Sensor
+from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
+from jaxvision.sensor.adc import largest_number
+
+from .inference.likelihoods import Censored
+
+FAR = 40.0  # standard deviations: no probability is left beyond
+ROUNDING = 0.5  # DN between a code and the ends of its interval
+
+
+class SensorNoise(eqx.Module):
+    """A datum is normal about the sensor's mean signal with the sensor's temporal variance.
+
+    Codes at an end of the ADC's range are censored. Differences between pixels (fixed pattern) are
+    no part of it, nor is a full well.
+
+    Attributes:
+        sensor: record, or the path of one among the problem's records.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import SensorNoise
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=10.0, bits=12)
+        >>> density = SensorNoise(sensor).log_density(jnp.array([400.0]), jnp.array([210.0]))
+        >>> round(float(density[0]), 4)  # -ln sqrt(2 pi (0.25 * 400 + 1/12))
+        -3.2219
+    """
+
+    sensor: Sensor | str
+
+    @property
+    def least_squares(self) -> bool:
+        """No: the variance depends on the light."""
+        return False
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """The Gaussian's; at an end of the range, ln of the probability beyond.
+
+        Args:
+            prediction: (..., bands) light, as in `mean_photoelectrons`.
+            data: (..., bands) DN.
+
+        Returns:
+            (..., bands).
+        """
+        return self._signal(prediction).log_density(self.expected(prediction), data)
+
+    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> np.ndarray:
+        """Normal deviates of the data."""
+        return self._signal(prediction).residuals(self.expected(prediction), data, chance)
+
+    def expected(self, prediction: Array) -> Array:
+        """Mean signal before it is clipped, DN."""
+        return expected_signal(self.sensor, jnp.asarray(prediction))
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Data as they might have been, rounded and clipped where there is an ADC."""
+        signal = Censored(self._deviation(prediction)).draw(key, self.expected(prediction))
+        if self.sensor.bits is None:
+            return signal
+        return jnp.clip(jnp.round(signal), 0, largest_number(self.sensor.bits))
+
+    def _deviation(self, prediction: Array) -> Array:
+        return jnp.sqrt(signal_variance(self.sensor, jnp.asarray(prediction)))
+
+    def _signal(self, prediction: Array) -> Censored:
+        deviation = self._deviation(prediction)
+        if self.sensor.bits is None:
+            return Censored(deviation)
+        return Censored(deviation, ROUNDING, largest_number(self.sensor.bits) - ROUNDING)
+
+
+class SensorCounts(eqx.Module):
+    """The probability of every code: electrons counted, read out with noise, rounded and clipped.
+
+        P(c) = sum_n Poisson(n; mu) [Phi(z_n + 1 / (2 K sigma)) - Phi(z_n - 1 / (2 K sigma))],
+        z_n  = (c - offset - K n) / (K sigma)
+
+    Exact also below a read noise of half a DN, where the moments are not. The sensor needs shot
+    noise, read noise and gain; electrons within `reach` of a code are summed: the cost grows
+    with the read noise in electrons.
+
+    Attributes:
+        sensor: record, or the path of one among the problem's records.
+        reach: electrons to either side of a code that are summed: at least eight times the read
+            noise in electrons, and half a DN.
+    """
+
+    sensor: Sensor | str
+    reach: int = eqx.field(static=True)
+
+    @property
+    def least_squares(self) -> bool:
+        """No: -2 ln p is no sum of squares."""
+        return False
+
+    def log_density(self, prediction: Array, data: Array) -> Array:
+        """ln P of each code.
+
+        Args:
+            prediction: (..., bands) light, as in `mean_photoelectrons`.
+            data: (..., bands) DN, whole numbers.
+
+        Returns:
+            (..., bands).
+        """
+        mean, counts, log_count = self._counted(prediction, data)
+        low, high = self._ends(data, counts)
+        masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
+        fewest, most = counts[..., 0], counts[..., -1]
+        dark = jnp.where(fewest > 0, gammaincc(jnp.maximum(fewest, 1), mean), 0)
+        bright = gammainc(most + 1, mean)
+        beyond = jnp.where(self._is_black(data), dark, jnp.where(self._is_white(data), bright, 0))
+        some = beyond > 0
+        return jnp.where(some, jnp.logaddexp(masses, jnp.log(jnp.where(some, beyond, 1))), masses)
+
+    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> np.ndarray:
+        """Normal deviates of a place, picked by chance, in each code's share of probability."""
+        data = jnp.asarray(data)
+        mean, counts, log_count = self._counted(jnp.asarray(prediction), data)
+        low, high = self._ends(data, counts)
+        fewest = counts[..., 0]
+        dark = jnp.where(fewest > 0, gammaincc(jnp.maximum(fewest, 1), mean), 0)
+        weight = jnp.exp(log_count)
+        below = jnp.sum(weight * ndtr(low), axis=-1) + jnp.where(self._is_black(data), 0, dark)
+        upto = jnp.sum(weight * ndtr(high), axis=-1) + dark
+        upto = jnp.where(self._is_white(data), 1, upto)
+        below, upto = (np.asarray(part, np.float64) for part in (below, upto))
+        return ndtri(below + chance * (upto - below))
+
+    def expected(self, prediction: Array) -> Array:
+        """Mean signal before it is rounded and clipped, DN."""
+        return expected_signal(self.sensor, prediction)
+
+    def draw(self, key: Array, prediction: Array) -> Array:
+        """Codes as they might have been."""
+        counted, read = jax.random.split(key)
+        mean = self._electrons(prediction)
+        electrons = jax.random.poisson(counted, mean).astype(mean.dtype)
+        noise = self._read_noise() * jax.random.normal(read, mean.shape, mean.dtype)
+        codes = jnp.round(self.sensor.gain * (electrons + noise) + self._offset())
+        return codes if self.sensor.bits is None else jnp.clip(codes, 0, self._white())
+
+    def _offset(self) -> Array:
+        return jnp.zeros(()) if self.sensor.offset is None else self.sensor.offset
+
+    def _electrons(self, prediction: Array) -> Array:
+        return (expected_signal(self.sensor, prediction) - self._offset()) / self.sensor.gain
+
+    def _read_noise(self) -> Array:
+        return jnp.sqrt(read_out_variance(self.sensor, dtype=self.sensor.gain.dtype))
+
+    def _white(self) -> Array:
+        return largest_number(self.sensor.bits)
+
+    def _is_black(self, data: Array) -> Array:
+        return (data <= 0) & (self.sensor.bits is not None)
+
+    def _is_white(self, data: Array) -> Array:
+        if self.sensor.bits is None:
+            return jnp.zeros(data.shape, bool)
+        return data >= self._white()
+
+    def _counted(self, prediction: Array, data: Array) -> tuple[Array, Array, Array]:
+        """Mean electrons (...), the counts about each code (..., n) and ln of their probability."""
+        mean = self._electrons(prediction)
+        nearest = jnp.round((data - self._offset()) / self.sensor.gain)
+        nearest = jax.lax.stop_gradient(nearest)
+        about = jnp.arange(-self.reach, self.reach + 1.0, dtype=mean.dtype)
+        counts = nearest[..., None] + about.reshape(*[1] * nearest.ndim, -1)
+        possible = counts >= 0
+        n, mu = jnp.where(possible, counts, 0), jnp.maximum(mean, 1e-30)[..., None]
+        return mean, counts, jnp.where(possible, n * jnp.log(mu) - mu - gammaln(n + 1), -jnp.inf)
+
+    def _ends(self, data: Array, counts: Array) -> tuple[Array, Array]:
+        """The ends of each code's interval in standard deviations from the noiseless signal."""
+        noise = self.sensor.gain * self._read_noise()
+        centre = data[..., None] - self._offset() - self.sensor.gain * counts
+        low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
+        high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
+        return low, high
+
+
+def _log_interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(Phi(high) - Phi(low)), from the tail in which the interval lies: no digit cancels."""
+    above = low > 0
+    low, high = jnp.where(above, -high, low), jnp.where(above, -low, high)
+    return log_ndtr(high) + jnp.log1p(-jnp.exp(log_ndtr(low) - log_ndtr(high)))

@@ -1,0 +1,214 @@
+"""Likelihoods against scipy's densities and the distributions of their own draws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import (
+    Censored,
+    Clustered,
+    Gaussian,
+    Parameter,
+    Problem,
+    SensorCounts,
+    SensorNoise,
+    StudentT,
+    fit,
+)
+from fitting.inference.likelihoods import Likelihood, with_values
+from fitting.inference.misfit import judge
+from jaxvision import PoissonShotNoise, Sensor
+
+PREDICTION = jnp.array([0.0, 1.0, 5.0, -2.0])
+DATA = jnp.array([0.3, -4.0, 5.0, -1.0])
+SD = 0.7
+RNG = np.random.default_rng(4)
+
+
+def test_gaussian_against_scipy():
+    ours = Gaussian(SD).log_density(PREDICTION, DATA)
+    np.testing.assert_allclose(ours, stats.norm.logpdf(DATA, PREDICTION, SD), rtol=1e-12)
+
+
+@pytest.mark.parametrize("dof", [1.0, 4.0, 30.0])
+def test_student_t_against_scipy(dof):
+    ours = StudentT(SD, dof).log_density(PREDICTION, DATA)
+    reference = stats.t(dof, np.asarray(PREDICTION), SD)
+    np.testing.assert_allclose(ours, reference.logpdf(DATA), rtol=1e-10)
+    residuals = StudentT(SD, dof).residuals(PREDICTION, DATA, np.zeros(4))
+    np.testing.assert_allclose(residuals, stats.norm.ppf(reference.cdf(DATA)), atol=1e-9)
+
+
+def test_censored_against_scipy():
+    signal = stats.norm(np.asarray(PREDICTION), SD)
+    data = jnp.array([0.3, -1.0, 4.0, -1.0])
+    expected = np.where(data >= 4.0, signal.logsf(4.0), signal.logpdf(data))
+    expected = np.where(data <= -1.0, signal.logcdf(-1.0), expected)
+    likelihood = Censored(SD, low=-1.0, high=4.0)
+    np.testing.assert_allclose(likelihood.log_density(PREDICTION, data), expected, rtol=1e-10)
+    # far beyond an end the probability is still a number, and so is its slope
+    far = jnp.full(4, 400.0)
+    assert np.isfinite(Censored(SD, high=4.0).log_density(-far, far)).all()
+    slope = jax.grad(lambda p: Censored(SD, high=4.0).log_density(p, far).sum())(-far)
+    assert np.isfinite(slope).all()
+
+
+LIKELIHOODS = [Gaussian(SD), StudentT(SD, 3.0), Censored(SD, low=-0.5, high=0.4)]
+
+
+@pytest.mark.parametrize("likelihood", LIKELIHOODS, ids=lambda x: type(x).__name__)
+def test_residuals_of_its_own_draws_are_standard_normal(likelihood):
+    assert isinstance(likelihood, Likelihood)
+    prediction = jnp.zeros(4000)
+    data = likelihood.draw(jax.random.key(1), prediction)
+    residuals = likelihood.residuals(prediction, data, RNG.uniform(size=4000))
+    assert stats.kstest(np.asarray(residuals), "norm").pvalue > 1e-3
+    assert not judge(np.asarray(residuals), 0.0).faults
+
+
+def test_a_name_in_place_of_a_number():
+    named = with_values(StudentT("noise", 4.0), {"noise": jnp.asarray(SD)}.get)
+    np.testing.assert_allclose(
+        named.log_density(PREDICTION, DATA), StudentT(SD, 4.0).log_density(PREDICTION, DATA)
+    )
+
+
+def test_chi_square_and_neighbours():
+    noise = RNG.standard_normal((30, 40))
+    good = judge(noise, 3.0)
+    np.testing.assert_allclose(good.p, stats.chi2.sf((noise**2).sum(), 1197))
+    assert not good.faults
+    assert any("chi-square" in sentence for sentence in judge(1.2 * noise, 3.0).faults)
+    assert any("less than stated" in sentence for sentence in judge(0.8 * noise, 3.0).remarks)
+    smooth = (noise + np.roll(noise, 1, axis=1)) / np.sqrt(2)
+    assert any("along axis 1" in sentence for sentence in judge(smooth, 3.0).faults)
+    holes = np.where(RNG.uniform(size=noise.shape) < 0.3, np.nan, noise)
+    assert judge(holes, 0.0).dof == np.isfinite(holes).sum()
+
+
+LINE = np.linspace(-1, 1, 200)
+
+
+def line(slope, inputs):
+    return slope * inputs
+
+
+def fitted(likelihood, data):
+    return fit(
+        Problem({"slope": Parameter(lower=-20, upper=20)}, line, likelihood, data, inputs=LINE),
+        starts=4,
+    )
+
+
+def test_outliers_count_for_little_in_student_t():
+    data = 3 * LINE + 0.1 * RNG.standard_t(4, 200)
+    data[::20] += 5
+    robust, plain = fitted(StudentT(0.1, 4.0), data), fitted(Gaussian(0.1), data)
+    assert abs(robust.values["slope"] - 3) < 0.05 < abs(plain.values["slope"] - 3)
+    assert not plain.converged
+
+
+def test_saturated_data_bias_a_gaussian_and_not_a_censored_fit():
+    data = np.minimum(3 * LINE + 0.1 * RNG.standard_normal(200), 2.0)
+    censored = fitted(Censored(0.1, high=2.0), data)
+    assert censored.converged
+    assert abs(censored.values["slope"] - 3) < 4 * censored.estimates[0].standard_error
+    assert abs(fitted(Gaussian(0.1), data).values["slope"] - 3) > 0.1
+
+
+def test_groups_that_share_an_error_widen_the_intervals():
+    """Offsets shared by 40 groups: the errors scatter as the clustered fit says, three times more
+    than the independent one does."""
+    labels = np.arange(200) % 40
+    inputs = np.repeat(np.linspace(0.5, 1, 40)[None], 5, axis=0).ravel()
+    z = []
+    template = Problem(
+        {"slope": Parameter(start=1.0)},
+        line,
+        Clustered(Gaussian(0.1), labels),
+        0 * inputs,
+        inputs=inputs,
+    )
+    for i in range(30):
+        rng = np.random.default_rng([6, i])
+        shared = 0.2 * rng.standard_normal(40)[labels]
+        data = 3 * inputs + shared + 0.1 * rng.standard_normal(200)
+        estimate = fit(template.with_data(data), starts=1).estimates[0]
+        z.append((estimate.value - 3) / estimate.standard_error)
+    low, high = np.sqrt(stats.chi2.interval(0.999, 30) / np.array(30))
+    assert low < np.sqrt(np.mean(np.square(z))) < high
+
+
+def sensor(**options):
+    return Sensor(shot_noise=PoissonShotNoise(), **options)
+
+
+def test_sensor_noise_has_the_sensors_mean_and_variance():
+    """EMVA 1288: mean K eta p + offset, variance K^2 (eta p + sigma^2) + 1/12; ends censored."""
+    light, code = (
+        np.array([[200.0], [2000.0], [1e5], [0.0]]),
+        np.array([[70.0], [350.0], [1023.0], [0.0]]),
+    )
+    likelihood = SensorNoise(
+        sensor(quantum_efficiency=0.5, read_noise=3.0, gain=0.3, offset=2.0, bits=10)
+    )
+    electrons = 0.5 * light
+    theirs = stats.norm(0.3 * electrons + 2, np.sqrt(0.09 * (electrons + 9) + 1 / 12))
+    expected = theirs.logpdf(code)
+    expected[2], expected[3] = theirs.logsf(1022.5)[2], theirs.logcdf(0.5)[3]
+    ours = likelihood.log_density(jnp.asarray(light), jnp.asarray(code))
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+
+
+def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
+    camera = sensor(read_noise=1.2, gain=0.4, offset=1.0, bits=5)
+    likelihood = SensorCounts(camera, reach=14)
+    codes = np.arange(32.0)
+    for light in (0.5, 20.0, 90.0):
+        ours = likelihood.log_density(jnp.full(32, light)[:, None], jnp.asarray(codes)[:, None])
+        n = np.arange(400)
+        low = np.where(codes == 0, -np.inf, codes - 0.5)[:, None]
+        high = np.where(codes == 31, np.inf, codes + 0.5)[:, None]
+        inside = stats.norm(0.4 * n + 1, 0.48)
+        plain = (inside.cdf(high) - inside.cdf(low)) @ stats.poisson.pmf(n, light)
+        np.testing.assert_allclose(np.exp(ours)[:, 0], plain, rtol=1e-7, atol=1e-12)
+        np.testing.assert_allclose(np.exp(ours).sum(), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "likelihood",
+    [
+        SensorNoise(sensor(read_noise=5.0, gain=0.5, offset=30.0, bits=12)),
+        SensorCounts(sensor(read_noise=0.8, gain=0.5, bits=4), reach=9),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_residuals_of_a_sensors_draws_are_standard_normal(likelihood):
+    light = jnp.linspace(1.0, 30.0, 3000)[:, None]
+    codes = likelihood.draw(jax.random.key(3), light)
+    residuals = likelihood.residuals(light, codes, RNG.uniform(size=codes.shape))
+    assert stats.kstest(np.asarray(residuals)[:, 0], "norm").pvalue > 1e-3
+
+
+def test_gain_is_found_from_the_noise_of_a_sensor_in_a_record():
+    """Photon transfer as a problem of one's own: the sensor's gain by its path."""
+    camera = sensor(read_noise=4.0, gain=0.25, offset=64.0, bits=12)
+    light = jnp.repeat(jnp.linspace(100.0, 10_000.0, 40), 50)[:, None]
+    codes = SensorNoise(camera).draw(jax.random.key(0), light)
+    problem = Problem(
+        {
+            "sensor.gain": Parameter(unit="DN/e-", transform="log", lower=0.01, upper=10.0),
+            "efficiency": Parameter(lower=0.05, upper=1.0),
+        },
+        lambda efficiency, inputs: efficiency * inputs,
+        SensorNoise("sensor"),
+        codes,
+        records={"sensor": camera},
+        inputs=light / 0.5,
+    )
+    result = fit(problem, starts=8)
+    assert result.converged
+    for estimate, truth in zip(result.estimates, (0.25, 0.5), strict=True):
+        assert abs(estimate.value - truth) < 4 * estimate.standard_error < 0.4 * truth
