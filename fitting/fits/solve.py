@@ -107,7 +107,9 @@ def fit(
 def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
     """One start from natural values by name."""
     wanted = {parameter.name: parameter for parameter in problem.free}
-    for name in start.keys() ^ wanted.keys():
+    for name in (*start, *wanted):
+        if name in start and name in wanted:
+            continue
         what = "is no free parameter" if name in start else "has no value"
         raise InputError(f"start: {name!r} {what}; give one of each: {', '.join(wanted)}.")
     parts = [

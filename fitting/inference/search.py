@@ -5,6 +5,19 @@ squares throughout, so that a prior enters the search as the Gaussian of its own
 deviation in the unconstrained value. Newton's method then takes the best end to the mode of the
 exact posterior, with Gauss and Newton's curvature J^T J of the data. Other likelihoods are searched
 by Newton's method itself.
+
+Of 100 single starts in the box these reached the best optimum (a Phong ball with 5 unknowns, two
+decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of squares):
+
+                        ball    decays    peak    CPU seconds, ball (first, again)
+    Levenberg-Marquardt  62       58        -        31,  10
+    Newton               79       83       64        23,  10
+    BFGS (optimistix)    70       81       74        12,   5
+    L-BFGS-B (jaxopt)    93      100       17       160,  92
+    L-BFGS-B (scipy)     42      100       14        11,   6
+
+No method is safe from one start and any is from 16, so that the cheaper and steadier ones are used,
+whose curvature at the end is the information that the posterior needs.
 """
 
 from dataclasses import dataclass
