@@ -87,6 +87,7 @@ def with_all():
 EFFECTS = [name for name, value in vars(EVERY_EFFECT).items() if value is not None]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("effect", [name for name in EFFECTS if name != "full_well"])
 def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
     """Of all effects at once: without one there is nothing new, and less of something; alone it
@@ -103,6 +104,7 @@ def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
     assert (alone["shift_left"] > 0) == (effect in DRAWN)  # the rotations of the hash
 
 
+@pytest.mark.slow
 def test_parts_of_a_lens_that_are_none_are_not_traced():
     def light(view):
         return primitives(optics.sensor_irradiance, view, jnp.ones((6, 8, 3)))

@@ -56,6 +56,7 @@ def test_gaussian_lobe_in_ulps(dtype):
         assert exact.ulps(got, mp.exp(argument)) <= 1 + 3 * abs(argument)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_squared_angle_in_ulps_and_its_gradient(dtype):
     """From nothing to opposite directions, against the angle of the very numbers in 50 digits;
@@ -117,6 +118,7 @@ def test_attached_shadow_is_exactly_zero(material):
     assert (value(direction(np.pi / 2 - 1e-6)[None]) > 0).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shade", [phong_shading, gaussian_lobe_shading])
 def test_a_viewer_below_the_surface_sees_nothing(shade):
     """Where the mirror direction is seen best from below, or only just: exactly 0, as `reflect`
@@ -175,6 +177,7 @@ def test_large_exponent_and_gaussian_agree():
     np.testing.assert_allclose(phong, gauss, rtol=n * theta**4 / 6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("material", MATERIALS, ids=lambda m: type(m).__name__)
 def test_gradient_matches_central_differences(material):
     wi, wo = direction(0.5, 0.2), direction(0.8, 3.0)

@@ -65,6 +65,7 @@ def red():
     )
 
 
+@pytest.mark.slow
 def test_a_rendered_picture_comes_apart_into_what_it_was_made_of(red):
     image, body, interface = red
     found = separate(image, jnp.asarray(LIGHT), body=jnp.asarray(RED * LIGHT))
@@ -76,6 +77,7 @@ def test_a_rendered_picture_comes_apart_into_what_it_was_made_of(red):
     np.testing.assert_allclose(found.noise_gain, 1 / np.sin(np.arccos(cos)), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_body_colour_is_found_where_no_highlight_is(red):
     image, body, _ = red
     valid = usable_pixels(image, dark=0.05, saturated=10.0)
@@ -167,6 +169,7 @@ def test_two_materials_give_the_illuminant(red):
     assert illuminant_from_planes(jnp.stack([normals[0]] * 2))[1] < 1e-6
 
 
+@pytest.mark.slow
 def test_two_bands_and_single_precision(red):
     image = red[0]
     two = separate(image[..., :2], jnp.asarray(LIGHT[:2]), body=jnp.asarray((RED * LIGHT)[:2]))

@@ -158,6 +158,7 @@ def test_dark_where_either_side_lies_below(name):
         assert (EVALUATE(material, *pair) == 0).all()
 
 
+@pytest.mark.sweep
 @every_family
 def test_nothing_is_seen_from_below(name):
     material, _ = FAMILIES[name]
@@ -201,6 +202,7 @@ def test_turning_both_about_the_normal(name):
         np.testing.assert_allclose(after, before, rtol=1e-10, atol=1e-15)
 
 
+@pytest.mark.sweep
 @every_family
 def test_albedo_against_adaptive_quadrature(name):
     """Closed azimuths are exact; the two-dimensional rules err by what they promise."""
@@ -212,6 +214,7 @@ def test_albedo_against_adaptive_quadrature(name):
         np.testing.assert_allclose(got[view], expected, rtol=tolerance)
 
 
+@pytest.mark.sweep
 @every_family
 def test_the_density_integrates_to_one(name):
     """Over the whole sphere: below the surface lie the samples that carry no light."""
@@ -227,6 +230,7 @@ def test_the_density_integrates_to_one(name):
         np.testing.assert_allclose(density @ weights, 1, atol=2e-3)
 
 
+@pytest.mark.sweep
 @every_family
 def test_samples_follow_their_density(name):
     """Chi-square over 12 x 16 cells of equal solid angle on the whole sphere."""
@@ -263,6 +267,7 @@ every_microfacet = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.sweep
 @every_microfacet
 @pytest.mark.parametrize("cos_o", [0.9, 0.05])
 def test_samples_of_narrow_lobes_follow_their_density(distribution, shadowing, cos_o):
@@ -289,6 +294,7 @@ def test_samples_of_narrow_lobes_follow_their_density(distribution, shadowing, c
     assert likelihood(*cells) > 1e-4
 
 
+@pytest.mark.sweep
 @every_microfacet
 def test_no_sample_weighs_more_than_the_light_it_stands_for(distribution, shadowing):
     """f_r cos / pdf is at most k_s where the facets drawn are those seen, and 2.7 k_s of Smith's
@@ -303,6 +309,7 @@ def test_no_sample_weighs_more_than_the_light_it_stands_for(distribution, shadow
         assert (value * wi[:, 2] <= most * PDF(lobe, wi, wo)).all()
 
 
+@pytest.mark.sweep
 @every_microfacet
 def test_albedo_of_the_roughest_facets(distribution, shadowing):
     """alpha = 1 along the normal, where one integral over the polar angle is left (1 - ln 2 for
@@ -331,6 +338,7 @@ def test_albedo_of_the_roughest_facets(distribution, shadowing):
     np.testing.assert_allclose(got[1], brdfs.albedo(plain, views[1])[0], atol=roughly)
 
 
+@pytest.mark.sweep
 @every_family
 def test_the_samplers_estimate_is_the_albedo(name):
     """f cos / pdf, averaged: within four of its own standard errors."""
@@ -362,6 +370,7 @@ CLOSED = {  # families that promise albedo <= pi k_d + k_s, at their limit pi k_
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", CLOSED)
 def test_no_more_is_reflected_than_arrives(name):
     """Albedo from the normal to grazing, with the coefficients at the limit of the promise."""
@@ -392,6 +401,7 @@ def test_a_blunt_lobe_about_the_normal(n, plain, cosine):
     np.testing.assert_allclose(got[1], 2 * np.pi / (n + 2), rtol=cosine)
 
 
+@pytest.mark.slow
 def test_white_furnace():
     """Albedo 1 returns everything: Lambert from everywhere, a smooth Oren-Nayar, the normalised
     lobes along the normal, a polished Torrance-Sparrow, and a mirror."""

@@ -220,6 +220,7 @@ def test_no_model_wins_by_rounding():
     assert best({"phong": exact, "lambert": rounded, "blinn": off}, "cosine") == "phong"
 
 
+@pytest.mark.slow
 def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
     # Phong and a Gaussian lobe of c^2 = n / 2 are alike; both are right here.
     assert calibration.model in ("phong", "gaussian-lobe")
@@ -256,6 +257,7 @@ def test_misfit_widens_the_intervals(calibration):
     assert np.all(widths[1] > 2 * widths[0])
 
 
+@pytest.mark.slow
 def test_draws_have_the_jackknife_covariance(calibration):
     laplace = calibrate_brdf(calibration.measured, model="blinn")
     drawn = calibrate_brdf(
@@ -281,6 +283,7 @@ def test_a_matt_surface_reports_no_lobe():
     assert any("roughness" in sentence for sentence in section.findings)
 
 
+@pytest.mark.slow
 def test_sections_read_and_draw(calibration):
     other = calibrate_brdf(measured("torrance-sparrow", noise=0.05))
     assert other.model in ("torrance-sparrow", "torrance-sparrow-ggx")
@@ -293,6 +296,7 @@ def test_sections_read_and_draw(calibration):
         assert all(axis.has_data() for axis in picture.draw().axes)
 
 
+@pytest.mark.slow
 def test_unit_lobes_are_the_oracles():
     """One row of the table each, at angles of its own."""
     wi, wo = (

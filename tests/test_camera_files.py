@@ -63,6 +63,7 @@ def test_the_consumer_camera_has_the_measured_sensitivities():
     np.testing.assert_array_equal(three.photon_conversion.wavelength, [4.5e-7, 5.5e-7, 6.2e-7])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["consumer_bayer", "emva1288", "ideal"])
 def test_each_takes_a_picture(name):
     camera = read_camera(name)

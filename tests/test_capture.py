@@ -85,7 +85,7 @@ def plain_rays(view):
 draw = jax.jit(render)
 
 
-@pytest.mark.sweep("pinhole")
+@pytest.mark.slow
 @pytest.mark.parametrize("view", [PINHOLE, PARALLEL], ids=["pinhole", "orthographic"])
 def test_picture_against_the_naive_loop(view):
     expected = loops.render(*plain_scene(), plain_rays(view), BANDS)
@@ -94,6 +94,7 @@ def test_picture_against_the_naive_loop(view):
     np.testing.assert_allclose(draw(SCENE, view), expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_float32_picture_is_close_and_stays_float32():
     small = draw(as_dtype(SCENE, jnp.float32), as_dtype(PINHOLE, jnp.float32))
     assert small.dtype == jnp.float32
@@ -117,6 +118,7 @@ def test_stages_fit_together():
     assert undeveloped.picture is None
 
 
+@pytest.mark.slow
 def test_keys_draw_what_they_should():
     sensor = s.Sensor(exposure_time=100.0, prnu=0.1, read_noise=1.0)
     camera = s.Camera(PINHOLE, sensor)
@@ -130,6 +132,7 @@ def test_keys_draw_what_they_should():
     np.testing.assert_array_equal(first[~lit], other_die[~lit])
 
 
+@pytest.mark.slow
 def test_sweep_over_exposure_batches_with_a_leading_axis():
     camera = s.Camera(PINHOLE, s.Sensor(gain=2.0))
     times = jnp.asarray([0.5, 1.0, 2.0])
@@ -142,6 +145,7 @@ def test_sweep_over_exposure_batches_with_a_leading_axis():
     np.testing.assert_allclose(raws, times[:, None, None, None] * raws[1:2], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_picture_are_finite_and_right():
     gradient = jax.jit(jax.grad(lambda scene: render(scene, PINHOLE).sum()))(SCENE)
     assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
@@ -262,6 +266,7 @@ def test_oversampled_pixels_are_means_over_their_apertures():
     np.testing.assert_allclose(shot.raw, 0.25 * means, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_mosaic_is_captured_as_one_number_a_pixel():
     colours = s.ColourFilter(np.eye(3), pattern=((0, 1), (1, 2)))
     shot = jax.jit(capture)(None, SCENE, s.Camera(PINHOLE, s.Sensor(colour_filter=colours)))
@@ -280,6 +285,7 @@ HALF_WALL = s.Scene(
 )
 
 
+@pytest.mark.slow
 def test_a_captured_edge_is_as_wide_as_the_circle_of_confusion():
     """A shining half-plane out of focus is the integral of a disc, 1/2 + (t sqrt(1 - t^2) +
     arcsin t) / pi, over each pixel; in focus it is a step."""

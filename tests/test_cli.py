@@ -130,6 +130,7 @@ def test_bad_images_are_named(lab, tmp_path, section, image, pixels, expected):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("section", "pattern", "level"),
     [
@@ -203,6 +204,7 @@ def test_one_image_without_information_is_named(lab, tmp_path, level, state):
     assert f"light_05.tif is {state}" in one_sentence(stderr)
 
 
+@pytest.mark.slow
 def test_eight_bit_numbers_in_sixteen_bit_files_are_refused(lab, tmp_path):
     rig = rig_with(lab[0] / "noise", tmp_path / "rig", same)
     for file in rig.glob("*.tif"):

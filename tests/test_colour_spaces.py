@@ -52,6 +52,7 @@ def same(ours, theirs, digits=12):
 # ------------------------------------------------ matrices
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", SPACES)
 def test_working_spaces_as_colour_science_derives_them(name):
     space = colour.RGB_COLOURSPACES[name].copy()
@@ -192,6 +193,7 @@ NEAR = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
     white = jnp.asarray(WHITE, dtype)
@@ -224,6 +226,7 @@ def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
         assert jnp.isfinite(slope).all(), name
 
 
+@pytest.mark.slow
 def test_hue_stays_below_a_full_turn():
     """A hue just below a full turn, which rounding would bring to it."""
     rgb, lab = np.float32([[1, 0.5, 0.50000006]]), np.float32([[50, 1, -1e-20]])

@@ -88,6 +88,7 @@ def test_straight_and_premultiplied():
     np.testing.assert_array_equal(darker[..., 3:], alpha)
 
 
+@pytest.mark.slow
 def test_files_are_composited_in_linear_light():
     """White at half coverage over black is half the light, code 188, not code 128."""
     white = c.layer_from_srgb(jnp.asarray([1.0, 1.0, 1.0, 0.5]))
@@ -99,6 +100,7 @@ def test_files_are_composited_in_linear_light():
     np.testing.assert_allclose(c.layer_to_srgb(c.layer_from_srgb(rgba)), rgba, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_uncovered_pixels_have_no_colour_and_no_slope(dtype):
     for light in (0.0, 0.3):
@@ -126,6 +128,7 @@ def test_alpha_outside_its_range_is_named_and_defined_under_a_trace():
     assert jnp.isnan(jax.jit(c.unpremultiply)(wrong)[2, 2]).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_rounding_is_no_wrong_alpha(dtype):
     """Blurred full coverage, a sum of rounded weights, is 1 except for a few units, and is kept."""

@@ -86,6 +86,7 @@ def psnr(got, truth):
     return float(10 * np.log10(255**2 / np.mean(error**2)))
 
 
+@pytest.mark.slow
 def test_psnr_on_natural_images():
     """In dB: what the peer's have, and each method better than the one before by as much as the
     papers say, a few dB (Malvar 2004: 5.5 over bilinear on the Kodak set; Menon 2007: 2 to 4 over
@@ -168,6 +169,7 @@ def test_the_names_of_the_bands_do_not_matter():
     np.testing.assert_array_equal(demosaic(CODES, ((2, 0), (0, 1))), usual[..., [1, 2, 0]])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["malvar", "menon", "normalised"])
 def test_a_batch_is_a_loop_in_any_precision(method):
     batch = jnp.asarray(RNG.integers(0, 256, size=(2, 1, 6, 8)), jnp.float32)

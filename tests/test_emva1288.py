@@ -55,6 +55,7 @@ LIGHT = np.linspace(500, 12_000, 24)
 EXPOSURE = np.linspace(1e-3, 3e-2, 24)
 
 
+@pytest.mark.slow
 def test_a_noise_free_linear_camera_is_recovered():
     camera = CameraTruth()
     measured, _, _ = noise_free(camera, LIGHT, EXPOSURE)
@@ -81,6 +82,7 @@ def test_a_noise_free_linear_camera_is_recovered():
         np.testing.assert_allclose(found[name], value, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_saturation_gives_capacity_snr_and_dynamic_range():
     camera = CameraTruth()
     measured, bright, _ = noise_free(camera, LIGHT, EXPOSURE)
@@ -171,6 +173,7 @@ def test_no_scatter_beyond_pixel_noise_is_rarely_believed(repeated):
     assert found.sum() < 15
 
 
+@pytest.mark.slow
 def test_a_wandering_black_level_widens_the_errors():
     rng = np.random.default_rng(3)
     camera, light, exposure = CameraTruth(), np.linspace(200, 6000, 24), EXPOSURE

@@ -58,6 +58,7 @@ def test_every_border_by_hand(border, size):
         np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12, err_msg=method)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", SCIPY)
 @pytest.mark.parametrize("size", [(3, 3), (4, 3), (5, 4)])
 def test_scipy(border, size):
@@ -92,6 +93,7 @@ def test_anchor(anchor):
     np.testing.assert_allclose(turned, got, atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", CHOICES)
 def test_batch_bands_and_a_kernel_for_each_band(method):
     batch = RNG.normal(size=(2, 2, 9, 7, 3))
@@ -104,6 +106,7 @@ def test_batch_bands_and_a_kernel_for_each_band(method):
         np.testing.assert_allclose(got[i, j, :, :, band], expected, atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", ["mirror", "normalised_zero"])
 def test_methods_agree_in_single_precision(border):
     image = jnp.asarray(np.abs(RNG.normal(size=(24, 21, 3))), jnp.float32)
@@ -116,6 +119,7 @@ def test_methods_agree_in_single_precision(border):
         np.testing.assert_allclose(got, truth, atol=1e-6, err_msg=method)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 def test_one_pixel(border):
     for shape in ((1, 1), (1, 1, 1), (3, 1, 1, 2)):
@@ -219,6 +223,7 @@ def test_shift_invariance_and_commuting_under_wrap():
     np.testing.assert_allclose(f(f(PLANE, a), b), f(f(PLANE, b), a), atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["conv", "direct", "fft"])
 @pytest.mark.parametrize("border", LINEAR)
 def test_gradients_by_hand(border, method):
@@ -241,6 +246,7 @@ def test_gradients_by_hand(border, method):
         np.testing.assert_allclose(taps.ravel(), [response(f, unit) for unit in units], atol=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_forward_and_reverse_twice():
     f, kernel = jnp.asarray(PLANE[:3, :2]), jnp.asarray(np.abs(KERNELS[4, 3][:2, :2]))
     g = partial(filters.correlate, border="normalised_zero")
@@ -258,6 +264,7 @@ def test_derivative_of_large_kernels_one_for_each_band():
         np.testing.assert_allclose(got[i, j], (y * moved).sum((0, 1)), atol=1e-11)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", ["zero", "clamp", "wrap", "mirror", "extend"])
 def test_adjoint(border):
     """<H x, y> = <x, H' y>."""
@@ -311,6 +318,7 @@ def test_transpose_of_a_blur_is_two_passes_again():
 # ------------------------------------------------ low rank
 
 
+@pytest.mark.slow
 def test_separable_is_its_outer_product():
     column, row = RNG.normal(size=4), RNG.normal(size=5)
     for border in ("mirror", "normalised_zero"):
@@ -323,6 +331,7 @@ def test_separable_is_its_outer_product():
             np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_low_rank_states_its_error():
     kernel = RNG.normal(size=(6, 5))
     image = np.clip(IMAGE, -1, 1)
@@ -350,6 +359,7 @@ def test_auto_takes_passes_for_a_kernel_of_low_rank_and_the_transform_for_a_larg
     assert primitive(np.ones((3, 3))) == (1, False)
 
 
+@pytest.mark.slow
 def test_normalising_knows_a_sum_of_rounding():
     """Weights whose exact sum is 0, in single precision: inside the answer is 0, not noise over
     noise, and as a matrix too."""
@@ -366,6 +376,7 @@ def test_normalising_knows_a_sum_of_rounding():
     np.testing.assert_array_equal(whole[7:-7, 7:-7], 0)
 
 
+@pytest.mark.slow
 def test_zero_border_darkens_and_normalising_cures():
     """The textbook's figure: a grey picture under a blur."""
     grey = np.full((20, 30), 0.5)

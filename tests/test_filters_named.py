@@ -61,6 +61,7 @@ def test_gaussian_of_two_widths_and_integers():
     np.testing.assert_allclose(got, expected, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_truncation_is_a_knob():
     """Each further sigma reduces the error; at eight nothing is missing."""
     truth = filters.gaussian(PLANE, 1.5, truncate=9.0, border="wrap")
@@ -72,6 +73,7 @@ def test_truncation_is_a_knob():
     assert errors[-1] < 1e-8
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("sigma", [0.05, 0.3, 0.7, 1.0, 1.01, 3.0, 40.0])
 @pytest.mark.parametrize("order", [0, 1, 2])
 @mp.workdps(40)
@@ -95,6 +97,7 @@ def test_integrated_kernel_by_quadrature_of_mpmath(sigma, order):
     np.testing.assert_allclose(got, expected, rtol=2e-13, atol=1e-13 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_variance_of_a_narrow_gaussian():
     """Sampled it is too small, integrated it has the pixel's own 1/12 besides."""
     x = np.arange(-4, 5.0)
@@ -108,6 +111,7 @@ def test_variance_of_a_narrow_gaussian():
     np.testing.assert_allclose(excess(0.5, "sampled"), -0.035, atol=1e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("sigma", "sampled", "integrated"), [(0.3, 0.085, 0.663), (0.5, 0.860, 0.986), (0.7, 0.998, 1)]
 )

@@ -37,6 +37,7 @@ def by_hand(plane, stack, anchor, border):
 # ------------------------------------------------ a kernel for each pixel
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", LINEAR)
 def test_per_pixel_by_hand(border):
     got = filters.correlate_per_pixel(PLANE, jnp.asarray(STACK), border=border)
@@ -70,6 +71,7 @@ def test_radial_blur_by_hand():
     np.testing.assert_allclose(got[1, :, :, 0], expected, atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_radial_blur_of_no_width(dtype):
     """Scale 0, and below, leaves the picture; its gradient is finite, by picture the identity."""
@@ -104,6 +106,7 @@ def test_bank_is_linear_between_its_members():
         np.testing.assert_allclose(got[:, :, x], image[:, :, x], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_banks_take_a_fill():
     """A flat picture amid its own value stays flat."""
     f, options = np.full((H, W), 0.7), {"border": "constant", "fill": 0.7}
@@ -114,6 +117,7 @@ def test_banks_take_a_fill():
     np.testing.assert_allclose(got, 0.7, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_members_of_a_gaussian_bank_are_the_knob():
     plane = RNG.normal(size=(8, 40))
     sigma = np.linspace(0.8, 1.6, 40)[None] * np.ones((8, 1))
@@ -127,6 +131,7 @@ def test_members_of_a_gaussian_bank_are_the_knob():
     assert errors[2] < min(errors[1] / 3, 0.02)
 
 
+@pytest.mark.slow
 def test_bank_keeps_the_variance_between_its_sigmas():
     """The impulse response at a pixel between two members."""
     sigma = jnp.full((31, 31), 1.7)
@@ -138,6 +143,7 @@ def test_bank_keeps_the_variance_between_its_sigmas():
     np.testing.assert_allclose((got * yy**2).sum(), 1.7**2, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_gradients_by_image_and_by_map():
     """Along one direction each, against central differences."""
     sigma, f = jnp.asarray(RNG.uniform(0.8, 2, size=(H, W))), jnp.asarray(PLANE)
@@ -160,6 +166,7 @@ def test_gradients_by_image_and_by_map():
 # ------------------------------------------------ matrices
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("size", [(4, 3), (1, 1), (9, 15)])
 def test_matrix_is_the_filter(border, size):
@@ -174,6 +181,7 @@ def test_matrix_is_the_filter(border, size):
     np.testing.assert_allclose(theirs @ PLANE.ravel(), form.matrix @ PLANE.ravel(), atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", LINEAR)
 def test_matrix_of_a_kernel_for_each_pixel_and_its_transpose(border):
     form = filters.per_pixel_matrix(jnp.asarray(STACK), border=border)

@@ -100,6 +100,7 @@ def test_rectangles_anywhere_against_quadrature(case):
     np.testing.assert_allclose(parallel, swapped, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_exchange_is_that_of_the_closed_forms():
     square = jnp.asarray([[0.0, 1.0], [0.0, 1.0]])
     parallel, perpendicular = exchanges(square, square, jnp.asarray(1.0))

@@ -46,6 +46,7 @@ def test_dielectrics_in_ulps(dtype, eta):
         assert exact.ulps(value, truth) <= 16 + 8 * float(1 / mp.sqrt(g_squared))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize(
     "index",
@@ -96,6 +97,7 @@ def test_schlick_is_near_the_truth_and_dispatch_picks_the_right_one():
     np.testing.assert_allclose(fresnel(Schlick([0.04]), c), both[0], atol=0.03)
 
 
+@pytest.mark.sweep
 @both_precisions
 def test_gradients_are_finite_everywhere(dtype):
     cosines = jnp.asarray([-0.5, 0, 1e-8, 0.6, 0.8, 1, 1.5], dtype)

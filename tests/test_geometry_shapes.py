@@ -66,6 +66,7 @@ def disc_points(n):
     return Disc(centre, 3 * normal, 0.7), points, normal
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("make", [quad_points, disc_points])
 def test_a_ray_to_a_known_point_of_a_flat_shape_meets_it_there(make):
     shape, points, normal = make(200)
@@ -78,6 +79,7 @@ def test_a_ray_to_a_known_point_of_a_flat_shape_meets_it_there(make):
     np.testing.assert_allclose(as_array(hit.normal), expected, atol=1e-14)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("make", [quad_points, disc_points])
 def test_a_ray_past_the_rim_of_a_flat_shape_misses_it(make):
     shape, points, _ = make(400)
@@ -123,6 +125,7 @@ def test_box_against_its_six_faces(rotation):
     np.testing.assert_allclose(as_array(hit.normal), normal @ turn, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_box_is_its_mesh():
     """Twelve triangles wound outward, and the box: the same distances and normals."""
     origins = 3 * RNG.normal(size=(300, 3))
@@ -137,6 +140,7 @@ def test_a_box_is_its_mesh():
 # ---------------------------------------------------------------- meshes
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 @pytest.mark.parametrize("searched", [True, False])
 def test_no_ray_leaves_a_closed_mesh(scale, searched, monkeypatch):
@@ -172,6 +176,7 @@ def test_the_tree_and_the_loop_find_the_same_triangles(monkeypatch):
     assert (radius <= 1 + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_without_embree_meshes_work_and_say_so_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex", None)
     monkeypatch.setattr(_mesh._embree, "available", lambda: False)
@@ -185,6 +190,7 @@ def test_without_embree_meshes_work_and_say_so_once(monkeypatch):
     assert int(first.shape) == int(second.shape) == 0
 
 
+@pytest.mark.slow
 def test_gradients_reach_the_vertices_of_the_triangle_that_was_met():
     """Moving a whole ball along the ray moves the hit as far; Embree has no part in it."""
     ray = Ray(jnp.asarray([0.05, 0.02, 3]), jnp.asarray([0.0, 0, -1]))
@@ -204,6 +210,7 @@ def test_gradients_reach_the_vertices_of_the_triangle_that_was_met():
     np.testing.assert_allclose(jax.grad(stretched)(jnp.asarray(1.0)), slope, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_normals_and_uv_are_interpolated():
     """At the weights of a known point; a plane's normal stays beside them the true one."""
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
@@ -219,6 +226,7 @@ def test_normals_and_uv_are_interpolated():
     np.testing.assert_allclose(as_array(hit.normal), np.tile([0, 0, 1.0], (100, 1)), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_triangle_without_area_is_never_met():
     line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 0, 3]])
     x = np.linspace(-0.5, 2.5, 64)
@@ -252,6 +260,7 @@ def surface_points(count, dtype, scale):
     return shapes, hit, np.asarray(encounter.shape)[seen]
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_acne(scale):
@@ -275,6 +284,7 @@ def test_no_acne(scale):
     assert not blocked(hit, direction, distance)[np.arange(len(which)), which].any()
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_leaks(scale):
@@ -301,6 +311,7 @@ def test_no_leaks(scale):
     assert blocked(hit, direction, far).all()
 
 
+@pytest.mark.slow
 def test_occluded_is_a_hit_before_the_end():
     """Free points and random ends: blocked exactly where the nearest hit of the same ray comes
     sooner, for every shape; both ends are open."""
@@ -321,6 +332,7 @@ def test_occluded_is_a_hit_before_the_end():
     assert 0.1 < blocked.mean() < 0.9
 
 
+@pytest.mark.slow
 def test_many_shapes_are_found_as_few_are():
     """Forty spheres, a loop over chunks, against the nearest of forty single ones."""
     spheres = [

@@ -73,6 +73,7 @@ def test_total_reflection_inside():
             assert np.linalg.norm(as_array(split.refracted)) == pytest.approx(1, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_family_is_a_delta():
     glass, w = Glass(1.5), at(0.6)
     assert float(brdf.evaluate(glass, w, w)[0]) == 0

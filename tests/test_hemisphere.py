@@ -26,6 +26,7 @@ def normals(dtype):
     return jnp.asarray(every / np.linalg.norm(every, axis=1, keepdims=True), dtype)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("tangent", [None, [0.3, -0.8, 0.1], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
 def test_frames_are_orthonormal_and_right_handed(dtype, tangent):
@@ -56,6 +57,7 @@ def test_to_the_frame_and_back():
     assert isinstance(hs.to_world(frame, as_vec(local)), Vec)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["cosine", "uniform"])
 def test_samples_follow_their_density(kind):
     """Of a cosine density cos^2 is uniform, of a uniform one cos itself; the azimuth of both."""
@@ -73,6 +75,7 @@ def test_samples_follow_their_density(kind):
     assert getattr(hs, f"{kind}_pdf")(jnp.asarray([0.6, 0.0, -0.8])) == 0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("polar", "azimuths"), [(1, 1), (4, 8), (16, 33)])
 def test_product_nodes_integrate_polynomials_exactly(polar, azimuths):
     """int x^a y^b z^c over the hemisphere, from Gamma functions."""
@@ -104,6 +107,7 @@ def test_a_direction_near_the_axis_keeps_its_digits():
     np.testing.assert_allclose(w.x, np.sqrt(2e-10), rtol=1e-6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_gradients_are_finite_at_the_edges(dtype):
     edges = jnp.asarray([[0, 0, 1], [0, 0, -1], [0, 0, 0]], dtype)

@@ -35,6 +35,7 @@ COLOUR = np.stack([CODES, 255 - CODES, np.roll(CODES, 5, axis=0) // 2], axis=-1)
 # ------------------------------------------------ counts
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("bins", "value_range"), [(7, (0.0, 1.0)), (100, (0.1, 0.9))])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_floating_counts_are_numpys(bins, value_range, dtype):
@@ -48,6 +49,7 @@ def test_floating_counts_are_numpys(bins, value_range, dtype):
     np.testing.assert_array_equal(ours.edges, expected_edges.astype(dtype))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("bins", "value_range"), [(None, None), (10, None), (33, (10.0, 200.0)), (5, (0.0, 255.0))]
 )
@@ -104,6 +106,7 @@ def test_cubic_weights_are_the_b_spline():
     np.testing.assert_allclose(soft.counts, expected, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_departure_is_the_weight_in_other_bins_and_vanishes_for_whole_codes():
     exact, soft = exact_histogram(VALUES, bins=20), soft_histogram(VALUES, bins=20)
     moved = np.abs(np.asarray(soft.counts) - np.asarray(exact.counts)).sum() / 2
@@ -123,6 +126,7 @@ def test_departure_falls_with_the_square_of_the_width_for_smooth_data():
     assert 3.3 < coarse / fine < 4.7
 
 
+@pytest.mark.slow
 def test_gradient_of_the_soft_histogram_moves_weight_between_neighbours():
     """One value at 0.3 of the way between the centres 0.35 and 0.45 of ten bins: d count / dx is
     the slope of the triangle, bins."""
@@ -141,6 +145,7 @@ def test_cumulative_distribution_is_the_fraction_below_each_edge():
     np.testing.assert_array_equal(cumulative_distribution(nothing), [0, 0, 0, 0])
 
 
+@pytest.mark.slow
 def test_quantile_is_within_a_bin():
     histogram = exact_histogram(VALUES, bins=400, value_range=(-2.0, 2.0))
     q = np.array([0.0, 0.01, 0.25, 0.5, 0.9, 1.0])
@@ -149,6 +154,7 @@ def test_quantile_is_within_a_bin():
     assert np.abs(np.asarray(ours) - exact).max() <= 0.01
 
 
+@pytest.mark.slow
 def test_quantile_is_linear_within_a_bin():
     """The inverse of the cumulative distribution, which rises linearly within each bin."""
     histogram = exact_histogram(VALUES, bins=12, value_range=(0.1, 0.9))  # none of them empty
@@ -160,6 +166,7 @@ def test_quantile_is_linear_within_a_bin():
     np.testing.assert_allclose(ours, wanted, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_otsu_is_opencvs_and_scikit_images():
     import cv2
     from skimage import filters
@@ -234,6 +241,7 @@ def test_partial_equalisation_blends_with_the_identity():
     np.testing.assert_allclose(equalise(x, amount=0.3), expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradient_of_equalisation_is_the_slope_of_the_fixed_curve():
     """The density of each value's bin: its count over n and the bin's width."""
     x = jnp.asarray(RNG.uniform(size=(20, 30)))
@@ -311,6 +319,7 @@ def test_nan_stays_where_it_was():
     assert np.isfinite(match_histogram(VALUES, reference)).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_dtype_and_shape_stay(dtype):
     image = COLOUR.astype(dtype)

@@ -82,6 +82,7 @@ def test_the_five_views_show_the_image():
     np.testing.assert_array_equal(counts, np.bincount(CODES[..., 1].ravel(), minlength=256))
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     "image",
@@ -155,6 +156,7 @@ def test_what_cannot_be_shown_is_one_sentence(call, words):
 # ------------------------------------------------ command
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_and_draws(picture, tmp_path):
     status, stdout, _ = run("inspect", picture, "--out", tmp_path / "new" / "figure.png")
     assert status == 0

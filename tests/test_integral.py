@@ -47,6 +47,7 @@ def test_sliding_windows(size):
     np.testing.assert_allclose(ours, windows.sum(axis=(-2, -1)), rtol=1e-13)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_small_boxes_far_from_the_origin_keep_their_digits(dtype):
     """A dark corner below a bright sky: the sum above is 10^9 times the box's own. One number a

@@ -59,6 +59,7 @@ PICTURES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
 @pytest.mark.parametrize("name", PICTURES)
 def test_not_one_level_from_libjpeg(name, subsampling, compressed):
@@ -75,6 +76,7 @@ def test_the_same_levels_in_double_precision(compressed):
     np.testing.assert_array_equal(levels(ours), through_a_file(codes, 60))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(1, 1, 3), (3, 17, 3), (16, 16, 3), (9, 8)])
 def test_small_and_grey_pictures(shape, compressed):
     codes = RNG.integers(0, 256, size=shape).astype(np.uint8)
@@ -102,6 +104,7 @@ def test_what_bytes_cannot_hold_is_cut_and_nan_is_black(compressed):
     )
 
 
+@pytest.mark.slow
 def test_gradients_pass_as_if_nothing_were_rounded(compressed):
     """Without rounding and at full chroma there and back is the identity, to the thirteen bits of
     the cosines; at half size each colour keeps its sum."""
@@ -127,6 +130,7 @@ def test_soft_rounding_of_one_coefficient(quality, code, compressed):
     np.testing.assert_allclose(255 * ours, 128 + soft * step / 8, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_batch_of_pictures_and_of_qualities():
     pictures = relative(RNG.integers(0, 256, size=(2, 8, 9, 3)).astype(np.uint8))
     whole = jpeg(pictures, 40.0)

@@ -74,6 +74,7 @@ def test_small_light_falls_with_its_cosine_and_the_square_of_the_distance():
     np.testing.assert_allclose(arriving.distance, distance, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_rectangle_far_away_is_a_small_light():
     """Of intensity area times radiance: they differ by the square of size over distance."""
     u, v, radiance = np.array([0.02, 0, 0]), np.array([0, -0.03, 0]), np.array([5.0, 2.0])

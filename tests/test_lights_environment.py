@@ -72,6 +72,7 @@ def test_no_seam_and_no_jump_across_the_poles():
         np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
 def test_samples_follow_their_density(kind):
@@ -111,6 +112,7 @@ def test_samples_follow_their_density(kind):
     assert stats.chisquare(seen, wanted * seen.sum() / wanted.sum()).pvalue > 1e-3
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("peak", [5e5, 1e7, 1e9])
 def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
     """Every uniform float32, one by one: 2^23 of them, the multiples of 2^-23. The sky about the
@@ -143,6 +145,7 @@ def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
     assert (0.75**2 * peak + 1) / density[row, column] < 1.02 * power
 
 
+@pytest.mark.slow
 def test_a_sun_in_float32_is_found_by_random_samples():
     """The horizontal irradiance of sky and sun: pi, and the bilinear sun in closed form, a product
     of two tents: its cosines by integrals of tent(theta) cos(theta) sin(theta)."""
@@ -161,6 +164,7 @@ def test_a_sun_in_float32_is_found_by_random_samples():
     np.testing.assert_allclose(drawn, truth, rtol=4e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("order", [8, 16, 64])
 def test_white_sky_is_pi_within_what_quadrature_states(order):
@@ -227,6 +231,7 @@ def test_error_of_harmonics_stays_within_the_stated_bound():
     np.testing.assert_allclose(error[0], 1 / 16, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_environment_files_go_there_and_back(tmp_path, suffix):
@@ -272,6 +277,7 @@ def test_values_that_are_no_radiance_are_named(wrong):
         environment_map(picture)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("scale", [2.0**124, 2.0**-90])
 def test_probabilities_do_not_depend_on_the_unit(scale):

@@ -61,6 +61,7 @@ MISSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", MISSES)
 def test_what_it_does_not_hold_is_dark(name):
@@ -74,6 +75,7 @@ def test_what_it_does_not_hold_is_dark(name):
     )
 
 
+@pytest.mark.slow
 def test_the_same_in_all_directions_is_a_rectangle_light():
     """Energy: sample for sample what the uniform rectangle sends, within the field's angles."""
     wide = Window([-50, 50, 1], [100, 0, 0], [0, -100, 0])

@@ -73,6 +73,7 @@ def test_inside_a_luminous_box_any_receiver_gets_pi(normal):
     assert (each >= 0).all()
 
 
+@pytest.mark.slow
 def test_power_through_a_plane_below_is_what_the_light_emits():
     """pi L A, all of it: in z = -1, by r = tan(t) and the trapezium rule around the axis."""
     s, w = np.polynomial.legendre.leggauss(32)
@@ -83,6 +84,7 @@ def test_power_through_a_plane_below_is_what_the_light_emits():
     np.testing.assert_allclose(weight @ np.asarray(field).sum(axis=1), np.pi, rtol=1e-9)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("point", "normal"),
     [([0, 0, 1.0], [0, 0, -1.0]), ([2, 0, 0.0], [-1.0, 0, 0]), ([0.1, 0.2, 0], [0, 0, 1.0])],
@@ -94,6 +96,7 @@ def test_no_light_behind_in_the_plane_or_on_it(point, normal):
     assert (irradiance(LAMP, point, normal, rule=Quadrature(3)) == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [jnp.asarray, as_vec], ids=["array", "Vec"])
 def test_quadrature_and_random_samples_find_the_exact_irradiance(kind):
     point, normal = below(0.6, 0.4, -0.3), jnp.asarray([0.36, 0.48, 0.8])
@@ -113,6 +116,7 @@ def test_random_samples_are_unbiased():
     assert error < 2e-3 * means.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("height", [0.1, 0.25, 1.0, 20.0])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
@@ -161,6 +165,7 @@ def receivers(count):
     return places, normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
@@ -203,6 +208,7 @@ def test_receivers_together_take_the_rule_of_the_neediest():
         adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
 
 
+@pytest.mark.slow
 def test_nodes_have_the_gradient_of_the_closed_form():
     """One normal for all; float32 stays float32."""
     places = jnp.asarray([[x, 0.3, -3.0] for x in (-1.0, 0.0, 2.0)])
@@ -222,6 +228,7 @@ def test_nodes_have_the_gradient_of_the_closed_form():
     np.testing.assert_allclose(single, closed(LAMP, places, UP), rtol=1e-4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("height", [0.1, 0.5, 30.0])
 def test_density_is_that_of_the_samples(height):
     """Radiance / density is the sample's weight, and the weights integrate the direction itself
@@ -263,6 +270,7 @@ def test_one_place_only_is_asked_of_lights_at_one_place():
         Quadrature(0)
 
 
+@pytest.mark.slow
 def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
     """In the middle of the lamp, near its rim and across it, as far away as it is wide: against
     600 x 600 plain Gauss-Legendre nodes in NumPy."""
@@ -291,6 +299,7 @@ def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
     assert (np.abs(draws.mean(axis=0) - truth) < 4 * draws.std(axis=0) / 16).all()
 
 
+@pytest.mark.slow
 def test_near_light_in_float32():
     """A quarter of its side away: 1e-4 is the aim."""
     lamp = as_dtype(LAMP, jnp.float32)

@@ -48,6 +48,7 @@ def arrays(*values):
 # ------------------------------------------------ keying
 
 
+@pytest.mark.slow
 def test_triangulation_is_exact():
     layer = matting.triangulation_matte(*arrays(SEEN, BEHIND, SEEN_2, BEHIND_2))
     np.testing.assert_allclose(layer, LAYER, atol=1e-12)
@@ -152,6 +153,7 @@ def levin(image, epsilon):
     return matrix
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("bands", [1, 3])
 def test_laplacian_is_the_paper_s(bands):
     image = picture(6, 7, bands)
@@ -171,6 +173,7 @@ def test_affine_in_the_colours_costs_nothing():
     assert jnp.abs(apply_stencil(stencil, noise)).max() > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("bands", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
@@ -218,6 +221,7 @@ def band_of_unknown(columns, bands):
 SOLVE = jax.jit(lambda image, trimap: matting.closed_form_matte(image, trimap, tolerance=1e-11))
 
 
+@pytest.mark.slow
 def test_closed_form_is_the_direct_solution():
     """SciPy's sparse LU on the same equations: the unknown pixels' rows, the known ones given."""
     matte = SOLVE(*arrays(SEEN, TRIMAP))
@@ -231,6 +235,7 @@ def test_closed_form_is_the_direct_solution():
     np.testing.assert_allclose(matte.alpha.ravel(), np.clip(direct, 0, 1), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_confidence_is_the_paper_s():
     image, trimap = band_of_unknown(8, 3)
     soft = jax.jit(lambda i, t: matting.closed_form_matte(i, t, confidence=0.01, tolerance=1e-12))
@@ -249,6 +254,7 @@ def test_closed_form_finds_the_matte():
     np.testing.assert_allclose(matte.alpha, ALPHA, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_too_few_steps_are_said():
     scene = arrays(*band_of_unknown(9, 1))
     rushed = jax.jit(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
@@ -256,6 +262,7 @@ def test_too_few_steps_are_said():
     assert jnp.isfinite(rushed.alpha).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("columns", "bands"), [(8, 1), pytest.param(9, 3, marks=pytest.mark.slow)])
 def test_gradient_is_that_of_the_solution(columns, bands):
     """Central differences of the solved matte, in a random direction of the picture; without a
@@ -312,6 +319,7 @@ def least_energy(image, alpha, regularisation=1e-5):
     return solution[0], solution[1]
 
 
+@pytest.mark.slow
 def test_foreground_is_the_least_energy():
     image, alpha = SEEN[6:14, 3:12], ALPHA[6:14, 3:12]
     found = jax.jit(

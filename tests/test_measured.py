@@ -118,6 +118,7 @@ def test_anisotropic_table_is_linear_in_each_angle():
     np.testing.assert_allclose(evaluate(ANISOTROPIC, wi, wo), grid(at), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_beyond_the_measured_range():
     """Clamped, extrapolated (never below 0) or zero: one direction beyond both outermost nodes."""
     wi, wo = pairs()
@@ -151,6 +152,7 @@ def test_axes_of_one_node_are_constant():
     np.testing.assert_allclose(evaluate(table, wi, wo)[:, 0], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_half_and_difference_angles_against_two_rotations_and_back():
     wi, wo = pairs(100)
     found = jax.vmap(half_difference)(jnp.asarray(wi), jnp.asarray(wo))
@@ -174,6 +176,7 @@ def test_nearest_bin_is_that_of_the_published_reader():
     assert len(set(bins)) > 60  # of 120
 
 
+@pytest.mark.slow
 def test_between_bins_is_linear():
     wi, wo = pairs()
     h, d, p = (np.asarray(x) for x in bin_angles(MERL))
@@ -193,6 +196,7 @@ def test_between_bins_is_linear():
     )  # the oracle's arccos
 
 
+@pytest.mark.slow
 def test_rgl_against_the_published_construction():
     """Naive integrals of the interpolated densities, one pair of directions at a time."""
 
@@ -227,6 +231,7 @@ def rgl_of(fields, **options):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("symmetry", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_rgl_sectors_repeat(symmetry):
     """A table of one sector answers alike for the turned (2) or mirrored (4) pair, and for `wo`
@@ -247,6 +252,7 @@ def test_rgl_sectors_repeat(symmetry):
 # ------------------------------------------------ physics
 
 
+@pytest.mark.sweep
 @every_table
 def test_nothing_below_the_surface_and_nothing_negative(name):
     wi, wo = pairs(100)
@@ -328,6 +334,7 @@ SAMPLED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -374,6 +381,7 @@ def test_draws_follow_the_density_and_reflect_what_the_quadrature_says(name):
     np.testing.assert_allclose(albedo(material, wo), integral, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_tabulated_sampler_is_worth_having():
     """On the shiny table its weights vary a hundred times less (variance) than the cosine's."""
     with_sampler = shiny()
@@ -392,6 +400,7 @@ def test_a_tabulated_sampler_is_worth_having():
 # ------------------------------------------------ samples, records
 
 
+@pytest.mark.slow
 def test_samples_of_a_material_rebuild_its_table():
     """Taken at the nodes; and through a vmap of the records' own order of angles."""
     samples = taken(ISOTROPIC, ISOTROPIC.theta_i, ISOTROPIC.theta_o, ISOTROPIC.phi)
@@ -409,6 +418,7 @@ def test_samples_of_a_material_rebuild_its_table():
     )
 
 
+@pytest.mark.slow
 def test_samples_of_an_rgl_material_hold_no_cosine():
     material = rgl_of(oracle.rgl_fields(np.random.default_rng(3)))
     theta_i, theta_o, phi = jnp.asarray([0.5, 1.1]), jnp.asarray([0.3]), jnp.asarray([2.0])
@@ -449,6 +459,7 @@ def test_wrong_shapes_and_options_are_named(unchecked_types):
         rgl_of(oracle.rgl_fields(np.random.default_rng(3)), symmetry=3)
 
 
+@pytest.mark.slow
 def test_a_table_in_the_world():
     """`reflect` turns an anisotropic table with the tangent it is given."""
     normal, tangent = jnp.asarray([0.6, 0.0, 0.8]), jnp.asarray([0.0, 1.0, 0.0])

@@ -71,6 +71,7 @@ def test_a_marked_bin_takes_the_nearest_around_the_circle(tmp_path):
     np.testing.assert_allclose(red[[0, 1, 3, 5, 7]], [1, 1, 2, 2, 1])
 
 
+@pytest.mark.slow
 def test_merl_file_of_full_size_answers_as_the_published_lookup(tmp_path):
     """90 x 90 x 180: nearest bin against the published reader's index, linear near the function
     that was tabulated."""
@@ -187,6 +188,7 @@ def test_a_binary_file_is_no_cornell_file(tmp_path):
     refused(files.read_cornell, write(tmp_path, "x.brdf", b"3\n\xff\xfe"), "not a text file")
 
 
+@pytest.mark.slow
 def test_scattered_samples_become_a_table():
     """Samples of a known lobe at Cornell's angles: the table reproduces them and interpolates
     between them, reciprocal and mirror-symmetric.
@@ -227,6 +229,7 @@ def rgl_fields(rng, **options):
     return fields | {"theta_i": theta * np.float32(np.pi / 2 / theta[-1])}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("bands", [None, 5])
 def test_rgl_fields_and_round_trip(tmp_path, bands):
     """Values against the construction written out over the same fields; after writing and reading,

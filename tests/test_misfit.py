@@ -78,6 +78,7 @@ def test_independent_errors_keep_the_inverse_information():
     assert kept >= 46
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("by_light", "by_pixel"), [(0.3, 0.0), (0.0, 0.3), (0.2, 0.2)])
 def test_shared_errors_widen_the_covariance_to_the_true_one(by_light, by_pixel):
     ratios = []
@@ -103,6 +104,7 @@ def test_few_clusters_are_not_judged():
     assert not np.isnan(found.by_pixel)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize(("lights", "parameters"), [(6, 1), (6, 3), (8, 3), (12, 4), (40, 4)])
 def test_intervals_cover_with_few_lights_and_several_parameters(lights, parameters):

@@ -99,6 +99,7 @@ def test_intervals_cover_and_nothing_is_biased(two_hundred):
     check_coverage(two_hundred, count=200, band=0.0465)
 
 
+@pytest.mark.slow
 def test_the_likelihood_is_efficient_and_beats_the_regressions(two_hundred):
     (standard, _), (likelihood, errors), _ = two_hundred
     for name in ("system_gain", "quantum_efficiency", "read_noise"):
@@ -115,6 +116,7 @@ def test_intervals_cover_over_two_thousand_cameras():
     check_coverage(found, count=2000, band=0.015)
 
 
+@pytest.mark.slow
 def test_the_cramer_rao_bound_is_numpys():
     """The information of the fit against finite differences of moments written out in NumPy."""
     measured = simulate(CameraTruth(dark_current=0.0), exposure=np.full(16, 0.01))
@@ -171,6 +173,7 @@ def brute_moments(mu, gain, read, offset, largest=400):
     return mean, second, third, fourth - 3 * second**2
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("mu", "gain", "read", "offset"),
     [
@@ -196,7 +199,7 @@ def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, 
         np.testing.assert_allclose(value, true, atol=1e-6 * max(scale, 0.05) ** power)
 
 
-@pytest.mark.sweep("clipped black")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera", "top"),
     [
@@ -279,6 +282,7 @@ def bent():
     return camera, calibrate_noise(measured)
 
 
+@pytest.mark.slow
 def test_a_bent_characteristic_is_noticed_and_undone(bent):
     camera, calibration = bent
     assert calibration.linear.p_value < 1e-10
@@ -304,6 +308,7 @@ def test_a_bent_characteristic_is_noticed_and_undone(bent):
     assert abs(bend - camera.compression) < 3.5 * chosen.errors["compression"]
 
 
+@pytest.mark.slow
 def test_a_bent_camera_is_told_in_words(bent):
     _, calibration = bent
     told = " ".join(noise_section(calibration).findings)
@@ -323,6 +328,7 @@ def test_a_bent_camera_is_told_in_words(bent):
     assert calibration.standard_of_chosen < float(calibration.chosen.values["system_gain"])
 
 
+@pytest.mark.slow
 def test_the_section_has_both_methods_and_draws_its_pictures(bent):
     _, calibration = bent
     section = noise_section(calibration)
@@ -342,6 +348,7 @@ def test_the_section_has_both_methods_and_draws_its_pictures(bent):
         assert all(axis.get_ylabel() for axis in figure.axes)
 
 
+@pytest.mark.slow
 def test_light_in_seconds_gives_a_gain_but_no_efficiency():
     light = EXPOSURE * 3e5
     rows = sweep(np.random.default_rng(2), CameraTruth(), light, EXPOSURE, (2, 10_000))
@@ -388,6 +395,7 @@ def test_sampling_agrees_with_laplace():
         assert abs(two.standard_error / one.standard_error - 1) < 0.1
 
 
+@pytest.mark.slow
 def test_a_rig_gives_fixed_pattern_by_both_methods(tmp_path):
     camera = replace(CameraTruth(), dsnu=5.0, prnu=0.012)
     rng = np.random.default_rng(9)

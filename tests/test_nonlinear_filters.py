@@ -36,6 +36,7 @@ def test_the_network_selects_from_every_order(n):
         np.testing.assert_array_equal(moved[rank], np.sort(wires, axis=0)[rank])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", SCIPY)
 @pytest.mark.parametrize("size", [3, (5, 2)])
 def test_median_is_scipys(size, border):
@@ -54,6 +55,7 @@ def test_median_of_a_footprint_and_of_codes():
         np.testing.assert_array_equal(ours, expected)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1)])
 def test_median_of_a_window_larger_than_the_image(shape):
     image = RNG.random(shape)
@@ -93,6 +95,7 @@ def neighbours(image, radius, border):
         yield i, j, around[window], dy**2 + dx**2, exists
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", ["mirror", "normalised_zero"])
 @pytest.mark.parametrize("window", ["square", "disc"])
 def test_bilateral_is_the_loop(window, border):
@@ -149,6 +152,7 @@ def patch_weights(patch, profile):
     return bell / bell.sum()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("profile", "noise", "cutoff"), [("uniform", 0.1, 2.0), ("gaussian", 0.0, None)]
 )
@@ -193,6 +197,7 @@ FILTERS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", FILTERS)
 def test_batch_dtype_nan_and_views(name):
     filtered = FILTERS[name]
@@ -210,6 +215,7 @@ def test_batch_dtype_nan_and_views(name):
     assert reach.sum() < reach.size / 2
 
 
+@pytest.mark.slow
 def test_gradients_of_flat_pictures_are_finite():
     flat = jnp.full((6, 7), 0.4)
     for filtered in FILTERS.values():

@@ -23,6 +23,7 @@ def unit_pairs(dtype, angle, count=8):
     return jnp.asarray(u, dtype), jnp.asarray(np.cos(angle) * u + np.sin(angle) * side, dtype)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 def test_norm_and_normalize(dtype, scale):
@@ -52,6 +53,7 @@ def test_arctan2_and_its_slopes(dtype):
         assert exact.ulps(by_x, -b / square) <= 8
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.5, 3.0])
 def test_angles(dtype, angle):
@@ -73,6 +75,7 @@ def test_divide_where_there_is_a_quotient(dtype):
     np.testing.assert_array_equal(slopes, [[0.25, 0, 0], [-3 / 16, 0, 0]])
 
 
+@pytest.mark.slow
 @both_precisions
 def test_sine_and_cosine_of_turns(dtype):
     """Many turns, next to every eighth, tiny and negative; quarters exactly; the slope in radians
@@ -107,6 +110,7 @@ def test_log_cos(dtype, angle):
         assert abs(exact.number(got) - truth) <= bound
 
 
+@pytest.mark.slow
 @both_precisions
 def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
     u = jnp.asarray([0, 0, 1], dtype)
@@ -116,6 +120,7 @@ def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
     assert (jax.vmap(jax.grad(lambda v: num.log_cos_between(u, v)))(beyond) == 0).all()
 
 
+@pytest.mark.slow
 @both_precisions
 def test_gradients_are_finite_at_every_edge(dtype):
     x = jnp.asarray([0.0, -1.0, 1e-30, 1.0, 1e30], dtype)
@@ -158,6 +163,7 @@ def test_gradient_of_norm_is_the_unit_vector():
     np.testing.assert_allclose(jax.grad(num.norm)(v), np.asarray(v) / 13, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_component_records_agree_with_arrays():
     u, v = jnp.asarray(RNG.normal(size=(2, 5, 3)))
     a, b = as_vec(u), as_vec(v)

@@ -67,6 +67,7 @@ def test_without_f_number_radiance_is_handed_on():
     np.testing.assert_array_equal(sensor_irradiance(view, radiance), radiance)
 
 
+@pytest.mark.slow
 def test_whole_picture_is_its_pixels_and_symmetric():
     flat = jnp.ones((2, 4, 1))
     picture = np.asarray(sensor_irradiance(PINHOLE, flat))
@@ -77,6 +78,7 @@ def test_whole_picture_is_its_pixels_and_symmetric():
     np.testing.assert_allclose(sensor_irradiance(parallel, flat), np.pi / 256, rtol=1e-15)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_is_kept_and_gradients_are_finite(dtype):
     view, pixel = as_dtype(PINHOLE, dtype), jnp.asarray(0.5, dtype)

@@ -83,6 +83,7 @@ FORMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 @pytest.mark.parametrize("blur", [-R, 0, R])
@@ -105,6 +106,7 @@ def test_on_a_plane_all_forms_are_the_sampled_lens(view, blur):
             assert rms(FORMS["gather"](turned, sharp, depth), through) > 6e-3
 
 
+@pytest.mark.slow
 def test_where_one_surface_hides_another_only_layers_come_near():
     """A blurred foreground before a sharp background, and a sharp one before a blurred."""
     near = pictures(ROUND, [(1.3, 0.0, 1.0), (2.0, jnp.inf, 1.5)])
@@ -117,6 +119,7 @@ def test_where_one_surface_hides_another_only_layers_come_near():
     assert errors["scatter"] > 0.05
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("layers", [2, 8])
 def test_a_post_thinner_than_its_blur_lets_the_background_through(layers):
     """Behind its middle, a black post before a white wall in focus hides the strip of the lens that
@@ -142,6 +145,7 @@ def random_scene():
     return picture, jnp.asarray(rng.uniform(1.2, 6.0, size=SHAPE))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 def test_scattering_keeps_the_light_and_the_others_a_flat_picture(view):
     picture, depth = random_scene()
@@ -153,6 +157,7 @@ def test_scattering_keeps_the_light_and_the_others_a_flat_picture(view):
         np.testing.assert_allclose(FORMS[name](view, flat, depth), 0.7, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 def test_a_pixel_without_depth_counts_as_in_focus(view):
@@ -167,6 +172,7 @@ def test_a_pixel_without_depth_counts_as_in_focus(view):
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_radius_is_half_the_circle_of_confusion_signed():
     depth = jnp.asarray([0.5, 1.9, 2.0, 7.0, jnp.inf])
     radius = optics.defocus_radius(ROUND, depth)
@@ -179,6 +185,7 @@ def test_radius_is_half_the_circle_of_confusion_signed():
     assert optics.defocus_radius(at_infinity, jnp.asarray([jnp.inf])) == 0
 
 
+@pytest.mark.slow
 def test_each_band_of_a_chromatic_lens_has_its_own_focus():
     """A band of focal length f_b is in focus at the distance that it images onto the sensor."""
     picture, depth = random_scene()
@@ -197,6 +204,7 @@ def test_each_band_of_a_chromatic_lens_has_its_own_focus():
     assert jnp.abs(plain - moved).max() > 0.05
 
 
+@pytest.mark.slow
 def test_gradients_by_focus_and_aperture_are_differences():
     picture, depth = random_scene()
     weights = jnp.asarray(np.random.default_rng(2).normal(size=(*SHAPE, 2)))
@@ -219,6 +227,7 @@ def test_gradients_by_focus_and_aperture_are_differences():
     assert jnp.isfinite(slope_of(jnp.asarray([jnp.inf, 2.0]))).all()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_meant_is_refused():
     picture, depth = random_scene()
     with pytest.raises(ValueError, match="radius must be a whole number of at least 1, got 0"):

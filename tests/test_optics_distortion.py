@@ -45,12 +45,14 @@ def test_distort_is_opencvs(lens):
     np.testing.assert_allclose(both(optics.distort, lens, SLOPES), expected[:, 0], atol=1e-14)
 
 
+@pytest.mark.sweep
 @each_lens
 def test_there_and_back(lens):
     back = both(optics.undistort, lens, both(optics.distort, lens, SLOPES))
     np.testing.assert_allclose(back, SLOPES, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_inverse():
     """By the place: the inverse matrix. By the coefficients: a difference quotient."""
     place = a([0.31, -0.44])
@@ -81,6 +83,7 @@ def test_derivatives_are_those_of_the_inverse():
         np.testing.assert_allclose(got[:, i], slope, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_beyond_the_fold_of_a_barrel_is_finite_and_constant():
     """r (1 - r^2 / 3) turns at r = 1, where it is 2 / 3: nothing is imaged farther out."""
     lens = s.Distortion([-1 / 3])
@@ -105,6 +108,7 @@ def test_rays_go_through_the_distortion():
     np.testing.assert_allclose(both(optics.distort, BARREL, slope[None])[0], at, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_distortion_keeps_the_flux():
     """Under a flat sky all the light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,
     wherever distortion puts it.
@@ -156,6 +160,7 @@ def test_pictures_are_bent_as_the_rays_are():
     assert jnp.abs(linear - bent)[middle].max() > jnp.abs(again - bent)[middle].max()
 
 
+@pytest.mark.slow
 def test_cubic_interpolation_keeps_parabolas_and_linear_keeps_ramps():
     rows, columns = GRID
     r, c = a(np.random.default_rng(1).uniform(3, 50, size=(2, 5, 7)))
@@ -169,6 +174,7 @@ def test_cubic_interpolation_keeps_parabolas_and_linear_keeps_ramps():
     np.testing.assert_allclose(outside, optics.sample_image(ramp, 0 * r, c)[..., 0], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_lateral_colour_magnifies_each_band_about_the_middle():
     blob = jnp.exp(-((GRID[0] - 40) ** 2 + (GRID[1] - 59.5) ** 2) / 18)[..., None].repeat(
         2, axis=-1

@@ -26,6 +26,7 @@ def a(x):
 # ---------------------------------------------------------------- the law
 
 
+@pytest.mark.slow
 def test_lens_law_by_hand():
     z = a([0.025, 0.1, 1.0, np.inf, 0.0])
     image = optics.image_distance(z, a(F))
@@ -36,6 +37,7 @@ def test_lens_law_by_hand():
     np.testing.assert_allclose(optics.image_vergence(z[:4], a(F)), [-20, 10, 19, 20], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_what_is_no_number_stays_none():
     """NaN does not become a plausible distance, and its neighbours are unchanged."""
     z, f = jnp.asarray([np.nan, 2.0]), a(0.05)
@@ -59,6 +61,7 @@ def test_what_is_no_number_stays_none():
         assert np.isnan(optics.undistort(bent, a(x), a(y))).all()
 
 
+@pytest.mark.slow
 def test_lens_law_is_symmetric_and_newtons():
     z = a(np.random.default_rng(0).uniform(0.06, 9, 50))
     image = optics.image_distance(z, a(F))
@@ -91,6 +94,7 @@ def test_working_f_number_is_that_of_the_bellows():
 # ---------------------------------------------------------------- depth of field
 
 
+@pytest.mark.slow
 def test_circle_of_confusion_by_similar_triangles():
     """The cone from the aperture to the image at z_i' is cut by the sensor at z_i."""
     z = np.array([0.3, 0.7, 1.9, 2.0, 2.1, 40.0])
@@ -174,6 +178,7 @@ def test_view_ray_of_each_view():
     jax.tree.map(np.testing.assert_array_equal, sampled, optics.lens_ray(LENS, a(1.0), a(2.0), u))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("distance", [0.8, 1.6, 3.0, np.inf])
 def test_sampled_edge_is_as_wide_as_the_circle_of_confusion(distance):
     """A bright half-plane at a known depth, seen through the lens ray by ray, is the integral of a

@@ -53,6 +53,7 @@ def squares(n, half):
 # ---------------------------------------------------------------- apertures
 
 
+@pytest.mark.sweep
 @each_aperture
 def test_points_fill_the_opening_evenly(aperture):
     """All points lie inside, with the moments of the area: an uneven map has other moments."""
@@ -75,6 +76,7 @@ def test_points_fill_the_opening_evenly(aperture):
 kernel_of = jax.jit(partial(optics.aperture_kernel, size=9))
 
 
+@pytest.mark.sweep
 @each_aperture
 @pytest.mark.parametrize("radius", [0.7, 3.3, -3.3])
 def test_kernel_is_the_share_of_each_pixel(aperture, radius):
@@ -86,6 +88,7 @@ def test_kernel_is_the_share_of_each_pixel(aperture, radius):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_kernel_of_no_blur_is_the_pixel_and_even_sizes_are_refused():
     kernel = optics.aperture_kernel(s.CircularAperture(), a(0.0), size=3)
     np.testing.assert_allclose(kernel, [[0, 0, 0], [0, 1, 0], [0, 0, 0]], atol=1e-14)
@@ -121,6 +124,7 @@ def test_overlap_of_discs_against_integration(distance, first, second):
     np.testing.assert_allclose(got, sum(parts), atol=1e-9)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("centre", "radius"),
     [((0.1, -0.2), 0.5), ((0.1, -0.2), 0.9), ((0.3, 0.2), 3.0), ((0.9, 0.7), 0.6), ((3.0, 0), 0.5)],
@@ -144,6 +148,7 @@ def seen_through_rim(view, row, column, u):
     return at, optics.clear_fraction(view, row, column)
 
 
+@pytest.mark.sweep
 @each_aperture
 @pytest.mark.parametrize("focus", [0.3, np.inf])
 def test_clear_fraction_is_the_share_of_lens_rays_through_the_rim(aperture, focus):
@@ -183,6 +188,7 @@ def test_irradiance_has_the_rims_share():
 WAVELENGTH, F_NUMBER = 5.5e-7, 8.0
 
 
+@pytest.mark.slow
 def test_airy_pattern_against_scipy():
     r = np.linspace(0, 3e-4, 4001)
     x = np.pi * r[1:] / (WAVELENGTH * F_NUMBER)
@@ -194,6 +200,7 @@ def test_airy_pattern_against_scipy():
     assert optics.airy_pattern(dark, a(WAVELENGTH), a(F_NUMBER)) < 1e-30
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pitch", [1.5e-6, 4e-6, 8e-6])
 def test_airy_kernel_against_integration(pitch):
     """Each weight, before rescaling, is a double integral; the ratios of weights are compared."""
@@ -214,6 +221,7 @@ def test_airy_kernel_against_integration(pitch):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_airy_kernel_for_each_band_and_its_limits():
     both = optics.airy_kernel(a([4.5e-7, 6.5e-7]), a(F_NUMBER), a(3e-6), size=5)
     red = optics.airy_kernel(a(6.5e-7), a(F_NUMBER), a(3e-6), size=5)
@@ -227,6 +235,7 @@ def test_airy_kernel_for_each_band_and_its_limits():
             optics.airy_kernel(a(5e-7), a(8.0), a(3e-6), **wrong)
 
 
+@pytest.mark.slow
 def test_mtf_of_a_disc_by_its_formula_and_by_the_transform_of_the_pattern():
     v = np.linspace(0, 1.2, 601)
     inner = np.minimum(v, 1)
@@ -244,6 +253,7 @@ def test_mtf_of_a_disc_by_its_formula_and_by_the_transform_of_the_pattern():
     np.testing.assert_allclose(line / line[0], mtf, atol=4e-3)
 
 
+@pytest.mark.slow
 def test_mtf_of_a_ring_is_its_pupils_autocorrelation():
     n = 1024
     x, y = squares(n, 2)

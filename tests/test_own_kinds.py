@@ -183,6 +183,7 @@ EXPECTED = {"spot": reflected, "disc": reflected_of_disc}
 # ------------------------------------------------ the integrators
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", KINDS)
 def test_direct_light_and_ray_trees(name):
     """Every pixel of a BRDF that is not diffuse; the two integrators take the same nodes."""
@@ -205,6 +206,7 @@ def within_noise(got, error, expected, most=0.05):
     assert (np.abs(got - expected) < 4.5 * np.asarray(error) + 1e-3 * expected).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
 def test_paths(strategy):
     """Direct light of both lamps by each way to find it, from one point, seen straight down. By
@@ -217,6 +219,7 @@ def test_paths(strategy):
     within_noise(found.radiance, found.error, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_light_paths(name):
     """What lands in each pixel, against the mean over the pixel. The spot enters no rays of its
@@ -227,6 +230,7 @@ def test_light_paths(name):
     within_noise(found.radiance, found.error, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_radiosity(name):
     """One diffuse floor, which lights nothing: what it reflects at once, averaged over its
@@ -257,6 +261,7 @@ LOW = np.array([0.3, -0.2, 0.5])  # a spot below the sheet
 BELOW = SpotLight(LOW, np.array([0, 0, -1.0]), STRENGTH)
 
 
+@pytest.mark.slow
 def test_half_silvered_shows_what_is_mirrored_and_what_is_behind():
     """From above: the ceiling by the mirrored part, and by the rest the floor, lit by a lamp below
     the sheet. Trees without noise, paths within it; direct light, which follows no ray, is 0."""
@@ -276,6 +281,7 @@ def test_half_silvered_shows_what_is_mirrored_and_what_is_behind():
     within_noise(paths.radiance, paths.error, expected)
 
 
+@pytest.mark.slow
 def test_half_silvered_lets_light_through_onto_what_lies_behind():
     """Light tracing: a spot above the sheet lights the floor below, dimmed in each band by what
     passes, whatever the way the path is drawn by."""
@@ -289,6 +295,7 @@ def test_half_silvered_lets_light_through_onto_what_lies_behind():
 # ------------------------------------------------ what a kind need not say
 
 
+@pytest.mark.slow
 def test_bands_of_an_own_light_are_counted():
     """A neutral material under a light of two bands, whose field has a name of its own."""
     scene = Scene([Surface(FLOOR, Minnaert([0.5], K))], [SPOT])
@@ -301,6 +308,7 @@ class NoRays(DiscLamp):
     """A disc that was entered without the rays that leave it."""
 
 
+@pytest.mark.slow
 def test_an_extended_light_without_rays_is_refused_by_light_tracing_alone():
     lights.register_extended(NoRays, seen=disc_seen, sample=disc_sample, pdf=disc_pdf)
     scene = Scene([ROUGH], [NoRays(LAMP.disc, LAMP.glow)])

@@ -22,6 +22,7 @@ NUMPY = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("size", [(4, 5), (1, 3), (1, 1), (2, 1)])
 def test_equal_to_numpy_also_far_beyond_the_picture(border, size):
@@ -36,18 +37,21 @@ def test_every_border_was_compared():
     assert NUMPY.keys() == BORDERS.keys()
 
 
+@pytest.mark.slow
 def test_extend_is_scipys_odd_extension():
     row = RNG.normal(size=(1, 9))
     expected = signal._arraytools.odd_ext(row, 6)
     np.testing.assert_allclose(pad(row, ((0, 0), (6, 6)), border="extend"), expected, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_extend_continues_a_ramp():
     ramp = np.arange(5.0)[None] * np.ones((3, 1))
     got = pad(ramp, ((4, 4), (13, 9)), border="extend")
     np.testing.assert_allclose(got, np.arange(-13.0, 14)[None] * np.ones((11, 1)), atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 def test_batch_and_bands_are_planes_of_their_own(border):
     batch = RNG.normal(size=(2, 3, 4, 5, 2)).astype(np.float32)
@@ -63,6 +67,7 @@ def test_batch_and_bands_are_planes_of_their_own(border):
         np.testing.assert_allclose(got[i, j, :, :, band], expected, rtol=1e-6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_ghosts_are_what_pad_does(border, n):
@@ -77,6 +82,7 @@ def test_ghosts_are_what_pad_does(border, n):
     assert (rule.own[inside] == 1).all()
 
 
+@pytest.mark.slow
 def test_integers_and_strides():
     codes = (255 * RNG.uniform(size=(6, 8, 3))).astype(np.uint8)
     got = pad(codes[::2, ::-1], ((1, 1), (2, 2)))
@@ -85,6 +91,7 @@ def test_integers_and_strides():
     np.testing.assert_array_equal(got, expected)
 
 
+@pytest.mark.slow
 def test_nan_outside_its_ghosts_stays_where_it_is():
     plane = np.ones((4, 4))
     plane[0, 0] = np.nan
@@ -95,6 +102,7 @@ def test_nan_outside_its_ghosts_stays_where_it_is():
     assert np.isnan(pad(plane, ((2, 2), (2, 2)), border="zero")).sum() == 1
 
 
+@pytest.mark.slow
 def test_transpose_gives_back_what_the_ghosts_took():
     """<P f, g> = <f, P' g>, by autodiff."""
     f, g = RNG.normal(size=(3, 4)), RNG.normal(size=(14, 7))

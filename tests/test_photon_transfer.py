@@ -35,6 +35,7 @@ def write_rig(folder, *, camera="bits = 12", frames=3, light="photons = {p}", ch
     return stacks
 
 
+@pytest.mark.slow
 def test_frames_are_reduced_to_the_moments_of_the_whole_stack(tmp_path):
     stacks = write_rig(tmp_path)
     read = read_photon_transfer(tmp_path)
@@ -135,6 +136,7 @@ def write_table(path, *, head=HEAD, rows=8, row=ROW, tail=()):
     return path
 
 
+@pytest.mark.slow
 def test_a_table_of_moments(tmp_path):
     read = read_photon_transfer(write_table(tmp_path / "ptc.csv"))
     np.testing.assert_allclose(read.bright.exposure, 1e-3 * np.arange(1, 9))
@@ -202,6 +204,7 @@ def test_a_missing_or_binary_table_and_a_wrong_depth_are_refused(tmp_path):
         read_photon_transfer(write_table(tmp_path / "ptc.csv"), bits=8)
 
 
+@pytest.mark.slow
 def test_saturation_is_the_peak_of_the_variance_only_if_it_falls_behind(tmp_path):
     rising = read_photon_transfer(write_table(tmp_path / "rising.csv"))
     assert saturation_index(rising.bright) is None

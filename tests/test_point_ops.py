@@ -136,6 +136,7 @@ def test_superposition_fails(name):
 # ------------------------------------------------ maps over the picture
 
 
+@pytest.mark.slow
 def test_vignetting_by_the_loop_and_back():
     image = np.asarray(F)
     expected = np.empty_like(image)
@@ -148,6 +149,7 @@ def test_vignetting_by_the_loop_and_back():
     np.testing.assert_allclose(correct_vignetting(shaded, FALLOFF), F, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_lens_that_lets_nothing_through():
     """1 - 2 r^2 is below 0 in the corners: black there, and still black after correction."""
     dark = jnp.asarray([-2.0])
@@ -210,6 +212,7 @@ def test_dissolve_from_one_sequence_to_the_other():
 # ------------------------------------------------ tables
 
 
+@pytest.mark.slow
 def test_lookup_as_numpy():
     table = RNG.uniform(size=17)
     x = np.concatenate([RNG.uniform(-0.3, 1.3, size=200), np.linspace(0, 1, 17), [-0.0]])
@@ -219,6 +222,7 @@ def test_lookup_as_numpy():
         lookup(jnp.asarray(x), jnp.ones(1))
 
 
+@pytest.mark.slow
 def test_lookup_of_codes_is_the_table():
     table = jnp.asarray(RNG.uniform(size=256))
     codes = np.arange(256, dtype=np.uint8).reshape(16, 16)
@@ -227,6 +231,7 @@ def test_lookup_of_codes_is_the_table():
     np.testing.assert_array_equal(beyond, table[jnp.asarray([0, 255])])
 
 
+@pytest.mark.slow
 def test_lookup_3d_as_scipy():
     from scipy.interpolate import RegularGridInterpolator
 
@@ -256,6 +261,7 @@ def test_reinhard_at_its_fixed_points():
     np.testing.assert_allclose(slope, 1, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_key_of_a_picture():
     luminance = RNG.uniform(0.01, 10, size=(8, 9))
     ours = scaled_to_key(jnp.asarray(luminance), key_value=0.36)
@@ -272,6 +278,7 @@ def test_key_of_a_picture():
     np.testing.assert_allclose(scaled_to_key(jnp.asarray(holes)), expected, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_filmic_of_the_published_fit():
     x = np.linspace(0, 3, 40)
     expected = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
@@ -347,6 +354,7 @@ def together(x):
     return {n: (f(x), jax.vmap(jax.grad(f))(x)) for n, f in CURVES.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
     """NaN and infinity in one pixel do not change the others."""
@@ -364,6 +372,7 @@ def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
             np.testing.assert_array_equal(found[others], value[others], err_msg=name)
 
 
+@pytest.mark.slow
 def test_numbers_for_parameters_are_as_good_as_arrays():
     x = jnp.asarray([0.1, 0.5, 2.0], jnp.float32)
     operators = [

@@ -113,6 +113,7 @@ class KilledError(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
     def kill(done, total):
         if done >= 100:
@@ -131,6 +132,7 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
     np.testing.assert_array_equal(resumed.log_density, sampled.log_density)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     options = SamplingOptions(**SHORT, steps=100, checkpoint=tmp_path)
     begun = chain_of(options)
@@ -209,6 +211,7 @@ def test_walkers_and_moves_suit_the_dimension(parameters):
     assert 0.1 < chain.acceptance < 0.8
 
 
+@pytest.mark.slow
 def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():
     space = (Parameter("x", symbol="x", unit="1", transform="log"),)
     shape = jnp.asarray(3.0)
@@ -229,6 +232,7 @@ def nan_below_zero(vector, args):
     return jnp.where(vector[0] > 0, -vector[0] * args, jnp.nan)
 
 
+@pytest.mark.slow
 def test_nan_counts_as_impossible():
     space = (Parameter("x", symbol="x", unit="1"),)
     options = SamplingOptions(walkers=16, block=400)

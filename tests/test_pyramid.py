@@ -52,6 +52,7 @@ def test_levels_are_opencvs():
     np.testing.assert_allclose(expand(GREY, (26, 36))[2:-2, 2:-2], theirs[2:-2, 2:-2], rtol=1e-13)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", SHAPES)
 def test_reconstruction_is_exact(shape):
     image = RNG.random(shape)
@@ -67,6 +68,7 @@ def test_reconstruction_holds_for_every_border_and_size():
         np.testing.assert_allclose(rebuilt, GREY, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_constants_stay_constant_but_for_the_border_zero():
     flat = np.full((9, 10), 0.7)
     for border in ("clamp", "mirror", "wrap", "extend", "normalised_zero"):
@@ -76,6 +78,7 @@ def test_constants_stay_constant_but_for_the_border_zero():
     assert float(darker[0, 0]) < 0.5 < 0.69 < float(darker[2, 2])
 
 
+@pytest.mark.slow
 def test_blending():
     """One level is the plain blend; a mask of one returns an image; a sharp mask leaves no step."""
     one, other = np.full((32, 32), 0.2), np.full((32, 32), 0.8)

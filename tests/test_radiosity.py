@@ -78,7 +78,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.sweep("mesh")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_patches_cover_their_shape(name):
     """Areas sum to the shape's, polygons to no more than the curve's; the vector areas of a closed
@@ -116,6 +116,7 @@ def test_two_sided_surfaces_have_two_sides():
 # ------------------------------------------------ form factors of scenes
 
 
+@pytest.mark.slow
 def test_a_closed_room_closes_and_is_reciprocal():
     scene = room([GREY] * 6)
     plan = plan_patches(scene, size=0.34, split=2)
@@ -128,6 +129,7 @@ def test_a_closed_room_closes_and_is_reciprocal():
     assert jnp.abs(exchange).max() < 0.02 * (patches.area[0] * table.max())
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize(("width", "low", "high"), [(1.0, 0.0, 0.0), (0.5, 0.45, 0.55)])
 def test_a_wall_between_is_seen(width, low, high):
@@ -144,6 +146,7 @@ def test_a_wall_between_is_seen(width, low, high):
 ROOM = room([GREY] * 6)
 
 
+@pytest.mark.slow
 def test_what_stands_on_an_element_leaves_the_rest():
     """A box over the quarter x < .5, y < .5 of a floor of one element: three quarters are left, and
     light is received in the open, across from it, also where the box reaches past the centroid of
@@ -161,6 +164,7 @@ def test_what_stands_on_an_element_leaves_the_rest():
         np.testing.assert_allclose([elements.centre.x[0], elements.centre.y[0]], place, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_lies_under_a_box_is_covered_in_single_precision():
     """Of areas that are no round numbers: none of what a box hides is left over by rounding."""
     floor = Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
@@ -178,6 +182,7 @@ def test_what_lies_under_a_box_is_covered_in_single_precision():
     assert (x + y > 0.07).all()  # none has its place at the origin
 
 
+@pytest.mark.slow
 def test_half_of_an_element_in_the_shadow_is_half_as_bright():
     """Light straight down, and a screen over the half x > .5 of the unit floor."""
     floor = Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
@@ -206,6 +211,7 @@ def test_closed_sphere(method):
     np.testing.assert_allclose(solution.radiosity[:inside], 0.5 * np.pi, rtol=1e-6)  # sees nothing
 
 
+@pytest.mark.slow
 def test_cube_of_glowing_walls():
     """Every wall of albedo .5 emits .5 as a light with shadows: 1."""
     scene = room([GREY] * 6, emission={i: [0.5] for i in range(6)})
@@ -289,6 +295,7 @@ def exact_solution():
     return np.stack(bands, axis=1)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_solvers_and_their_gradients(method):
     """Values against NumPy; gradients in table, albedo and what is sent against differences."""
@@ -314,6 +321,7 @@ def test_solvers_and_their_gradients(method):
         )
 
 
+@pytest.mark.slow
 def test_single_precision_solves_scenes_of_which_most_is_dark():
     """One lit patch among many: to float32's rounding and the tolerance of what is sent."""
     sent = as_dtype(jnp.zeros_like(SENT).at[7].set(3.0), jnp.float32)
@@ -340,6 +348,7 @@ def closed_room(rho):
     return table, jnp.full_like(sent, rho), sent
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     ("method", "rho", "dtype", "bound"),
@@ -362,6 +371,7 @@ def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
     assert np.abs(np.asarray(got) - truth).max() < bound * truth.max()
 
 
+@pytest.mark.slow
 def test_shots_that_are_too_few_leave_what_they_say():
     table, albedo, sent = closed_room(0.9)
     rough, unshot = jax.jit(partial(shoot, limit=40))(table, albedo, sent)
@@ -384,6 +394,7 @@ def test_rooms_that_absorb_nothing_are_found():
     assert trapping_surface(opened, white, PLAN) is None
 
 
+@pytest.mark.slow
 def test_bounces_and_shots_converge():
     exact = exact_solution()
     np.testing.assert_allclose(bounce(TABLE, ALBEDO, SENT, count=0), SENT)
@@ -470,6 +481,7 @@ def test_gather_and_interpolation_agree_in_a_glowing_cube():
     np.testing.assert_allclose(both(scene), 1, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradients_in_albedo_emission_and_place_of_the_lamp():
     """Of a picture's sum, against central differences; nothing is hidden, so that what shadow rays
     do not say is nothing."""

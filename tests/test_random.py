@@ -25,6 +25,7 @@ def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
 U = numbers(np.arange(512), np.arange(64), np.arange(4))  # 2^19 of them
 
 
+@pytest.mark.slow
 def test_uniform():
     """Kolmogorov and Smirnov over all; chi-square in 256 bins of each dimension of five seeds,
     whose levels must themselves be even: 80 of them, so that one of 1e-3 is no surprise."""

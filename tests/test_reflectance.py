@@ -153,6 +153,7 @@ def test_the_optimum_is_scipys(observation):
     np.testing.assert_allclose((found.vector - reference.x) / deviations(found), 0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_saturated_highlights_are_censored_not_believed(observation):
     clip = BLACK + 0.6 * WHITE  # 1 % of the samples
     frames = photographs(np.random.default_rng(2), clip=clip)
@@ -296,6 +297,7 @@ def test_the_composite_density_has_the_robust_curvature(observation):
     assert np.all(np.abs(step) < 0.2 * deviations(found))
 
 
+@pytest.mark.slow
 def test_draws_agree_with_laplace(observation):
     found = fit(observation)
     grouping = cells(observation, found.selection)
@@ -317,6 +319,7 @@ def test_held_out_images_do_not_touch_the_fit(observation):
     np.testing.assert_array_equal(changed.vector, fit(observation).vector)
 
 
+@pytest.mark.slow
 def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
     """The held-out lights, some of whose pixels are clipped: the ratio of two RMS by hand."""
     found = fit(observation)
@@ -334,6 +337,7 @@ def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
     assert relative_error(clipped, found, chosen) == pytest.approx(expected, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_section_names_the_right_model_and_draws(observation):
     calibration = calibrate_reflectance(observation, model="gaussian-lobe")
     section = reflectance_section(calibration)

@@ -109,6 +109,7 @@ def test_the_preview_follows_its_rule(rendered):
     assert np.abs(shown - 255 * encoded).max() <= 0.51
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("tile", [7, 26, 468, 5000])
 def test_the_picture_does_not_depend_on_its_tiles(rendered, tmp_path, tile):
     status, *_ = run(
@@ -132,6 +133,7 @@ def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
     monkeypatch.setattr(PartialImage, "append", append)
 
 
+@pytest.mark.slow
 def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
     with monkeypatch.context() as patch:
@@ -156,6 +158,7 @@ def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypat
     assert (tmp_path / "a.exr").read_bytes() == (rendered / "ball.exr").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
     with monkeypatch.context() as patch:
@@ -182,6 +185,7 @@ def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch
     assert read_image(tmp_path / "a.exr").shape == (9, 13, 3)
 
 
+@pytest.mark.slow
 def test_a_killed_render_ends_bit_identical(tmp_path):
     """SIGKILL, which no program can answer, between or within tiles."""
     (tmp_path / "ball.toml").write_text(SCENE.replace("[18, 26]", "[150, 200]"))
@@ -257,6 +261,7 @@ def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.slow
 def test_a_lens_defocuses(tmp_path):
     """The rays a pixel of `render`, over the pixel and the lens; and blurred: its ball, one metre
     behind where the lens is focused, has no edge."""
@@ -389,6 +394,7 @@ def test_the_final_gather_of_radiosity(tmp_path):
     assert "gather = -1: must be greater than or equal to 0" in error
 
 
+@pytest.mark.slow
 def test_light_that_grows_without_end_is_named(tmp_path):
     """In a closed room that is white in one band; in the grey one of the test above it ends."""
     (tmp_path / "a.toml").write_text(ROOM.replace("0.5, 0.7]", "1, 0.7]", 1))
@@ -409,6 +415,7 @@ def test_missing_folders_are_made_and_others_named(rendered, tmp_path):
         assert f"{out}: cannot be written" in error
 
 
+@pytest.mark.slow
 def test_bands_that_are_wavelengths_have_names(tmp_path):
     text = "wavelengths = {first = 400, last = 1000, step = 300}\n" + SCENE
     text = text.replace("[0.2, 0.5, 0.7]", "0.5").replace("[10, 20, 30]", "[1, 2, 4]")

@@ -145,6 +145,7 @@ def operations(jaxpr, call=None):
     return own + sum(operations(x, call) for x in jaxprs if hasattr(x, "eqns"))
 
 
+@pytest.mark.slow
 def test_an_absent_shadow_is_not_traced():
     """From the jaxpr: without shadows fewer operations, and one shape that cannot shade itself
     has none to begin with."""
@@ -177,6 +178,7 @@ def test_shadows_are_asked_for_once_however_many_kinds_of_material(rule):
     assert count(kinds) == count([kinds[0]] * 4) > 0
 
 
+@pytest.mark.slow
 def test_occluders_are_the_surfaces_that_block():
     """A ball and a plate in the way of a lamp: named alone, each leaves its own shadow, which the
     scene of the other alone does not have; both together are the usual picture."""
@@ -202,6 +204,7 @@ def test_occluders_are_the_surfaces_that_block():
             Scene(surfaces, light, occluders=wrong)
 
 
+@pytest.mark.slow
 def test_each_light_by_its_own_rule():
     """Light adds up: two lamps of two rules are the pictures of each lamp alone, by its rule; a
     None stands for the rule of the call. As many lights of one kind, and of one place, as need a
@@ -230,6 +233,7 @@ def test_each_light_by_its_own_rule():
         visibility(lights, jnp.zeros(3), [BALL], Leaving(jnp.eye(3)[2]), rule=(fine, fine))
 
 
+@pytest.mark.slow
 def test_a_thin_lens_wants_samples():
     """One ray through its middle would be a picture of a pinhole, all in focus."""
     scene = Scene([Surface(BALL, Lambert(KD))], [PointLight([1.5, 1, -3.0], [5.0, 4])])
@@ -280,6 +284,7 @@ def test_a_surface_that_shines_is_seen_shining_from_its_front():
         Scene([Surface(BALL, Lambert(KD), [1.0, 1, 1])], [])
 
 
+@pytest.mark.slow
 def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
     """3840 triangles with the ball's own normals: radiance within the squared size of a triangle,
     shadow on the floor included; flat ones are ten times worse."""
@@ -312,6 +317,7 @@ def test_a_mesh_alone_shades_itself():
     np.testing.assert_array_equal(under, 0)
 
 
+@pytest.mark.slow
 def test_gradients_through_shadows():
     """Radiance is linear in k_d and in the light's intensity, so their gradients are quotients;
     in the light's place, finite differences where no shadow edge passes."""
@@ -338,6 +344,7 @@ def test_gradients_through_shadows():
         np.testing.assert_allclose(slope.lights[0].position @ axis, numeric, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_many_rays_a_pixel_cover_an_edge_by_its_part():
     """A plate that ends a quarter into the second pixel; one ray through the centre misses it."""
     view = Orthographic([0, 0, 9], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 1.0, resolution=(1, 2))
@@ -357,6 +364,7 @@ LENS = ThinLens(
 )
 
 
+@pytest.mark.slow
 def test_pixels_do_not_depend_on_the_cut_nor_samples_on_the_call():
     """Some pixels alone, in another order, equal those of the whole picture to the last bit; six
     samples are the mean of the first three and the next three."""

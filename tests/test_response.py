@@ -42,6 +42,7 @@ def calibration(tmp_path_factory):
     return calibrate_response(read_exposure_stack(load_rig(folder)))
 
 
+@pytest.mark.slow
 def test_section_of_a_colour_stack(calibration):
     section = response_section(calibration)
     assert section.kind == "response"
@@ -103,6 +104,7 @@ def test_pixels_clipped_everywhere_are_bounds():
     assert irradiance.min() > 0
 
 
+@pytest.mark.slow
 def test_mosaic_is_taken_apart(tmp_path):
     rng = np.random.default_rng(3)
     _, codes = exposure_stack(gamma(1.0), TIMES, rng, pixels=96 * 128)

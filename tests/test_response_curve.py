@@ -46,6 +46,7 @@ def test_low_codes_of_a_quiet_camera():
     assert log_rms(curve.log_exposure[low], truth[low]) < 0.03
 
 
+@pytest.mark.slow
 def test_band_holds_the_truth_and_widens_with_shutter_errors():
     inside, widths = [], []
     for shutter_error in (0.0, 0.02):
@@ -151,6 +152,7 @@ def test_exposures_that_share_no_pixels_are_refused():
         fit_response_curve(codes, np.array([1.0, 2.0, 100.0, 200.0]), bits=8)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_measured_curves_are_recovered(data_folder):
     """Every fortieth of the 201 DoRF curves (Grossberg & Nayar 2003)."""

@@ -18,6 +18,7 @@ def fitted(response, times, seed, **options):
     return fit_gamma(fit_response_curve(codes, times, bits=8), sampling=sampling)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("truth", [1.0, 1.8, 2.2])
 def test_gamma_is_unbiased_by_noise_and_rounding(truth):
@@ -26,6 +27,7 @@ def test_gamma_is_unbiased_by_noise_and_rounding(truth):
     assert np.mean(found) == pytest.approx(truth, rel=1.5e-3)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_when_shutters_err():
     """32 stacks: 95 % intervals hold at least 26 times (probability .999 for honest ones) and are
     no wider than they need be."""
@@ -40,6 +42,7 @@ def test_intervals_hold_the_truth_when_shutters_err():
     assert np.median(widths) < 8 * np.std(errors)
 
 
+@pytest.mark.slow
 def test_three_exposures_need_wider_intervals_than_nine():
     nine = fitted(gamma(2.2), TIMES, 1, pixels=4000, shutter_error=0.01).gamma
     three = fitted(gamma(2.2), TIMES[3:6], 1, pixels=4000, shutter_error=0.01).gamma
@@ -47,6 +50,7 @@ def test_three_exposures_need_wider_intervals_than_nine():
     assert three.interval_95[0] < 2.2 < three.interval_95[1]
 
 
+@pytest.mark.slow
 def test_sampling_agrees_with_the_exact_integral():
     exact = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=0.02).gamma
     options = SamplingOptions(walkers=32, steps=6000, block=500)

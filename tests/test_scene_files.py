@@ -178,6 +178,7 @@ def test_lights_and_ambient(tmp_path):
     assert found.lights == ('light "lamp"', "light[2]", "light[3]", "light[4]")
 
 
+@pytest.mark.slow
 def test_an_environment_turns_its_middle_and_top(tmp_path):
     """The picture's middle column lies along `toward`, its left quarter to the left."""
     picture = np.zeros((32, 64, 3), np.float32)
@@ -254,6 +255,7 @@ def test_a_spectrum_with_wavelengths_is_looked_up(tmp_path):
     np.testing.assert_allclose(seen, 0.5 * np.interp(grid, nm, values), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_reflectance_in_rgb_is_its_colour_under_d65(tmp_path):
     """Against colour-science's own integration, at 1 nm, of the same spectrum."""
     nm, values = spectral_file(tmp_path)
@@ -296,6 +298,7 @@ def test_a_patch_and_a_black_body(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_measured_materials_come_in_the_bands_of_the_scene(tmp_path):
     """An RGB file unchanged, a spectral one at the given wavelengths."""
     rng = np.random.default_rng(4)

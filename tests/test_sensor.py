@@ -44,6 +44,7 @@ def check_moments(sample, mean, variance, fourth):
     assert abs(sample.var() - variance) < 5 * np.sqrt((fourth - variance**2) / sample.size) + 1e-12
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", LEVELS)
 def test_poisson_shot_noise_replaces_the_mean(level):
     sample = raw(KEY, Sensor(shot_noise=POISSON), flat(level))
@@ -74,6 +75,7 @@ def test_read_noise(sigma):
     check_moments(sample, 50, sigma**2, 3 * sigma**4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", LEVELS)
 def test_dark_current_brings_its_own_shot_noise(level):
     sensor = Sensor(dark_current=level / 0.25, exposure_time=0.25, shot_noise=POISSON)
@@ -129,6 +131,7 @@ def test_pattern_variance_is_that_of_a_noiseless_frame():
     assert (signal_variance(sensor, jnp.asarray([800.0])) == 0).all()
 
 
+@pytest.mark.slow
 def test_noise_of_pixels_frames_and_sources_is_independent():
     sensor = Sensor(shot_noise=GAUSSIAN, read_noise=10.0)
     frames = [np.asarray(raw(key, sensor, flat(100.0))).ravel() for key in jax.random.split(KEY, 2)]
@@ -214,6 +217,7 @@ def test_float32_in_float32_out_everywhere():
         assert jax.eval_shape(moment, sensor, x).dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_one_compilation_serves_a_sweep():
     traced = []
 
@@ -228,6 +232,7 @@ def test_one_compilation_serves_a_sweep():
     assert len(traced) == 1
 
 
+@pytest.mark.slow
 def test_gradients_pass_through_draws_and_rounding_as_through_their_means():
     sensor = Sensor(shot_noise=POISSON, gain=0.5, offset=10.0, bits=8)
     gradient = jax.grad(lambda x: raw_image(KEY, sensor, x).sum())

@@ -73,6 +73,7 @@ def truth(response):
     }
 
 
+@pytest.mark.slow
 def test_every_figure_of_the_sheet_returns_within_its_error():
     photons = jnp.linspace(2000.0, 36_000.0, 18)
     exposures = jnp.linspace(1e-3, 0.4, 18)

@@ -88,6 +88,7 @@ def test_a_picture_that_is_no_whole_number_of_pixels_is_refused():
 # ------------------------------------------------ filters
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("phase", ["RGGB", "BGGR", "GRBG", "GBRG"])
 def test_each_pixel_counts_what_its_filter_lets_through(phase):
     transmission = np.array([[0.5, 0.1], [0.2, 0.3], [0.05, 0.4]])
@@ -127,6 +128,7 @@ def test_a_larger_chip_gathers_more_light_at_equal_field_of_view():
 # ------------------------------------------------ neighbours
 
 
+@pytest.mark.slow
 def test_crosstalk_against_a_loop_and_nothing_is_lost():
     share = 0.07
     expected = np.zeros_like(IMAGE)
@@ -207,6 +209,7 @@ def test_charge_transfer_against_a_clocked_register(inefficiency):
     np.testing.assert_allclose(got[..., 0], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_packet_trails_away_from_the_read_out():
     point = jnp.zeros((40, 1, 1)).at[20].set(1000.0)
     got = np.asarray(transferred(point, s.ChargeTransfer(1e-3)))[:, 0, 0]
@@ -215,6 +218,7 @@ def test_a_packet_trails_away_from_the_read_out():
     np.testing.assert_allclose(got.sum(), 1000, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
     """The rest of the negative binomial, by scipy: no charge of the packet is lost."""
     for inefficiency, rtol in ((0.01, 1e-9), (1e-3, 1e-7)):
@@ -226,12 +230,14 @@ def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
         assert (got[9:] == 0).all()
 
 
+@pytest.mark.slow
 def test_a_trail_longer_than_the_column_leaves_it():
     """The charge that falls behind a row before the end is read after the frame."""
     got = transferred(jnp.ones((2, 1, 1)), s.ChargeTransfer(0.1, trail=8))[:, 0, 0]
     np.testing.assert_allclose(got, [0.9, 0.81 + 0.9 * 0.1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_whole_numbers_of_photons_are_light():
     """Counts of an integer type give the same draws as equal floating numbers."""
     key = jax.random.key(3)
@@ -242,6 +248,7 @@ def test_whole_numbers_of_photons_are_light():
             np.testing.assert_array_equal(raw_image(key, sensor, light, die_key=key), expected)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "noise", [s.PoissonShotNoise(), s.FastPoissonShotNoise(), s.GaussianShotNoise()]
 )
@@ -252,6 +259,7 @@ def test_traced_nan_stays_nan(noise):
     assert np.isfinite(got[1])
 
 
+@pytest.mark.slow
 def test_a_full_well_blooms_before_it_is_transferred():
     sensor = s.Sensor(full_well=100.0, blooming=1.0, charge_transfer=s.ChargeTransfer(1e-3))
     image = jnp.zeros((20, 1, 1)).at[10].set(500.0)
@@ -264,6 +272,7 @@ def test_a_full_well_blooms_before_it_is_transferred():
 # ------------------------------------------------ shutter
 
 
+@pytest.mark.slow
 def test_a_moving_edge_is_blurred_over_its_path():
     """An edge that moves at 20 pixels per second for half a second: a ramp of 10 pixels, with the
     standard deviation of a box.
@@ -284,6 +293,7 @@ def test_a_moving_edge_is_blurred_over_its_path():
     np.testing.assert_allclose(ramp[12:18], 0.1, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_rolling_shutter_skews_what_moves():
     """20 pixels per second, 5 ms per row: each row sees the edge 0.1 pixels further."""
     x = jnp.arange(40.0)
@@ -300,6 +310,7 @@ def test_a_rolling_shutter_skews_what_moves():
     np.testing.assert_allclose(still, np.broadcast_to(still[:1], still.shape))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("line_time", [None, 1e-3, 0.3])
 def test_slots_share_out_each_rows_exposure(line_time):
     shutter = None if line_time is None else s.RollingShutter(line_time)

@@ -36,6 +36,7 @@ def quadrature(mean, sigma, low, high):
     return first, moment(lambda x: (x - first) ** 2)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("mean", [-8.0, -1.0, 0.0, 3.0, 10.0, 12.0, 18.0])
 @pytest.mark.parametrize("sigma", [0.3, 2.0, 20.0])
 def test_clipped_gaussians_against_quadrature(mean, sigma):
@@ -49,6 +50,7 @@ def test_clipped_gaussians_against_quadrature(mean, sigma):
     np.testing.assert_allclose(got.variance, second, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_without_noise_it_is_the_mean_that_is_clipped():
     moments = Moments(jnp.asarray([-1.0, 5.0, 20.0]), jnp.zeros(3))
     got = censored(moments, low=jnp.asarray(0.0), high=jnp.asarray(10.0))
@@ -56,6 +58,7 @@ def test_without_noise_it_is_the_mean_that_is_clipped():
     np.testing.assert_array_equal(got.variance, 0)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_an_endless_well_clips_nothing(dtype):
     """Values and gradients are those without a well."""
@@ -88,6 +91,7 @@ def frames():
     return np.asarray(afternoon(jax.random.split(KEY, (40, 60)), jax.random.split(DIE, 40)))
 
 
+@pytest.mark.slow
 def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames):
     light = jnp.full((24, 32, 1), 40_000.0)
     middle = (slice(6, 18), slice(6, 26))
@@ -103,6 +107,7 @@ def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames)
     assert abs(measured / pattern.mean() - 1) < 0.12
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("light", [0.0, 2000.0, 19_500.0, 20_500.0, 60_000.0])
 def test_clipping_by_well_and_converter(light):
     """Against frames: black clipped at 0 DN, a full well 200 e- below the ADC's end, and light
@@ -126,6 +131,7 @@ def test_clipping_by_well_and_converter(light):
     assert abs(sample.var() / variance - 1) < 0.03
 
 
+@pytest.mark.slow
 def test_expected_pictures_have_right_gradients_from_no_photon_to_saturation():
     """By exposure, gain, dark current and light, against finite differences."""
     sensor = s.Sensor(

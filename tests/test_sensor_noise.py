@@ -60,6 +60,7 @@ def test_threefry_has_the_published_words():
         assert tuple(int(word[0]) for word in got) == words
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_gaussian_quantiles_against_scipy(dtype):
     ends = np.geomspace(1, 2**31, 2000).astype(np.int64) - 1
@@ -75,6 +76,7 @@ def test_gaussian_quantiles_against_scipy(dtype):
     assert error.max() < 5e-4
 
 
+@pytest.mark.slow
 def test_draws_are_gaussian_and_independent_of_each_other():
     size = 400_000
     uses = [Frame.SHOT, Frame.READ, Die.DSNU]
@@ -94,7 +96,7 @@ invert = jax.jit(_inverse_poisson)
 STRATA = 2**23
 
 
-@pytest.mark.sweep("0.1")
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.1, 1.0, 3.0, 9.99, 10.01, 30.0, 100.0, 1000.0, 1e5])
 def test_fast_counts_have_poissons_distribution(mean):
     """All its quantiles: the total variation, the mean and the variance that `count` states."""
@@ -125,6 +127,7 @@ def test_fast_shot_noise_replaces_the_mean(level):
     np.testing.assert_array_equal(sample, jnp.round(sample))
 
 
+@pytest.mark.slow
 def test_fast_counts_of_one_photon_in_ten_million_frames():
     """The chance of a photon keeps its own digits far below float32's rounding of 1."""
     mean = jnp.asarray(1e-7, jnp.float32)
@@ -133,6 +136,7 @@ def test_fast_counts_of_one_photon_in_ten_million_frames():
     np.testing.assert_array_equal(_inverse_poisson(words, jnp.full(2, mean)), [1, 0])
 
 
+@pytest.mark.slow
 def test_gradients_of_fast_counts_follow_the_mean_and_the_spread():
     """d E[N] / d mean = 1, and above ten electrons d E[N^2] / d mean = 2 mean + 1."""
     kind = s.FastPoissonShotNoise()
@@ -155,6 +159,7 @@ def test_gradients_of_fast_counts_follow_the_mean_and_the_spread():
 # ------------------------------------------------ reading out
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", LEVELS)
 def test_heavy_tailed_read_noise(level):
     noise = s.HeavyTailedReadNoise(level, 5 * level, 0.02)
@@ -216,6 +221,7 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
 # ------------------------------------------------ transfer
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     ("noise", "well"),
@@ -274,6 +280,7 @@ def test_electrons_are_left_behind_one_by_one(noise, well):
 # ------------------------------------------------ fixed pattern
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", LEVELS)
 def test_columns_and_rows_keep_their_offsets(level):
     for field, axis, shape in (("column_dsnu", 0, (3, 40_000, 1)), ("row_dsnu", 1, (40_000, 3, 1))):
@@ -294,6 +301,7 @@ def test_column_amplifiers_differ():
     np.testing.assert_allclose(variance, 16, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_conversion_gains_differ_and_scale_what_was_counted():
     """Over frames, a pixel of gain g has mean g mu and variance g^2 mu: unlike a pixel of another
     sensitivity it is no longer Poisson.

@@ -200,7 +200,7 @@ def test_balanced_samples_find_the_closed_form(light):
     assert (np.abs(values.mean(axis=0) - expected) < 4 * error).all()
 
 
-@pytest.mark.sweep("normalised phong")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["lambert", "normalised phong", "torrance-sparrow", "oren-nayar"])
 def test_under_a_white_sky_it_is_the_albedo(kind):
     material, white = REFLECTING[kind], jnp.ones(2)
@@ -210,6 +210,7 @@ def test_under_a_white_sky_it_is_the_albedo(kind):
     assert (np.abs(got.value - brdf.albedo(material, local)) <= got.error + 2e-3).all()
 
 
+@pytest.mark.slow
 def test_against_quadrature_from_outside():
     """A Gaussian patch of sky on the textbook's Phong, by scipy's adaptive integration of the
     formula written out."""
@@ -298,6 +299,7 @@ def test_a_mirror_shows_the_light_it_reflects():
     np.testing.assert_allclose(balanced, sky, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_light_and_a_material_of_the_users_own_join_in():
     """One registration each, here in a test's body, and everything serves them."""
 
@@ -316,6 +318,7 @@ def test_a_light_and_a_material_of_the_users_own_join_in():
     np.testing.assert_allclose(white.value, np.pi * np.array([0.5, 0.25]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_light_at_one_place_is_one_sample_under_any_rule():
     for light in LIGHTS:
         for rule in (Quadrature(5), MonteCarlo(KEY, 7), Balanced(KEY, 7)):
@@ -337,6 +340,7 @@ def test_a_neutral_material_takes_the_lights_bands_and_others_are_named():
         hemisphere_radiance(grey, lambda wi: jnp.ones(1), NORMAL, WO, polar=1, azimuths=8)
 
 
+@pytest.mark.slow
 def test_gradients_through_every_way_are_finite_and_the_linear_one_exact():
     source, material = SHINING["rectangle"], REFLECTING["phong shading"]
 

@@ -28,6 +28,7 @@ def test_grids():
 # ------------------------------------------------ conversions
 
 
+@pytest.mark.slow
 def test_patches_to_xyz_as_colour_science():
     """All 24 patches under D65: CIE's summation, as `sd_to_XYZ_integration` does it."""
     ours = spectra.reflectance_to_xyz(
@@ -102,6 +103,7 @@ def test_three_bands_are_a_spectrum():
     )
 
 
+@pytest.mark.slow
 def test_widths_and_integral():
     grid = jnp.asarray([1.0, 2.0, 4.0, 5.0])
     np.testing.assert_array_equal(spectra.band_widths(grid), [1, 1.5, 1.5, 1])
@@ -117,6 +119,7 @@ def test_widths_and_integral():
 # ------------------------------------------------ interpolation
 
 
+@pytest.mark.slow
 def test_sprague_as_colour_science():
     nm, wanted = np.arange(400.0, 481.0, 10.0), np.linspace(400.0, 480.0, 97)
     values = RNG.uniform(size=(2, len(nm)))
@@ -130,6 +133,7 @@ def test_sprague_as_colour_science():
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_linear_as_numpy_and_both_ends():
     known = jnp.asarray([4.0, 4.7, 5.1, 6.0]) * 1e-7
     wanted = jnp.asarray([3.5, 4.0, 4.3, 5.1, 5.7, 6.0, 6.5]) * 1e-7
@@ -179,6 +183,7 @@ def test_planck_as_colour_science():
     np.testing.assert_allclose(ours, theirs, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_blackbody_without_warmth():
     for temperature in (0.0, -5.0, 1e-3):
         value, slope = jax.value_and_grad(lambda t: spectra.blackbody(GRID, t).sum())(
@@ -248,6 +253,7 @@ def test_unknown_names_list_the_known():
         colour_data.white_point("x")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_is_kept(dtype):
     grid, values = GRID.astype(dtype), jnp.ones((2, len(GRID)), dtype)

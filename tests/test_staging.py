@@ -65,6 +65,7 @@ TRANSFORMED = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_together_is_the_plain_evaluation(name):
     transformed = TRANSFORMED[name]
@@ -109,6 +110,7 @@ def found(levels, x, offset):
     return searched(first_above, levels, x, offset=offset)
 
 
+@pytest.mark.slow
 def test_a_search_batched_along_any_axes_finds_what_a_loop_finds():
     x, offset = jnp.linspace(0, 3, 4), jnp.asarray([0.0, 1.0])
     levels = jnp.stack([LEVELS, LEVELS + 0.25], axis=1)  # (3, 2): batched along its last axis
@@ -123,6 +125,7 @@ def test_a_search_batched_along_any_axes_finds_what_a_loop_finds():
             )
 
 
+@pytest.mark.slow
 def test_gradients_pass_a_search_by():
     def loss(x, offset):
         return LEVELS[found(LEVELS, x, offset)["place"]] * x

@@ -57,6 +57,7 @@ def test_light_of_a_bulb_in_a_body_is_absorbed_on_its_way_to_a_surface():
     np.testing.assert_allclose(both(scene, ray), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
 def test_every_strategy_finds_what_a_glowing_ball_sends_through_a_body(strategy):
     """Against a sum over the ball's surface, with exp(-d) on the way from each place of it."""
@@ -104,6 +105,7 @@ NESTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", NESTED)
 def test_a_way_through_bodies_within_bodies(name):

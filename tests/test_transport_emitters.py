@@ -85,6 +85,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", SHAPES)
@@ -124,6 +125,7 @@ def test_what_shines_never_hides_itself(name, dtype):
         assert int(count(jnp.asarray(scale, dtype), jnp.asarray(of_floor, dtype))) == 0
 
 
+@pytest.mark.slow
 def test_a_leaf_just_before_a_lamp_still_hides_it():
     """One thousandth of the way before a wide lamp that shines, and of a quad above a floor."""
     leaf = Surface(Quad([-30.0, -30, 0.999], [60.0, 0, 0], [0, 60.0, 0]), BLACK)
@@ -165,6 +167,7 @@ def test_both_ways_find_the_closed_form(name, strategy):
     assert abs(mean[0] - expected) < 4 * error[0]
 
 
+@pytest.mark.slow
 def test_chance_and_purpose_share_each_of_several_emitters():
     """Each of three emitters is drawn a third of the time, which the weight of what is found by
     chance must know: .5 / pi times the sum of their irradiances."""
@@ -179,6 +182,7 @@ def test_chance_and_purpose_share_each_of_several_emitters():
     assert abs(mean[0] - expected) < 4 * error[0]
 
 
+@pytest.mark.slow
 def test_a_lamp_in_the_plane_of_the_ceiling_shines():
     """A lamp that lies in a ceiling, float32, far from the floor and the world's middle too."""
     for scale in (1.0, 1e4):
@@ -192,6 +196,7 @@ def test_a_lamp_in_the_plane_of_the_ceiling_shines():
         np.testing.assert_allclose(shown, unhidden, rtol=1e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_lights_without_size_alone(dtype):
     """albedo I cos / (pi d^2), and no surface that shines anywhere."""
@@ -201,6 +206,7 @@ def test_lights_without_size_alone(dtype):
     np.testing.assert_allclose(traced.radiance, 0.5 / np.pi * 3 / 4, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_many_samples_count_beyond_whole_numbers():
     """n (n - 1) of 50000 samples is no int32."""
     scene, ray = as_dtype((Scene([Surface(FLOOR.shape, BLACK, [2.0])], []), LOOKS), jnp.float32)
@@ -214,6 +220,7 @@ def camera(position, target, field, pixels):
     return Pinhole(jnp.asarray(position, float), rotation, 1.0, field, resolution=(pixels, pixels))
 
 
+@pytest.mark.slow
 def test_a_lamp_hides_from_the_camera_what_lies_behind_it():
     """Its own radiance and nothing more, though the wall behind it is bright and its light passes
     the lamp on the way to other surfaces."""

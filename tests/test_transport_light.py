@@ -114,6 +114,7 @@ def spheres():
     return Scene(surfaces, [])
 
 
+@pytest.mark.slow
 def test_glass_and_mirror_ray_by_ray():
     """Forty rays at both spheres, and twenty from within the glass, where radiance is squeezed
     once: all branches above 1e-9 of an independent recursion, in 40."""
@@ -181,6 +182,7 @@ def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
     assert np.median(apart[flat] / np.asarray(paths.radiance)[flat]) < 0.02
 
 
+@pytest.mark.slow
 def test_ray_tree_options_are_named():
     with pytest.raises(ValueError, match=r"rays must be a whole number of at least 1, got 0"):
         ray_tree_radiance(spheres(), Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1])), rays=0)
@@ -264,6 +266,7 @@ SOURCES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", sorted(SOURCES))
 def test_flux_of_a_source_is_its_irradiance(name):
     """Rays that leave, counted on a receiver, against the integral of 1 / d^2 by NumPy."""
@@ -273,6 +276,7 @@ def test_flux_of_a_source_is_its_irradiance(name):
     assert abs(mean - disc_by_quadrature(at)) < 4 * error
 
 
+@pytest.mark.slow
 def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
     """Emitted flux pi A L of each, and of a box; a mesh of two halves is the rectangle."""
     halves = TriangleMesh(
@@ -292,6 +296,7 @@ def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
     assert abs(disc[0] - expected) < 4 * disc[1]
 
 
+@pytest.mark.slow
 def test_infinite_light_needs_a_scene_that_ends():
     scene = Scene(
         [Surface(Plane([0, 0, 0], [0, 0, 1.0]), BLACK)], [DirectionalLight([0, 0, 1.0], [1.0, 1])]
@@ -301,6 +306,7 @@ def test_infinite_light_needs_a_scene_that_ends():
         light_traced(KEY, scene, view, paths=4)
 
 
+@pytest.mark.slow
 def test_a_plane_that_shines_is_refused():
     floor = Plane([0, 0, 0], [0, 0, 1.0])
     view = Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
@@ -334,6 +340,7 @@ def chi_square(a, b):
     return (np.square(a.radiance - b.radiance)[seen] / variance[seen]).mean()
 
 
+@pytest.mark.slow
 def test_light_traced_is_path_traced():
     """A room with a box and shadows, light from a lamp: pixel by pixel within the errors."""
     scene = Scene(ROOM, [RectangleLight(*CEILING, [3.0, 2.0])])
@@ -346,6 +353,7 @@ def test_light_traced_is_path_traced():
     assert totals[0] == pytest.approx(totals[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_light_reaches_a_lens_that_distorts():
     """A wall under a point light, seen through a barrel: k_d I cos / d^2 where each pixel's ray
     meets it, its slope undistorted by bisection in NumPy; the sum over quarters of the picture."""

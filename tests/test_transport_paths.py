@@ -132,6 +132,7 @@ def test_white_furnace_shows_the_albedo(name):
     np.testing.assert_array_less(np.abs(mean - expected), 4.5 * error + 4e-4)
 
 
+@pytest.mark.slow
 def test_white_furnace_of_glass_is_white():
     """Clear glass takes nothing: 1 exactly but for what is still inside after 40 pieces."""
     scene = Scene([Surface(Sphere([0.0, 0, 0], 1.0), Glass(1.5))], [SKY])
@@ -179,7 +180,7 @@ def corner_by_quadrature(x):
     return (direct + 0.2 * kernel(x, up, wall, left) @ (wall_weight * of_wall))[0]
 
 
-@pytest.mark.sweep("balance-False")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("strategy", "lamp_is_surface"),
     [
@@ -200,6 +201,7 @@ def test_direct_light_and_one_bounce_against_quadrature(strategy, lamp_is_surfac
     assert abs(mean[0] - corner_by_quadrature(point)) < 4 * error[0]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_a_lamp_is_no_shadow_of_its_own(dtype):
     """A ceiling that shines, seen from a floor up to 89 degrees from its normal, where a shadow
@@ -251,6 +253,7 @@ VIEW = Pinhole(
 )
 
 
+@pytest.mark.slow
 def test_pixels_do_not_depend_on_the_tiles():
     """Every pixel, in pieces of any length and in any order, to the last bit."""
     method = Paths(4, 3)
@@ -313,6 +316,7 @@ def test_error_is_the_standard_error():
     assert np.std(traced.radiance) == pytest.approx(claimed, rel=0.25)
 
 
+@pytest.mark.slow
 def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
     """A bounce asks a material for the density of the direction drawn and, to weigh both ways of
     finding light, for that toward the lamp; not where no ray can meet what shines."""
@@ -338,6 +342,7 @@ def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
 # ------------------------------------------------ gradients
 
 
+@pytest.mark.slow
 def test_gradients_against_finite_differences_of_the_same_paths():
     """Albedo, emission and a lamp's position, through five pieces, without a shadow."""
     point = jnp.asarray([0.2, 0.1, 1.2])
@@ -412,6 +417,7 @@ def test_options_out_of_range_are_named(options, message):
         Paths(**options)
 
 
+@pytest.mark.slow
 def test_nothing_shines_and_nothing_is_met():
     """A scene without light is black; a ray that meets nothing is black or sees the sky."""
     up = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1))

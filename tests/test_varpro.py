@@ -31,6 +31,7 @@ def scipy_best(y, fixed, lower, upper, *, count=20_001):
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_amplitudes_agree_with_scipy_nnls(columns):
@@ -46,6 +47,7 @@ def test_amplitudes_agree_with_scipy_nnls(columns):
         np.testing.assert_allclose(y @ y + lowest, norm**2, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_equal_and_empty_columns_share_no_amplitude():
     design = np.column_stack([X, X, np.zeros_like(X)])
     found, _ = non_negative_amplitudes(jnp.asarray(design.T @ design), jnp.asarray(design.T @ X))
@@ -59,6 +61,7 @@ def test_too_many_columns_are_refused():
         non_negative_amplitudes(jnp.eye(5), jnp.ones(5))
 
 
+@pytest.mark.slow
 def test_finds_the_brute_force_optimum_with_weights():
     rng = np.random.default_rng(0)
     y = 0.5 + 2.0 * np.exp(-1.7 * X) + 0.05 * rng.standard_normal(X.size)
@@ -90,6 +93,7 @@ def test_a_slope_that_only_falls_ends_at_the_bound():
     np.testing.assert_allclose(found.nonlinear, -1.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_keeps_float32():
     rng = np.random.default_rng(2)
     for rate in np.exp(rng.uniform(-1, 1, 8)):
@@ -102,6 +106,7 @@ def test_keeps_float32():
         assert np.sum(left**2) < 10 * np.finfo(np.float32).eps * np.sum(y**2)
 
 
+@pytest.mark.slow
 def test_two_fixed_columns_beside_the_searched_one():
     """Against scipy's NNLS at the rate that was found."""
     rng = np.random.default_rng(3)

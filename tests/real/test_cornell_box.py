@@ -91,6 +91,7 @@ def test_every_band_of_the_picture_is_geometry_times_spectra(spectral, table):
     assert set(cosines.argmax(axis=1)) == {0, 1, 2}  # each of the three walls is seen
 
 
+@pytest.mark.slow
 def test_the_published_rgb_colours_are_these_spectra(table):
     """The RGB of Mitsuba's box, which it made of the same measurements: their means over the
     observer, as this library reduces light. Its tables are at other steps: 7e-4."""

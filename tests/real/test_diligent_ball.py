@@ -30,6 +30,7 @@ def predicted_errors(calibration, model):
     return np.array([s.predicted_error for s in calibration.scores if s.model == model])
 
 
+@pytest.mark.slow
 def test_rounded_light_directions_are_renormalised(ball, data_folder):
     rig = load_rig(ball)
     lengths = [np.linalg.norm(light.direction) for light in rig.light]
@@ -41,6 +42,7 @@ def test_rounded_light_directions_are_renormalised(ball, data_folder):
     np.testing.assert_allclose(cosine, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["phong", "gaussian-lobe"])
 def test_a_lobe_predicts_held_out_lights_better_in_every_channel(calibration, model):
     lambert, lobe = (predicted_errors(calibration, name) for name in ("lambert", model))
@@ -54,6 +56,7 @@ def test_prediction_is_as_good_as_the_fit(calibration):
         assert score.predicted_error < 1.1 * score.fitted_error
 
 
+@pytest.mark.slow
 def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
     for fit in calibration.reported:
         assert fit.design_effect > 50
@@ -69,6 +72,7 @@ def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
     assert "Attached shadows are not black" in words
 
 
+@pytest.mark.slow
 def test_the_outline_is_darker_than_any_model_says(calibration):
     residual, normals = mean_residual(calibration), calibration.observation.normals
     assert np.nanmean(residual[normals[:, 2] < 0.4]) < -0.05

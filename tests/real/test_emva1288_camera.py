@@ -43,6 +43,7 @@ def test_pixel_count_depth_and_ranges_are_found(measurement, published):
     assert linear_levels(measurement)[-1] == 34
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ours", "theirs"),
     [

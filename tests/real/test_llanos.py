@@ -11,6 +11,7 @@ from fitting.response.section import section as response_section
 from fitting.rig import load_rig
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_linear_camera_has_gamma_one(data_folder, tmp_path):
     """The bands at 500 and 600 nm, each in the sites that see it; published linearity .1 to 4 %."""

@@ -54,6 +54,7 @@ def test_albedo_of_white_paper(rgl):
         np.testing.assert_allclose(albedo(rgl["paper_white"], slanted(theta)), integral, rtol=3e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("name", "median", "worst"),
     [("paper_white", 0.02, 0.1), ("satin_rosaline", 0.05, 0.3), ("vch_golden_yellow", 0.1, 0.5)],
@@ -87,6 +88,7 @@ def test_draws_weigh_little_more_than_the_albedo(rgl):
         assert weights.max() < 2.5 * weights.mean()
 
 
+@pytest.mark.slow
 def test_cornell_files_hold_what_the_goniometer_did(cornell):
     """1439 samples of 31 bands, 10 to 80 degrees of incidence; in the plane of incidence the
     brightest sample at grazing incidence is the mirror direction."""
@@ -113,6 +115,7 @@ def test_tables_of_the_paints_return_their_samples(cornell):
         assert rms < 0.02
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("name", "part"), [("garnet_red", 0.7), ("acryl_blue", 0.25)])
 def test_an_angle_of_incidence_left_out_is_predicted(cornell, name, part):
     """The samples at 60 degrees from those at the seven others, by the table: nearer than linear

@@ -39,6 +39,7 @@ def least(calibration, models):
     return min(calibration.held_out[model].relative for model in models)
 
 
+@pytest.mark.slow
 def test_garnet_red_is_a_coat_of_clear_facets(calibrated):
     garnet = calibrated("garnet_red")
     assert garnet.model == "torrance-sparrow"
@@ -58,6 +59,7 @@ def test_the_paint_is_red_and_its_coat_has_no_colour(calibrated):
     assert np.all(np.abs(specular - 1) < 4 * garnet.amplitudes.specular_error)
 
 
+@pytest.mark.slow
 def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
     acryl = calibrated("acryl_blue")
     errors = [acryl.held_out[m].relative for m in ("phong", "blinn", "gaussian-lobe")]

@@ -15,6 +15,7 @@ from jaxvision.io import read_image
 ROBERTSON = (0.0311, 0.0460, 0.0427)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
     """Left out: pixels that are registration border (pure blue) in any exposure, and pixels that

@@ -79,6 +79,7 @@ def torrance_sparrow(wi, wo, alpha, distribution, shadowing):
     return d * g / (4 * wi[2] * wo[2]), steepness
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("roughness", [1e-4, 1e-2, 0.3, 1.0])
 @pytest.mark.parametrize(
@@ -132,6 +133,7 @@ def test_masking_at_grazing_angles_in_ulps(dtype):
             assert error <= 8 * float(jnp.finfo(dtype).eps) * (truth + exact.number(w[2]) / 4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
     """alpha cos(theta) down to 1e-9, where two rounded directions no longer tell the facet between
@@ -151,6 +153,7 @@ def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
     np.testing.assert_allclose(single, double, rtol=3e-6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("record", [NormalisedPhong, NormalisedBlinn])
 def test_albedo_of_the_sharpest_lobes(record):
     """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off; no
@@ -249,6 +252,7 @@ EDGES = {
 }
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize(
     "name",
@@ -293,6 +297,7 @@ def test_all_five_functions_are_finite_at_every_edge(dtype, name):
         assert leaf.dtype == dtype
 
 
+@pytest.mark.slow
 @both_precisions
 def test_separation_of_degenerate_pictures_is_finite(dtype):
     """Black, of one colour, along the illuminant, and negative by noise."""

@@ -69,6 +69,7 @@ def assert_finite(tree):
 # ------------------------------------------------ reflection
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("exponent", [1.0, 1e2, 1e4, 1e6])
 def test_lobe_of_a_huge_exponent_in_ulps(dtype, exponent):
@@ -132,6 +133,7 @@ SPECIAL_GEOMETRY = {
 }
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("geometry", SPECIAL_GEOMETRY)
 @pytest.mark.parametrize("sharpness", [0.0, 1.0, 1e6])
@@ -220,6 +222,7 @@ def test_rays_almost_along_a_plane(dtype, slope):
     )
 
 
+@pytest.mark.slow
 @both_precisions
 def test_a_picture_of_everything_awkward_has_finite_gradients(dtype):
     """Coincident spheres, a light on a surface and one inside, a plane seen edge-on, a camera in
@@ -258,6 +261,7 @@ def test_a_picture_of_everything_awkward_has_finite_gradients(dtype):
 # ------------------------------------------------ sensor
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("level", [0.0, 1e-30, 0.1, 1e4, 1e30])
 def test_sensor_from_no_photon_to_far_too_many(dtype, level):

@@ -75,6 +75,7 @@ def test_malvar_in_fractions(dtype, scale):
         assert error <= 8 * Fraction(eps(dtype)) * Fraction(1.5 * scale)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("method", ["malvar", "menon", "normalised"])
 def test_flat_mosaics_stay_flat_with_finite_gradients(dtype, method):
@@ -129,6 +130,7 @@ def test_tone_curves_of_steep_and_flat_pieces(dtype):
     assert len(list(finite_gradients(tone_curve, *cases))) == 2
 
 
+@pytest.mark.slow
 @both_precisions
 def test_gains_of_black_burnt_out_and_one_sided_pictures(dtype):
     black, burnt = jnp.zeros((4, 4, 3), dtype), jnp.ones((4, 4, 3), dtype)
@@ -163,6 +165,7 @@ def test_highlights_at_the_cut(dtype):
     assert list(finite_gradients(cut, (known, jnp.ones(3, dtype))))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("spread", [1.0, 1e-1, 1e-2])
 def test_matrices_of_nearly_grey_patches(dtype, spread):
@@ -185,6 +188,7 @@ def test_matrices_of_nearly_grey_patches(dtype, spread):
     assert list(finite_gradients(fit_colour_matrix, (jnp.asarray(camera, dtype), wanted)))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
 def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):
@@ -200,6 +204,7 @@ def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):
     assert len(list(finite_gradients(codec, *cases))) == 5
 
 
+@pytest.mark.slow
 @both_precisions
 def test_a_whole_development_of_nothing_and_of_too_much(dtype):
     development = s.Development(

@@ -23,6 +23,7 @@ def assert_finite(tree):
         assert jnp.isfinite(leaf).all(), tree
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("sigma", [1e-3, 0.05, 0.3, 1.0, 1.5, 7.0, 300.0])
 @pytest.mark.parametrize("sampling", ["sampled", "integrated"])
@@ -54,6 +55,7 @@ def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
             assert exact.ulps(value, true) <= 16 + 4 * exponent
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("sigma", [0.0, 1e6])
 def test_gaussian_of_any_width(dtype, sigma):
@@ -82,6 +84,7 @@ def test_normalising_a_kernel_of_sum_nothing(dtype):
     assert_finite((g(f), jax.grad(lambda f: g(f).sum())(f)))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("border", BORDERS)
 def test_one_pixel_and_a_kernel_of_hundreds(dtype, border):
@@ -108,6 +111,7 @@ def test_extend_of_a_ramp_many_widths_out(dtype):
     np.testing.assert_array_equal(got[0], np.arange(-100, 103))
 
 
+@pytest.mark.slow
 @both_precisions
 def test_nothing_covered_and_nothing_weighted(dtype):
     layer = jnp.zeros((5, 5, 2), dtype).at[..., 0].set(1)
@@ -126,6 +130,7 @@ def test_nothing_covered_and_nothing_weighted(dtype):
     assert_finite(jax.grad(lambda *x: disk(*x).sum(), (0, 1))(f, width))
 
 
+@pytest.mark.slow
 @both_precisions
 def test_orientation_of_a_flat_picture(dtype):
     f = jnp.zeros((7, 7), dtype)

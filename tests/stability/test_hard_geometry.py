@@ -326,6 +326,7 @@ def met(kind):
 ALLOWED = 2
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("kind", MAKE)
 def test_hits_and_slopes_against_fifty_digits(dtype, kind):
@@ -457,6 +458,7 @@ def shadows(kind):
     return jax.jit(jax.vmap(one))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", MAKE)
 def test_a_point_is_not_its_own_shadow_and_what_is_near_shades_it(kind):
     """In float32: a disc that lies a thousandth of the size above shades the point, and the moved

@@ -70,6 +70,7 @@ def test_distribution_in_ulps(dtype):
     assert np.max(np.abs(np.asarray(ours, float) - exact)) <= eps(dtype)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("value", [0.0, 0.25, -5.0, 1e-30, jnp.inf])
 def test_pictures_of_one_value(value, dtype):
@@ -97,6 +98,7 @@ def test_gradients_of_the_soft_histogram_at_edges_and_centres(dtype):
         assert jnp.isfinite(of(image)).all()
 
 
+@pytest.mark.slow
 @both_precisions
 def test_integral_image_to_the_last_digit_of_the_pair(dtype):
     """high + low against exact sums: 2^-46 (2^-104) of them, some thousand additions deep."""
@@ -114,6 +116,7 @@ def test_integral_image_to_the_last_digit_of_the_pair(dtype):
         )
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_neighbourhood_filters_do_not_depend_on_the_unit(scale, dtype):

@@ -105,6 +105,7 @@ def irradiance_with_gradient(*arguments):
     return jax.value_and_grad(value, argnums=range(5))(*arguments)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("name", RECEIVERS)
 def test_irradiance_and_its_gradient_against_fifty_digits(dtype, name):
@@ -148,6 +149,7 @@ def everything(light, point, normal):
     return found, pull(tuple(jnp.ones_like(x) for x in found))
 
 
+@pytest.mark.slow
 @single_first
 @pytest.mark.parametrize(
     "where",
@@ -198,6 +200,7 @@ def test_degenerate_rectangles_shine_nothing(dtype):
 look = jax.jit(jax.value_and_grad(lambda s, d: environment_radiance(s, d)[0], (0, 1)))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize(
     "direction", [[0, 0, 1], [0, 0, -1], [-1, 0, 0], [1, 0, 0], [1e-20, 0, 1], [0, 0, 0]]
@@ -217,6 +220,7 @@ def draw(sky, point, u):
     return drawn, direction_pdf(sky, point, drawn.direction), gradient
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1 - 2**-24, 1 - 2**-24], [0.5, 0.0]])
 def test_sampling_at_the_ends_of_the_square(dtype, u):

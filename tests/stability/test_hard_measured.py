@@ -144,6 +144,7 @@ def test_difference_angles_go_there_and_back_at_the_edges(dtype):
             np.testing.assert_allclose([new.x, new.y, new.z], old, atol=16 * eps(dtype))
 
 
+@pytest.mark.slow
 def test_a_density_that_vanishes_in_places_is_still_sampled():
     """Rows, columns and a whole slice of zeros: draws land where the density is positive."""
     dtype = jnp.float32

@@ -238,6 +238,7 @@ def test_airy_amplitude_against_fifty_digits(dtype):
     np.testing.assert_allclose(slopes[0][0], -1 / 8, rtol=8 * eps)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize(
     "aperture",
@@ -300,6 +301,7 @@ def hard_views(dtype):
     return views + at
 
 
+@pytest.mark.slow
 @both_precisions
 def test_rays_irradiance_and_blur_of_hard_views(dtype):
     u = jnp.asarray([0.5, 0.5], dtype)
@@ -324,6 +326,7 @@ def test_rays_irradiance_and_blur_of_hard_views(dtype):
         assert 0 <= result[2] <= 1 + 1e-6
 
 
+@pytest.mark.slow
 @both_precisions
 def test_diffraction_of_hard_views(dtype):
     """Through a closed aperture, and to a sensor at or beyond infinity; with light and without."""
@@ -348,6 +351,7 @@ def test_diffraction_of_hard_views(dtype):
         assert (every(view, diffraction, 0 * light) == 0).all()
 
 
+@pytest.mark.slow
 @both_precisions
 def test_undistortion_there_and_back_to_the_last_digits(dtype):
     """Up to a tenth from the fold of r (1 - r^2 / 3) at 1; beyond it finite, with gradient 0."""

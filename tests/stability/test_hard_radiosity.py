@@ -53,6 +53,7 @@ FORMS = {
 }
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("form", FORMS)
 def test_closed_forms_keep_their_digits(form, dtype):
@@ -76,6 +77,7 @@ def test_what_the_printed_form_returns_as_zero():
     np.testing.assert_allclose(float(tiny), 1e-4 / np.pi, rtol=1e-4)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("form", [parallel_rectangles, perpendicular_rectangles])
 @pytest.mark.parametrize("sizes", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0), (1e30, 1, 1e-30)])
@@ -98,6 +100,7 @@ def corner_sum(first, second, corner):
     return total
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
 def test_patches_at_any_distance(apart, dtype):
@@ -136,6 +139,7 @@ def test_perpendicular_patches_that_touch_or_lie_behind(dtype):
     np.testing.assert_allclose(behind, exchange(floor, floor)[0], rtol=1e-6)
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("height", [0.0, 1e-6, 1e-3, 1.0, 1e4])
 def test_a_point_near_and_far_of_a_triangle(height, dtype):

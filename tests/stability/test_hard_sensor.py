@@ -62,6 +62,7 @@ def assert_finite(tree):
         assert jnp.isfinite(leaf).all(), tree
 
 
+@pytest.mark.slow
 @both_precisions
 def test_every_effect_from_no_photon_to_far_too_many(dtype):
     sensor = as_dtype(IDLE, dtype)
@@ -126,6 +127,7 @@ def test_dark_current_laws_in_ulps(dtype, temperature):
     assert_finite(jax.grad(lambda law: dark_rate(law))(law))
 
 
+@pytest.mark.slow
 @both_precisions
 def test_counts_at_the_ends_of_their_range(dtype):
     ends = jnp.asarray([0, 2**31 - 1, 2**31, 2**32 - 1], jnp.uint32)
@@ -149,6 +151,7 @@ def test_a_well_filled_to_the_brim_keeps_its_charge(dtype):
         assert_finite((got, pull(got)))
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("inefficiency", [0.0, 1e-7, 0.5])
 def test_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):
@@ -174,6 +177,7 @@ def test_exposure_of_no_time_is_dark_not_undefined(dtype):
         assert_finite((times, weights, pull((times, weights))))
 
 
+@pytest.mark.slow
 def test_float32_and_float64_draw_the_same_frame():
     """The bits are equal, so the pictures differ by rounding, and by one DN where it decides."""
     sensor = s.Sensor(
