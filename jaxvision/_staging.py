@@ -1,4 +1,6 @@
-"""What is computed at once and what is stored in between: for speed, no value depends on it.
+"""What is computed at once and what is stored in between: for speed, and so that what rounding
+decides is decided once. Compiled code that repeats a sum of products may contract it in another
+way; where the last bit tells which of two crossings is met, the repeats would not agree.
 
 Parts of JAX below its documented interface make programs faster here; `_primitives` alone uses
 them. Without them the same programs are public JAX and give the same values and derivatives, to
@@ -45,6 +47,11 @@ def stored(function: Callable[..., Any], *arguments: Any) -> Any:
     cross the border of a call that is not inlined.
     """
     return function(*arguments) if PLAIN else _primitives.not_inlined(function, *arguments)
+
+
+def at_once(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function(*arguments)`: what stands for `stored` where nothing is to be stored."""
+    return function(*arguments)
 
 
 def together(values: Any) -> Any:

@@ -1,5 +1,7 @@
 """The primitives against mpmath, in units of the last place, with gradients at every edge."""
 
+from fractions import Fraction
+
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -176,3 +178,17 @@ def test_component_records_agree_with_arrays():
     np.testing.assert_array_equal(num.dot(a, v), num.dot(u, v))
     np.testing.assert_array_equal(as_array(num.normalize(a)), num.normalize(u))
     np.testing.assert_allclose(num.dot(u, v), np.einsum("ij,ij->i", u, v), rtol=1e-12, atol=1e-12)
+
+
+@both_precisions
+def test_the_cross_product_of_nearly_parallel_vectors_keeps_its_digits(dtype):
+    """Against rational numbers; a thousandth off parallel the plain formula loses three digits."""
+    rng = np.random.default_rng(3)
+    u = rng.normal(size=(200, 3)).astype(dtype)
+    v = (1.25 * u + 1e-3 * rng.normal(size=(200, 3)).astype(dtype)).astype(dtype)
+    found = np.asarray(as_array(jax.jit(num.exact_cross)(jnp.asarray(u), jnp.asarray(v))))
+    for a, b, n in zip(u.tolist(), v.tolist(), found.tolist(), strict=True):
+        a, b, n = ([Fraction(x) for x in row] for row in (a, b, n))
+        true = [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+        error = max(abs(x - y) for x, y in zip(n, true, strict=True))
+        assert error <= 2 * float(jnp.finfo(dtype).eps) * max(abs(x) for x in true)

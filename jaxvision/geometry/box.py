@@ -1,10 +1,15 @@
 """A ray and a box, by slabs: Kay & Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH 1986. For ONE
 ray; lengths in metres."""
 
-import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from collections.abc import Callable
+from typing import Any
 
-from .._numerics import dot, smallest_divisor
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from .._numerics import divide, dot, smallest_divisor, with_gradient_of
+from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
 from ..scene import Box
@@ -47,15 +52,54 @@ def _slabs(
     return enter, leave, between
 
 
-def _meet(ray: Ray, box: Box) -> tuple[Vec, Vec, Scalar, list[Scalar], Bool[Array, ""]]:
+def _faces(ray: Ray, box: Box) -> tuple[Scalar, Int[Array, ""]]:
+    """(distance in m, number of the face that is met): inf and -1 for a miss; the number is twice
+    that of the axis, and one more on its positive side. On an edge the first axis is met."""
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     enter, leave, between = _slabs(origin, direction, as_vec(box.half_extents))
     near = jnp.maximum(jnp.maximum(enter[0], enter[1]), enter[2])
     far = jnp.minimum(jnp.minimum(leave[0], leave[1]), leave[2])
-    outside = near > 0
-    hit = between & (near <= far) & (far > 0)
-    candidates = [jnp.where(outside, e, v) for e, v in zip(enter, leave, strict=True)]
-    return origin, direction, jnp.where(outside, near, far), candidates, hit
+    outside, hit = near > 0, between & (near <= far) & (far > 0)
+    x, y, z = (jnp.where(outside, -e, v) for e, v in zip(enter, leave, strict=True))
+    axis = jnp.where((x <= y) & (x <= z), 0, jnp.where(y <= z, 1, 2)).astype(jnp.int32)
+    positive = (_component(direction, axis) > 0) != outside
+    face = jnp.where(hit, 2 * axis + positive.astype(jnp.int32), -1)
+    return jnp.where(hit, jnp.where(outside, near, far), jnp.inf), face
+
+
+def _component(v: Vec, axis: Int[Array, ""]) -> Scalar:
+    return jnp.where(axis == 0, v.x, jnp.where(axis == 1, v.y, v.z))
+
+
+def box_distance(ray: Ray, box: Box) -> Scalar:
+    """The distance alone, m, inf for a miss."""
+    return _faces(ray, box)[0]
+
+
+def _first_face(ray: Ray, box: Box) -> Int[Array, ""]:
+    return _faces(ray, box)[1]
+
+
+def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
+    """(distance, the place along the box's sides, put back onto the face), m, on a known face."""
+    origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
+    axis, half = face // 2, as_vec(box.half_extents)
+    to_face = _side(face, half.x) * _component(half, axis) - _component(origin, axis)
+    slope = _component(direction, axis)
+    crosses = (face >= 0) & (jnp.abs(slope) > smallest_divisor(slope.dtype))
+    distance = divide(to_face, slope, where=crosses)
+    met = origin + distance * direction
+    on = _side(face, half.x) * half
+    return distance, Vec(
+        jnp.where(axis == 0, on.x, met.x),
+        jnp.where(axis == 1, on.y, met.y),
+        jnp.where(axis == 2, on.z, met.z),
+    )
+
+
+def _side(face: Int[Array, ""], like: Scalar) -> Scalar:
+    """On which side of its axis a face lies, 1 or -1."""
+    return jnp.where(face % 2 == 1, jnp.ones_like(like), -1)
 
 
 def intersect_box(ray: Ray, box: Box) -> Hit:
@@ -70,26 +114,17 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    origin, direction, distance, candidates, hit = _meet(ray, box)
-    on_x = hit & (candidates[0] == distance)
-    on_y = hit & ~on_x & (candidates[1] == distance)
-    on_z = hit & ~on_x & ~on_y
-    # the distance of that one face, so that gradients reach no other
-    chosen = jnp.where(on_x, candidates[0], jnp.where(on_y, candidates[1], candidates[2]))
-    away = jnp.where(hit, chosen, 0)
-    local, half = origin + away * direction, as_vec(box.half_extents)
+    return box_hit(ray, box, stored)
 
-    def face(on: Bool[Array, ""], place: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
-        """(the normal's component, the place put back onto the face)"""
-        side = jnp.where(place < 0, -jnp.ones_like(place), 1)
-        return jnp.where(on, side, 0), jnp.where(on, side * h, place)
 
-    (nx, x), (ny, y), (nz, z) = (
-        face(on_x, local.x, half.x),
-        face(on_y, local.y, half.y),
-        face(on_z, local.z, half.z),
-    )
-    on_box = as_vec(box.centre) + _world(box, Vec(x, y, z))
-    point = where(hit, on_box, ray.origin)
-    normal = _world(box, Vec(nx, ny, nz))
-    return Hit(jnp.where(hit, chosen, jnp.inf), normal, point, size_of(box))
+def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
+    """The hit, m, of a box. `compute`: `stored`, or `at_once` where the caller computes the hit in
+    one loop: repeated elsewhere, with another rounding, the face and the place are others."""
+    face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
+    distance, place = compute(_place, ray, box, face)
+    hit, axis, side = face >= 0, face // 2, _side(face, distance)
+    ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the face was met ahead
+    distance = jnp.where(hit, with_gradient_of(ahead, distance), jnp.inf)
+    normal = Vec(*(jnp.where(hit & (axis == i), side, 0) for i in range(3)))
+    point = where(hit, as_vec(box.centre) + _world(box, place), ray.origin)
+    return Hit(distance, _world(box, normal), point, size_of(box))

@@ -5,41 +5,53 @@
 A ray (nearly) in the plane misses it.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, dot, normalize, smallest_divisor
+from .._numerics import divide, dot, exact_cross, normalize, smallest_divisor
+from .._staging import stored
 from .._types import Scalar
-from .._vector import Vec, Vector, as_vec, masked
+from .._vector import Vec, Vector, as_vec, masked, where
 from ..hemisphere import cross
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
 from .rays import Hit, Ray
 
 
-def _crossing(ray: Ray, point: Vector, normal: Vec) -> tuple[Scalar, Bool[Array, ""]]:
-    """Distance to the plane through `point`, m, and whether it is met ahead."""
-    height = dot(normal, point - ray.origin)
+def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
+    """To the plane through `point`, m; 0 for a ray in it, negative for what lies behind."""
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
-    distance = divide(height, slope, where=crosses)
-    return distance, distance > 0
+    return divide(dot(normal, point - ray.origin), slope, where=crosses)
+
+
+def _reached(ray: Ray, point: Vector, normal: Vec, meets: Bool[Array, ""]) -> tuple[Scalar, Vec]:
+    """(distance, inf unless it `meets`, and the place there) in the plane through `point`, m."""
+    distance = _distance(ray, point, normal)
+    place = ray.origin + jnp.where(meets, distance, 0) * ray.direction
+    return jnp.where(meets, distance, jnp.inf), place
 
 
 def _hit(
     ray: Ray,
     point: Vector,
     normal: Vec,
-    distance: Scalar,
-    hit: Bool[Array, ""],
+    meets: Bool[Array, ""],
     size: Scalar,
+    compute: Callable[..., Any],
 ) -> Hit:
-    """The hit of a plane through `point` at a known distance, put back into the plane."""
-    away = jnp.where(hit, distance, 0)
-    met = ray.origin + away * ray.direction
-    met = met + jnp.where(hit, dot(normal, point - met), 0) * normal
-    reach = jnp.maximum(size, largest_component(met))
+    """The hit of a plane through `point`, put back into the plane, if it lies ahead. `compute`:
+    `stored`, or `at_once` where the caller computes the hit in one loop: a place that is put back
+    by the height of another, rounded otherwise, is as far off the plane as the two are apart."""
+    distance, place = compute(_reached, ray, point, normal, meets)
+    hit = (distance > 0) & (distance < jnp.inf)
+    place = where(hit, place, ray.origin)
+    met = place + jnp.where(hit, dot(normal, point - place), 0) * normal
+    reach = jnp.maximum(size, largest_component(place))
     return Hit(jnp.where(hit, distance, jnp.inf), as_vec(masked(hit, normal)), met, reach)
 
 
@@ -53,16 +65,13 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
+    return plane_hit(ray, plane, stored)
+
+
+def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
+    """The hit, m, of a plane; `compute` as in `_hit`."""
     normal = as_vec(normalize(plane.normal))
-    distance, hit = _crossing(ray, plane.point, normal)
-    return _hit(ray, plane.point, normal, distance, hit, size_of(plane))
-
-
-def _meet_disc(ray: Ray, disc: Disc) -> tuple[Scalar, Bool[Array, ""], Vec]:
-    normal = as_vec(normalize(disc.normal))
-    distance, hit = _crossing(ray, disc.centre, normal)
-    aside = ray.origin + jnp.where(hit, distance, 0) * ray.direction - disc.centre
-    return distance, hit & (dot(aside, aside) <= disc.radius * disc.radius), normal
+    return _hit(ray, plane.point, normal, jnp.asarray(True), size_of(plane), compute)
 
 
 def intersect_disc(ray: Ray, disc: Disc) -> Hit:
@@ -75,8 +84,15 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    distance, hit, normal = _meet_disc(ray, disc)
-    return _hit(ray, disc.centre, normal, distance, hit, size_of(disc))
+    return disc_hit(ray, disc, stored)
+
+
+def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
+    """The hit, m, of a disc; `compute` as in `_hit`."""
+    normal = as_vec(normalize(disc.normal))
+    aside = ray.origin + _distance(ray, disc.centre, normal) * ray.direction - disc.centre
+    inside = dot(aside, aside) <= disc.radius * disc.radius
+    return _hit(ray, disc.centre, normal, inside, size_of(disc), compute)
 
 
 class FlatQuad(eqx.Module):
@@ -93,7 +109,7 @@ class FlatQuad(eqx.Module):
 
 def flat_quad(quad: Quad) -> FlatQuad:
     """The quad, m, made ready for many rays."""
-    area = cross(quad.edge_u, quad.edge_v)
+    area = exact_cross(quad.edge_u, quad.edge_v)
     normal = as_vec(normalize(area))
     length = dot(area, normal)
     inverse = divide(1, length)
@@ -146,10 +162,10 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
-    return quad_hit(ray, flat, meets)
+    return quad_hit(ray, flat, meets, stored)
 
 
-def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""]) -> Hit:
-    """The hit, m, of a parallelogram by a ray of which it is known whether it meets it."""
-    distance, ahead = _crossing(ray, quad.corner, quad.normal)
-    return _hit(ray, quad.corner, quad.normal, distance, meets & ahead, quad.size)
+def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
+    """The hit, m, of a parallelogram by a ray of which it is known whether it meets it; `compute`
+    as in `_hit`."""
+    return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

@@ -17,20 +17,22 @@ from jaxtyping import Array, Bool, Int
 
 from .._groups import group_by_structure, take
 from .._numerics import dot
-from .._staging import stored, together
+from .._staging import at_once, stored, together
 from .._types import Scalar
 from .._vector import Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
-from .box import intersect_box
+from .box import box_distance, box_hit, intersect_box
 from .flat import (
     FlatQuad,
+    disc_hit,
     flat_quad,
     intersect_disc,
     intersect_plane,
     intersect_quad,
+    plane_hit,
     quad_blocks,
     quad_distance,
     quad_hit,
@@ -184,12 +186,8 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         (zero, zero) if any(mesh.uv is not None for mesh in ready.meshes) else None,
     )
     for members, group in zip(ready.members, ready.groups, strict=True):
-        if isinstance(group, FlatQuad):
-            shape, among = take(members, group, encounter.shape)
-            hit = quad_hit(ray, shape, among)
-        else:
-            shape, among = take(members, group, encounter.shape)
-            hit = intersect(ray, shape)
+        shape, among = take(members, group, encounter.shape)
+        hit = _hit_of(ray, shape, among)
         chosen = _choose(among, hit, chosen)
     for index, mesh in zip(ready.mesh_numbers, ready.meshes, strict=True):
         among = encounter.shape == index
@@ -197,6 +195,22 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         hit = triangle_hit(ray, mesh, jnp.where(among, triangle, -1))
         chosen = _choose(among, hit, chosen)
     return chosen
+
+
+def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
+    """The hit of one shape, part of a loop of the caller's. `among`: whether it is known to be
+    met."""
+    match shape:
+        case FlatQuad():
+            return quad_hit(ray, shape, among, at_once)
+        case Plane():
+            return plane_hit(ray, shape, at_once)
+        case Disc():
+            return disc_hit(ray, shape, at_once)
+        case Box():
+            return box_hit(ray, shape, at_once)
+        case _:
+            return intersect(ray, shape)
 
 
 def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
@@ -302,6 +316,8 @@ def _distance(ray: Ray, shape: Shape | FlatQuad) -> Scalar:
             return sphere_distance(ray, shape)
         case FlatQuad():
             return quad_distance(ray, shape)
+        case Box():
+            return box_distance(ray, shape)
         case _:
             return intersect(ray, shape).distance
 

@@ -1,9 +1,11 @@
 """A ray and a sphere. For ONE ray; lengths in metres."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor, with_gradient_of
+from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
 from ..scene import Sphere
@@ -55,9 +57,12 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    distance, along = _meet(ray, sphere)
-    hit = distance < jnp.inf
-    closest = _closest_approach(ray, sphere)[1]
+    found = stored(_first_crossing, *jax.lax.stop_gradient((ray, sphere)))
+    hit = found < jnp.inf
+    b, closest = _closest_approach(ray, sphere)
+    half_chord = safe_sqrt(sphere.radius * sphere.radius - dot(closest, closest))
+    along = jnp.where(found < b, -half_chord, half_chord)
+    distance = with_gradient_of(found, jnp.where(hit, b + along, 0))
     outward = closest + along * ray.direction
     square = jnp.where(hit, dot(outward, outward), 1)
     normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
@@ -65,8 +70,10 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     return Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
 
 
-def _meet(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
-    """The distance from the origin, and from the closest approach to the centre, m.
+def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
+    """The distance of the crossing that is met, m, inf for a miss. To be stored: whether a ray that
+    starts on the sphere meets the near crossing or the far one is for its rounding to say, which is
+    another wherever compiled code repeats it.
 
     Source: Haines, Guenther, Akenine-Moeller, "Precision Improvements for Ray/Sphere
     Intersection", Ray Tracing Gems (2019), ch. 7: the discriminant from the closest approach, and
@@ -82,5 +89,4 @@ def _meet(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
     smaller = divide((away - r) * (away + r), larger, where=meets)
     ahead = b >= 0
     near, far = jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller)
-    distance = jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
-    return distance, jnp.where(near > 0, -half_chord, half_chord)
+    return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
