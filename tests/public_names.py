@@ -43,9 +43,13 @@ EAGER = {
     "jaxvision.lights.environment_tables",
 }
 # Static answers to static questions: no array goes in. And parts of functions that are swept:
-# `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
+# `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
 STATIC = {
     "jaxvision.geometry.nearest.blocked",
+    "jaxvision.geometry.flat.plane_hit",
+    "jaxvision.geometry.flat.disc_hit",
+    "jaxvision.geometry.flat.quad_hit",
+    "jaxvision.geometry.box.box_hit",
     "jaxvision.shadows.clear",
     "jaxvision.shading.lighting",
     "jaxvision.shading.reflected_radiance",

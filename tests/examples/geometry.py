@@ -45,9 +45,9 @@ EXAMPLES = {
     "geometry.flat.line_crossing": ((RAY, flat_quad(QUAD)), {}),
     "geometry.flat.quad_distance": ((RAY, flat_quad(QUAD)), {}),
     "geometry.flat.quad_blocks": ((RAY, flat_quad(QUAD), FAR), {}),
-    "geometry.flat.quad_hit": ((RAY, flat_quad(QUAD), jnp.asarray(True)), {}),
     "geometry.nearest.sorted_shapes": ((SHAPES,), {}),
     "geometry.box.intersect_box": ((RAY, BOX), {}),
+    "geometry.box.box_distance": ((RAY, BOX), {}),
     "geometry.nearest.intersect": ((RAY, MESH), {}),
     "geometry.nearest.nearest_shape": ((RAY, SHAPES), {}),
     "geometry.nearest.hit_shape": (
