@@ -29,11 +29,8 @@ def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
     return divide(dot(normal, point - ray.origin), slope, where=crosses)
 
 
-def _reached(ray: Ray, point: Vector, normal: Vec, meets: Bool[Array, ""]) -> tuple[Scalar, Vec]:
-    """(distance, inf unless it `meets`, and the place there) in the plane through `point`, m."""
-    distance = _distance(ray, point, normal)
-    place = ray.origin + jnp.where(meets, distance, 0) * ray.direction
-    return jnp.where(meets, distance, jnp.inf), place
+def _along(ray: Ray, distance: Scalar) -> Vec:
+    return ray.origin + distance * ray.direction
 
 
 def _hit(
@@ -47,9 +44,9 @@ def _hit(
     """The hit of a plane through `point`, put back into the plane, if it lies ahead. `compute`:
     `stored`, or `at_once` where the caller computes the hit in one loop: a place that is put back
     by the height of another, rounded otherwise, is as far off the plane as the two are apart."""
-    distance, place = compute(_reached, ray, point, normal, meets)
-    hit = (distance > 0) & (distance < jnp.inf)
-    place = where(hit, place, ray.origin)
+    distance = compute(_distance, ray, point, normal)
+    hit = meets & (distance > 0)
+    place = compute(_along, ray, jnp.where(hit, distance, 0))
     met = place + jnp.where(hit, dot(normal, point - place), 0) * normal
     reach = jnp.maximum(size, largest_component(place))
     return Hit(jnp.where(hit, distance, jnp.inf), as_vec(masked(hit, normal)), met, reach)

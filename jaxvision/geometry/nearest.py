@@ -319,7 +319,7 @@ def _distance(ray: Ray, shape: Shape | FlatQuad) -> Scalar:
         case Box():
             return box_distance(ray, shape)
         case _:
-            return intersect(ray, shape).distance
+            return _hit_of(ray, shape, jnp.asarray(True)).distance
 
 
 @jax.jit
