@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool
 from .._numerics import divide, dot, exact_cross, normalize, smallest_divisor
 from .._staging import stored
 from .._types import Scalar
-from .._vector import Vec, Vector, as_vec, masked, where
+from .._vector import Vec, Vector, as_vec, masked
 from ..hemisphere import cross
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
