@@ -6,6 +6,8 @@ counted. Both are as `inference.likelihoods` says. With the path of a sensor amo
 records in its place ("camera.sensor") its numbers can be fitted along ("camera.sensor.gain").
 """
 
+from typing import cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -67,23 +69,23 @@ class SensorNoise(eqx.Module):
 
     def expected(self, prediction: Array) -> Array:
         """Mean signal before it is clipped, DN."""
-        return expected_signal(self.sensor, jnp.asarray(prediction))
+        return expected_signal(_record(self.sensor), jnp.asarray(prediction))
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, rounded and clipped where there is an ADC."""
         signal = Censored(self._deviation(prediction)).draw(key, self.expected(prediction))
-        if self.sensor.bits is None:
-            return signal
-        return jnp.clip(jnp.round(signal), 0, largest_number(self.sensor.bits))
+        bits = _record(self.sensor).bits
+        return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
 
     def _deviation(self, prediction: Array) -> Array:
-        return jnp.sqrt(signal_variance(self.sensor, jnp.asarray(prediction)))
+        return jnp.sqrt(signal_variance(_record(self.sensor), jnp.asarray(prediction)))
 
     def _signal(self, prediction: Array) -> Censored:
         deviation = self._deviation(prediction)
-        if self.sensor.bits is None:
+        bits = _record(self.sensor).bits
+        if bits is None:
             return Censored(deviation)
-        return Censored(deviation, ROUNDING, largest_number(self.sensor.bits) - ROUNDING)
+        return Censored(deviation, ROUNDING, largest_number(bits) - ROUNDING)
 
 
 class SensorCounts(eqx.Module):
@@ -146,7 +148,7 @@ class SensorCounts(eqx.Module):
 
     def expected(self, prediction: Array) -> Array:
         """Mean signal before it is rounded and clipped, DN."""
-        return expected_signal(self.sensor, prediction)
+        return expected_signal(_record(self.sensor), prediction)
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Codes as they might have been."""
@@ -154,33 +156,38 @@ class SensorCounts(eqx.Module):
         mean = self._electrons(prediction)
         electrons = jax.random.poisson(counted, mean).astype(mean.dtype)
         noise = self._read_noise() * jax.random.normal(read, mean.shape, mean.dtype)
-        codes = jnp.round(self.sensor.gain * (electrons + noise) + self._offset())
-        return codes if self.sensor.bits is None else jnp.clip(codes, 0, self._white())
+        codes = jnp.round(self._gain() * (electrons + noise) + self._offset())
+        return jnp.clip(codes, *self._range())
+
+    def _gain(self) -> Array:
+        gain = _record(self.sensor).gain
+        return jnp.ones(()) if gain is None else gain
 
     def _offset(self) -> Array:
-        return jnp.zeros(()) if self.sensor.offset is None else self.sensor.offset
+        offset = _record(self.sensor).offset
+        return jnp.zeros(()) if offset is None else offset
 
     def _electrons(self, prediction: Array) -> Array:
-        return (expected_signal(self.sensor, prediction) - self._offset()) / self.sensor.gain
+        return (expected_signal(_record(self.sensor), prediction) - self._offset()) / self._gain()
 
     def _read_noise(self) -> Array:
-        return jnp.sqrt(read_out_variance(self.sensor, dtype=self.sensor.gain.dtype))
+        return jnp.sqrt(read_out_variance(_record(self.sensor), dtype=self._gain().dtype))
 
-    def _white(self) -> Array:
-        return largest_number(self.sensor.bits)
+    def _range(self) -> tuple[float, float | Array]:
+        """The codes of black and white, DN; without an ADC there is no end."""
+        bits = _record(self.sensor).bits
+        return (-np.inf, np.inf) if bits is None else (0.0, largest_number(bits))
 
     def _is_black(self, data: Array) -> Array:
-        return (data <= 0) & (self.sensor.bits is not None)
+        return data <= self._range()[0]
 
     def _is_white(self, data: Array) -> Array:
-        if self.sensor.bits is None:
-            return jnp.zeros(data.shape, bool)
-        return data >= self._white()
+        return data >= self._range()[1]
 
     def _counted(self, prediction: Array, data: Array) -> tuple[Array, Array, Array]:
         """Mean electrons (...), the counts about each code (..., n) and ln of their probability."""
         mean = self._electrons(prediction)
-        nearest = jnp.round((data - self._offset()) / self.sensor.gain)
+        nearest = jnp.round((data - self._offset()) / self._gain())
         nearest = jax.lax.stop_gradient(nearest)
         about = jnp.arange(-self.reach, self.reach + 1.0, dtype=mean.dtype)
         counts = nearest[..., None] + about.reshape(*[1] * nearest.ndim, -1)
@@ -190,11 +197,16 @@ class SensorCounts(eqx.Module):
 
     def _ends(self, data: Array, counts: Array) -> tuple[Array, Array]:
         """The ends of each code's interval in standard deviations from the noiseless signal."""
-        noise = self.sensor.gain * self._read_noise()
-        centre = data[..., None] - self._offset() - self.sensor.gain * counts
+        noise = self._gain() * self._read_noise()
+        centre = data[..., None] - self._offset() - self._gain() * counts
         low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
         high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
         return low, high
+
+
+def _record(sensor: Sensor | str) -> Sensor:
+    """The sensor: a problem has put the record in place of its path."""
+    return cast(Sensor, sensor)
 
 
 def _log_interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -362,6 +362,7 @@ def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " 
     values = values_at(problem, vector)
     likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))
+    found = jnp.asarray(found)
     if problem.present is not None:
         found = jnp.where(problem.present, found, 0)
     return found.ravel()

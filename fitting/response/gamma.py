@@ -266,7 +266,8 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
     """(grid of ln tau, its posterior weights, gamma at each)."""
-    log_tau = np.linspace(*np.log(TABULATED), 1001)
+    low, high = TABULATED
+    log_tau = np.linspace(np.log(low), np.log(high), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
     prior = -(((log_tau - np.log(SHUTTER_PRIOR.median)) / SHUTTER_PRIOR.log_sd) ** 2) / 2
     log_weight = np.asarray(given.log_evidence) + prior
