@@ -16,8 +16,11 @@ decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of
     L-BFGS-B (jaxopt)    93      100       17       160,  92
     L-BFGS-B (scipy)     42      100       14        11,   6
 
-No method is safe from one start and any is from 16, so that the cheaper and steadier ones are used,
-whose curvature at the end is the information that the posterior needs.
+No method is safe from one start. The cheaper and steadier ones are used, whose curvature at the end
+is the information that the posterior needs; from 16 starts they reached the best optimum of all
+three problems in 100 of 100 fits, but that of a ball under Student's t of known scale in only 55:
+far from the optimum its log density is hardly curved. Such a fit says that it failed; more starts
+help.
 """
 
 from dataclasses import dataclass
