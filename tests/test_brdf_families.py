@@ -214,7 +214,7 @@ def test_albedo_against_adaptive_quadrature(name):
         np.testing.assert_allclose(got[view], expected, rtol=tolerance)
 
 
-@pytest.mark.sweep
+@pytest.mark.sweep("v-cavity beckmann")
 @every_family
 def test_the_density_integrates_to_one(name):
     """Over the whole sphere: below the surface lie the samples that carry no light."""

@@ -88,7 +88,6 @@ def test_straight_and_premultiplied():
     np.testing.assert_array_equal(darker[..., 3:], alpha)
 
 
-@pytest.mark.slow
 def test_files_are_composited_in_linear_light():
     """White at half coverage over black is half the light, code 188, not code 128."""
     white = c.layer_from_srgb(jnp.asarray([1.0, 1.0, 1.0, 0.5]))

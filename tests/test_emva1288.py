@@ -82,7 +82,6 @@ def test_a_noise_free_linear_camera_is_recovered():
         np.testing.assert_allclose(found[name], value, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-@pytest.mark.slow
 def test_saturation_gives_capacity_snr_and_dynamic_range():
     camera = CameraTruth()
     measured, bright, _ = noise_free(camera, LIGHT, EXPOSURE)

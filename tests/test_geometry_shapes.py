@@ -210,7 +210,6 @@ def test_gradients_reach_the_vertices_of_the_triangle_that_was_met():
     np.testing.assert_allclose(jax.grad(stretched)(jnp.asarray(1.0)), slope, rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_normals_and_uv_are_interpolated():
     """At the weights of a known point; a plane's normal stays beside them the true one."""
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])

@@ -154,7 +154,6 @@ def test_quantile_is_within_a_bin():
     assert np.abs(np.asarray(ours) - exact).max() <= 0.01
 
 
-@pytest.mark.slow
 def test_quantile_is_linear_within_a_bin():
     """The inverse of the cumulative distribution, which rises linearly within each bin."""
     histogram = exact_histogram(VALUES, bins=12, value_range=(0.1, 0.9))  # none of them empty

@@ -72,7 +72,6 @@ def test_no_seam_and_no_jump_across_the_poles():
         np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
 def test_samples_follow_their_density(kind):

@@ -30,7 +30,7 @@ from jaxvision.lights import (
 )
 from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.orders import ORDERS, order_for
-from jaxvision.lights.polygon import rectangle_irradiance
+from jaxvision.lights.polygon import nodes_integral, rectangle_irradiance
 
 # 1 x 1 m above the origin, shining down
 LAMP = RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1.0, 2.0])
@@ -206,6 +206,30 @@ def test_receivers_together_take_the_rule_of_the_neediest():
     assert (behind == 0).all()
     with pytest.raises(ValueError, match=r"tolerance must be above 0, got 0"):
         adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
+
+
+def test_the_gradient_of_nodes_is_numpys_difference():
+    """Two nodes a side, by the corner, both edges and the normal."""
+    places, weights = np.polynomial.legendre.leggauss(2)
+    numbers = np.array([[-0.5, -0.3, 2.0], [0.1, 1.2, 0.2], [0.9, 0.0, 0.1], [0.0, 0.28, 0.96]])
+
+    def by_numpy(numbers):
+        corner, u, v, normal = numbers.reshape(4, 3)
+        total = 0.0
+        for s, a in zip((places + 1) / 2, weights / 2, strict=True):
+            for t, b in zip((places + 1) / 2, weights / 2, strict=True):
+                way = corner + s * u + t * v
+                total += a * b * (normal @ way) * -(np.cross(u, v) @ corner) / (way @ way) ** 2
+        return total
+
+    def ours(corner, u, v, normal):
+        return nodes_integral(*(as_vec(x) for x in (corner, u, v, normal)), order=2)
+
+    steps = 1e-5 * np.eye(12)
+    slopes = [(by_numpy(numbers.ravel() + d) - by_numpy(numbers.ravel() - d)) / 2e-5 for d in steps]
+    value, gradients = jax.value_and_grad(ours, argnums=(0, 1, 2, 3))(*jnp.asarray(numbers))
+    assert float(value) == pytest.approx(by_numpy(numbers), rel=1e-13)
+    np.testing.assert_allclose(np.concatenate(gradients), slopes, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -395,7 +395,6 @@ def test_sampling_agrees_with_laplace():
         assert abs(two.standard_error / one.standard_error - 1) < 0.1
 
 
-@pytest.mark.slow
 def test_a_rig_gives_fixed_pattern_by_both_methods(tmp_path):
     camera = replace(CameraTruth(), dsnu=5.0, prnu=0.012)
     rng = np.random.default_rng(9)

@@ -52,7 +52,6 @@ def test_there_and_back(lens):
     np.testing.assert_allclose(back, SLOPES, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_derivatives_are_those_of_the_inverse():
     """By the place: the inverse matrix. By the coefficients: a difference quotient."""
     place = a([0.31, -0.44])

@@ -148,7 +148,7 @@ def seen_through_rim(view, row, column, u):
     return at, optics.clear_fraction(view, row, column)
 
 
-@pytest.mark.sweep
+@pytest.mark.sweep("0.3-pentagon")
 @each_aperture
 @pytest.mark.parametrize("focus", [0.3, np.inf])
 def test_clear_fraction_is_the_share_of_lens_rays_through_the_rim(aperture, focus):

@@ -22,7 +22,7 @@ NUMPY = {
 }
 
 
-@pytest.mark.sweep
+@pytest.mark.sweep("mirror")
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("size", [(4, 5), (1, 3), (1, 1), (2, 1)])
 def test_equal_to_numpy_also_far_beyond_the_picture(border, size):

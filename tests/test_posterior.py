@@ -132,7 +132,6 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
     np.testing.assert_array_equal(resumed.log_density, sampled.log_density)
 
 
-@pytest.mark.slow
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     options = SamplingOptions(**SHORT, steps=100, checkpoint=tmp_path)
     begun = chain_of(options)

@@ -319,7 +319,6 @@ def test_held_out_images_do_not_touch_the_fit(observation):
     np.testing.assert_array_equal(changed.vector, fit(observation).vector)
 
 
-@pytest.mark.slow
 def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
     """The held-out lights, some of whose pixels are clipped: the ratio of two RMS by hand."""
     found = fit(observation)

@@ -158,7 +158,6 @@ def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypat
     assert (tmp_path / "a.exr").read_bytes() == (rendered / "ball.exr").read_bytes()
 
 
-@pytest.mark.slow
 def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
     with monkeypatch.context() as patch:

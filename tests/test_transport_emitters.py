@@ -167,7 +167,6 @@ def test_both_ways_find_the_closed_form(name, strategy):
     assert abs(mean[0] - expected) < 4 * error[0]
 
 
-@pytest.mark.slow
 def test_chance_and_purpose_share_each_of_several_emitters():
     """Each of three emitters is drawn a third of the time, which the weight of what is found by
     chance must know: .5 / pi times the sum of their irradiances."""
@@ -176,7 +175,7 @@ def test_chance_and_purpose_share_each_of_several_emitters():
     lights = [RectangleLight(*wide(1.0), [1.0]), PointLight([0.01, 0.02, 2.0], [0.4])]
     irradiance = quad_irradiance(*wide(1.0)) + 10 * sphere_irradiance(centre, radius) + 0.4 / 4
     scene = Scene([FLOOR, ball], lights)
-    mean, error = mean_of_paths(scene, LOOKS, Paths(1, 2, strategy="balance"), 200_000)
+    mean, error = mean_of_paths(scene, LOOKS, Paths(1, 2, strategy="balance"), 40_000)
     expected = 0.5 * irradiance / np.pi
     assert error[0] < 0.005 * expected
     assert abs(mean[0] - expected) < 4 * error[0]

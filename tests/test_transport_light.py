@@ -266,7 +266,7 @@ SOURCES = {
 }
 
 
-@pytest.mark.sweep
+@pytest.mark.sweep("light field")
 @pytest.mark.parametrize("name", sorted(SOURCES))
 def test_flux_of_a_source_is_its_irradiance(name):
     """Rays that leave, counted on a receiver, against the integral of 1 / d^2 by NumPy."""
@@ -353,7 +353,6 @@ def test_light_traced_is_path_traced():
     assert totals[0] == pytest.approx(totals[1], rel=0.01)
 
 
-@pytest.mark.slow
 def test_light_reaches_a_lens_that_distorts():
     """A wall under a point light, seen through a barrel: k_d I cos / d^2 where each pixel's ray
     meets it, its slope undistorted by bisection in NumPy; the sum over quarters of the picture."""
