@@ -1,6 +1,7 @@
 """From a rig folder to a section: planes, masks, merged map, findings, refusals."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fitting.response.calibration import radiance_images
 from fitting.response.curve import fit_response_curve
 from fitting.response.radiance_map import merge
 from fitting.response.read import read_exposure_stack
+from fitting.response.section import curve_columns
 from fitting.response.section import section as response_section
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
@@ -165,3 +167,14 @@ def test_dark_or_saturated_stacks_are_refused_with_their_reason(tmp_path, level)
     folder = write_rig(tmp_path, np.full((9, *SIZE), level, np.uint8))
     with pytest.raises(InputError, match="well exposed"):
         calibrate_response(read_exposure_stack(load_rig(folder)))
+
+
+def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
+    curve = SimpleNamespace(
+        codes=np.arange(2),
+        log_exposure=np.array([0.0, 700.0]),
+        standard_error=np.array([0.1, 50.0]),
+        seen=np.array([True, False]),
+    )
+    columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(label=""))])
+    np.testing.assert_allclose(columns["upper_95"], [np.exp(0.196), np.inf], rtol=1e-4)

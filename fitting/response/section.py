@@ -61,13 +61,15 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
     error = np.concatenate([curve.standard_error for curve in curves])
     exposure, half = np.exp(log_exposure), WIDTH_95 * error
+    with np.errstate(over="ignore"):  # far beyond all pixels there is no upper bound: inf
+        upper = np.exp(log_exposure + half)
     return {
         "channel": np.repeat(labels, [len(curve.codes) for curve in curves]),
         "code": np.concatenate([curve.codes for curve in curves]),
         "exposure": exposure,
         "standard_error": exposure * error,
         "lower_95": np.exp(log_exposure - half),
-        "upper_95": np.exp(log_exposure + half),
+        "upper_95": upper,
         "seen": np.concatenate([curve.seen for curve in curves]),
     }
 
