@@ -107,9 +107,9 @@ def test_gradient_is_the_transpose():
     [
         (lambda: reduce_by_two(GREY, border="constant"), "needs a fill"),
         (lambda: gaussian_pyramid(np.zeros(4), 1), r"\(4,\)"),
-        (lambda: gaussian_pyramid(GREY, 0), "at least 1 level, got 0"),
+        (lambda: gaussian_pyramid(GREY, 0), "at least 1, got 0"),
         (lambda: laplacian_pyramid(GREY, -1), "got -1"),
-        (lambda: collapse_laplacian(()), "at least 1 level, got 0"),
+        (lambda: collapse_laplacian(()), "at least 1, got 0"),
         (lambda: expand(GREY, (13, 18)), r"got size \(13, 18\)"),
         (lambda: reduce_by_two(np.zeros(4)), r"\(4,\)"),
         (lambda: reduce_by_two(GREY, border="reflect"), "border must be"),

@@ -407,9 +407,9 @@ def test_gradient_in_a_roughness_is_right_on_average():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"samples": 0}, r"Paths.samples must be at least 1, got 0."),
-        ({"depth": 0}, r"Paths.depth must be at least 1, got 0."),
-        ({"roulette": -1}, r"Paths.roulette must be at least 0 or None, got -1."),
+        ({"samples": 0}, r"Paths.samples must be a whole number of at least 1, got 0."),
+        ({"depth": 0}, r"Paths.depth must be a whole number of at least 1, got 0."),
+        ({"roulette": -1}, r"Paths.roulette must be a whole number of at least 0, got -1."),
     ],
 )
 def test_options_out_of_range_are_named(options, message):
