@@ -111,7 +111,7 @@ def test_variance_of_a_narrow_gaussian():
     np.testing.assert_allclose(excess(0.5, "sampled"), -0.035, atol=1e-3)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma", "sampled", "integrated"), [(0.3, 0.085, 0.663), (0.5, 0.860, 0.986), (0.7, 0.998, 1)]
 )
@@ -132,6 +132,7 @@ def test_what_narrow_derivatives_lose(sigma, sampled, integrated):
     np.testing.assert_allclose(filters.derivative(blurred).x[15, 15], 1, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_kernel_of_vanishing_width():
     for size in (5, 4):
         for sampling in ("sampled", "integrated"):
@@ -250,6 +251,7 @@ def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
     np.testing.assert_allclose(angles, angle, atol=0.01)
 
 
+@pytest.mark.slow
 def test_orientation_of_nothing():
     basis = filters.quadrature_basis(np.zeros((9, 9, 2)), value(1.0), size=7)
     angle, strength = filters.dominant_orientation(basis)
@@ -276,6 +278,7 @@ def test_an_angle_for_each_pixel():
 # ------------------------------------------------ transparency
 
 
+@pytest.mark.slow
 def test_hidden_colour_never_shows():
     """A red disk on hidden green: straight filtering would mix them."""
     disk = (XX**2 + YY**2 < 50).astype(float)

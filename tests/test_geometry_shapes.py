@@ -260,7 +260,6 @@ def surface_points(count, dtype, scale):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_acne(scale):
     """What a camera sees sees the camera: no shadow ray stops at the shape it leaves, in float32,
@@ -284,7 +283,6 @@ def test_no_acne(scale):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_no_leaks(scale):
     """A ray into the solid it starts on is blocked by its far wall, from the smallest depth that

@@ -83,7 +83,6 @@ def test_the_five_views_show_the_image():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize(
     "image",
     [

@@ -164,7 +164,6 @@ def test_a_sun_in_float32_is_found_by_random_samples():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("order", [8, 16, 64])
 def test_white_sky_is_pi_within_what_quadrature_states(order):
     """1 / order^2, the default order among them: the sky crosses the receiver's horizon."""
@@ -231,7 +230,6 @@ def test_error_of_harmonics_stays_within_the_stated_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_environment_files_go_there_and_back(tmp_path, suffix):
     picture = np.asarray(RNG.uniform(0.1, 5, size=(4, 8, 3)), np.float32)
@@ -277,7 +275,6 @@ def test_values_that_are_no_radiance_are_named(wrong):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [2.0**124, 2.0**-90])
 def test_probabilities_do_not_depend_on_the_unit(scale):
     """In float32, where sums of the larger leave its range and those of the smaller its digits."""

@@ -62,7 +62,6 @@ MISSES = {
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("name", MISSES)
 def test_what_it_does_not_hold_is_dark(name):
     field = LightFieldLight(np.ones((2, 2, 2, 2, 1)), APERTURE, FOCAL)

@@ -84,7 +84,7 @@ def test_power_through_a_plane_below_is_what_the_light_emits():
     np.testing.assert_allclose(weight @ np.asarray(field).sum(axis=1), np.pi, rtol=1e-9)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("point", "normal"),
     [([0, 0, 1.0], [0, 0, -1.0]), ([2, 0, 0.0], [-1.0, 0, 0]), ([0.1, 0.2, 0], [0, 0, 1.0])],
@@ -117,7 +117,6 @@ def test_random_samples_are_unbiased():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("height", [0.1, 0.25, 1.0, 20.0])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_the_order_follows_distance_over_size(height, tolerance):
@@ -166,7 +165,6 @@ def receivers(count):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
     """Alone, each by its own rule: within the tolerance of its own light, or, where that skims the

@@ -105,7 +105,6 @@ def test_few_clusters_are_not_judged():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize(("lights", "parameters"), [(6, 1), (6, 3), (8, 3), (12, 4), (40, 4)])
 def test_intervals_cover_with_few_lights_and_several_parameters(lights, parameters):
     """The hardest case, linear regression whose columns and errors belong to the light: residuals

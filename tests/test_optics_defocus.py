@@ -84,7 +84,6 @@ FORMS = {
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 @pytest.mark.parametrize("blur", [-R, 0, R])
 def test_on_a_plane_all_forms_are_the_sampled_lens(view, blur):
@@ -158,7 +157,6 @@ def test_scattering_keeps_the_light_and_the_others_a_flat_picture(view):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 def test_a_pixel_without_depth_counts_as_in_focus(view):
     picture = jnp.asarray(np.random.default_rng(3).uniform(size=(6, 7, 1)))

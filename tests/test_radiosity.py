@@ -130,7 +130,6 @@ def test_a_closed_room_closes_and_is_reciprocal():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize(("width", "low", "high"), [(1.0, 0.0, 0.0), (0.5, 0.45, 0.55)])
 def test_a_wall_between_is_seen(width, low, high):
     """A screen across the whole room lets nothing through; half of it, by symmetry, half."""
@@ -349,7 +348,6 @@ def closed_room(rho):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("method", "rho", "dtype", "bound"),
     [

@@ -19,7 +19,6 @@ def fitted(response, times, seed, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("truth", [1.0, 1.8, 2.2])
 def test_gamma_is_unbiased_by_noise_and_rounding(truth):
     """A log regression of these stacks is off by 0.5 % and more."""

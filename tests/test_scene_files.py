@@ -273,6 +273,7 @@ def test_a_reflectance_in_rgb_is_its_colour_under_d65(tmp_path):
     np.testing.assert_allclose(material_of(tmp_path, white).reflectance, 1, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_flat_light_in_rgb_has_luminance_one(tmp_path):
     spectral_file(tmp_path)
     lamp = 'intensity = {illuminant = "E", scale = 0.01}'

@@ -222,7 +222,6 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("noise", "well"),
     [

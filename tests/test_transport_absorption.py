@@ -106,7 +106,6 @@ NESTED = {
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("name", NESTED)
 def test_a_way_through_bodies_within_bodies(name):
     """exp(-sum of a d) of a sky of radiance 1, straight down."""

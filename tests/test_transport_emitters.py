@@ -86,7 +86,6 @@ SHAPES = {
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", SHAPES)
 def test_what_shines_never_hides_itself(name, dtype):

@@ -32,7 +32,6 @@ def scipy_best(y, fixed, lower, upper, *, count=20_001):
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_amplitudes_agree_with_scipy_nnls(columns):
     rng = np.random.default_rng(columns)

@@ -51,6 +51,7 @@ def test_a_lobe_predicts_held_out_lights_better_in_every_channel(calibration, mo
     assert np.all(lobe < [0.09, 0.09, 0.10])
 
 
+@pytest.mark.slow
 def test_prediction_is_as_good_as_the_fit(calibration):
     for score in calibration.scores:
         assert score.predicted_error < 1.1 * score.fitted_error

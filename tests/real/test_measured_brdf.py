@@ -103,6 +103,7 @@ def test_cornell_files_hold_what_the_goniometer_did(cornell):
         assert abs(float(samples.phi_o[brightest])) == pytest.approx(np.pi, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_tables_of_the_paints_return_their_samples(cornell):
     """Cube-root error, cosine-weighted, of the table at the samples it was made of."""
     for name, (samples, table) in cornell.items():

@@ -50,6 +50,7 @@ def test_garnet_red_is_a_coat_of_clear_facets(calibrated):
     assert np.sqrt(garnet.covariance[2, 2]) < 0.2
 
 
+@pytest.mark.slow
 def test_the_paint_is_red_and_its_coat_has_no_colour(calibrated):
     garnet = calibrated("garnet_red")
     wavelengths = garnet.measured.wavelengths

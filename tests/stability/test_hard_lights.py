@@ -182,6 +182,7 @@ def look_up(light, point):
     return seen(light, Ray(point, jnp.asarray([0, 0, 1], point.dtype)))
 
 
+@pytest.mark.slow
 @both_precisions
 def test_degenerate_rectangles_shine_nothing(dtype):
     up = jnp.asarray([0, 0, 1], dtype)
@@ -200,7 +201,7 @@ def test_degenerate_rectangles_shine_nothing(dtype):
 look = jax.jit(jax.value_and_grad(lambda s, d: environment_radiance(s, d)[0], (0, 1)))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize(
     "direction", [[0, 0, 1], [0, 0, -1], [-1, 0, 0], [1, 0, 0], [1e-20, 0, 1], [0, 0, 0]]

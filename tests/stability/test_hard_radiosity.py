@@ -139,7 +139,7 @@ def test_perpendicular_patches_that_touch_or_lie_behind(dtype):
     np.testing.assert_allclose(behind, exchange(floor, floor)[0], rtol=1e-6)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("height", [0.0, 1e-6, 1e-3, 1.0, 1e4])
 def test_a_point_near_and_far_of_a_triangle(height, dtype):

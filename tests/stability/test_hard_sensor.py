@@ -151,7 +151,7 @@ def test_a_well_filled_to_the_brim_keeps_its_charge(dtype):
         assert_finite((got, pull(got)))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("inefficiency", [0.0, 1e-7, 0.5])
 def test_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):

@@ -137,7 +137,6 @@ HARD = {
 
 
 @pytest.mark.slow
-@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("name", sorted(HARD))
 @pytest.mark.parametrize("tracer", ["paths", "tree"])
