@@ -61,8 +61,10 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     hit = found < jnp.inf
     b, closest = _closest_approach(ray, sphere)
     half_chord = safe_sqrt(sphere.radius * sphere.radius - dot(closest, closest))
-    along = jnp.where(found < b, -half_chord, half_chord)
-    distance = with_gradient_of(found, jnp.where(hit, b + along, 0))
+    first = found < b
+    near, far, _ = _crossings(ray, sphere)
+    distance = with_gradient_of(found, jnp.where(hit, jnp.where(first, near, far), 0))
+    along = jnp.where(first, -half_chord, half_chord)
     outward = closest + along * ray.direction
     square = jnp.where(hit, dot(outward, outward), 1)
     normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
@@ -73,7 +75,13 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
     """The distance of the crossing that is met, m, inf for a miss. To be stored: whether a ray that
     starts on the sphere meets the near crossing or the far one is for its rounding to say, which is
-    another wherever compiled code repeats it.
+    another wherever compiled code repeats it."""
+    near, far, meets = _crossings(ray, sphere)
+    return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
+
+
+def _crossings(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
+    """(distance of the near crossing, of the far one, m, and whether the line meets the sphere).
 
     Source: Haines, Guenther, Akenine-Moeller, "Precision Improvements for Ray/Sphere
     Intersection", Ray Tracing Gems (2019), ch. 7: the discriminant from the closest approach, and
@@ -88,5 +96,4 @@ def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
     away = norm(ray.origin - sphere.centre)
     smaller = divide((away - r) * (away + r), larger, where=meets)
     ahead = b >= 0
-    near, far = jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller)
-    return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
+    return jnp.where(ahead, smaller, larger), jnp.where(ahead, larger, smaller), meets
