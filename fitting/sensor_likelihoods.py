@@ -51,6 +51,11 @@ class SensorNoise(eqx.Module):
         """No: the variance depends on the light."""
         return False
 
+    @property
+    def surrogate(self) -> None:
+        """None: Newton's method searches it."""
+        return None
+
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's; at an end of the range, ln of the probability beyond.
 
@@ -111,6 +116,11 @@ class SensorCounts(eqx.Module):
     def least_squares(self) -> bool:
         """No: -2 ln p is no sum of squares."""
         return False
+
+    @property
+    def surrogate(self) -> None:
+        """None: Newton's method searches it."""
+        return None
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """ln P of each code.

@@ -7,9 +7,10 @@ Each is a record with
     expected(prediction)                mean of the data, (data)
     draw(key, prediction)               data as they might have been, (data)
 
-and `least_squares`: whether ln p is -residual^2 / 2 but for constants, so that a fit may use
-Levenberg and Marquardt's method. A record of your own with these parts is as good. A field that
-holds a string is the name of a parameter or a path into a record, whose value takes its place.
+`least_squares`, whether ln p is -residual^2 / 2 but for constants, so that a fit may use Levenberg
+and Marquardt's method; and `surrogate`, a likelihood of least squares whose best fit is near, for
+one in which a search gets lost, or None. A record of your own with these parts is as good. A field
+that holds a string is the name of a parameter or a path into a record, whose value takes its place.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
 of the probability below a datum. Where a datum covers an interval, a clipped one for instance,
@@ -39,6 +40,8 @@ class Likelihood(Protocol):
 
     @property
     def least_squares(self) -> bool: ...
+    @property
+    def surrogate(self) -> "Likelihood | None": ...
     def log_density(self, prediction: Array, data: Array) -> Array: ...
     def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers: ...
     def expected(self, prediction: Array) -> Array: ...
@@ -73,6 +76,11 @@ class Gaussian(eqx.Module):
         """Whether the standard deviation is known."""
         return not isinstance(self.sd, str)
 
+    @property
+    def surrogate(self) -> None:
+        """None: far from the best fit the log density is as curved as near it."""
+        return None
+
     def log_density(self, prediction: Array, data: Array) -> Array:
         """-((data - prediction) / sd)^2 / 2 - ln(sqrt(2 pi) sd)."""
         z = (data - prediction) / self.sd
@@ -96,6 +104,9 @@ class Gaussian(eqx.Module):
 class StudentT(eqx.Module):
     """data = prediction + sd * t, with Student's t: outliers count for little.
 
+    Far from the best fit all data are outliers, and a search finds hardly a slope. It therefore
+    begins with least squares, unless the scale is unknown, which then grows until data count again.
+
     Attributes:
         sd: scale in the unit of the data, a little below the standard deviation: a number, an array
             of the data's shape, or the name of a parameter.
@@ -112,6 +123,11 @@ class StudentT(eqx.Module):
     def least_squares(self) -> bool:
         """No: -2 ln p is no sum of squares."""
         return False
+
+    @property
+    def surrogate(self) -> Gaussian | None:
+        """The Gaussian of the same scale, if it is known."""
+        return None if isinstance(self.sd, str) else Gaussian(self.sd)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / sd, normalised."""
@@ -156,6 +172,11 @@ class Censored(eqx.Module):
     def least_squares(self) -> bool:
         """No: -2 ln p is no sum of squares."""
         return False
+
+    @property
+    def surrogate(self) -> None:
+        """None: data beyond an end pull the harder, the farther the prediction is."""
+        return None
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's between the ends; ln of the probability beyond, at an end."""
@@ -210,6 +231,11 @@ class Clustered(eqx.Module):
     def least_squares(self) -> bool:
         """That of the likelihood inside."""
         return self.likelihood.least_squares
+
+    @property
+    def surrogate(self) -> Likelihood | None:
+        """That of the likelihood inside."""
+        return self.likelihood.surrogate
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """Of each datum by itself."""
