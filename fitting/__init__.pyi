@@ -17,6 +17,9 @@ from .inference.likelihoods import (
     Gaussian as Gaussian,
     StudentT as StudentT,
 )
+from .inference.nuts import (
+    NutsOptions as NutsOptions,
+)
 from .inference.parameters import (
     Parameter as Parameter,
 )

@@ -10,7 +10,7 @@ from scipy import stats
 
 from fitting.inference.convergence import effective_draws
 from fitting.inference.emcee_run import SamplingOptions
-from fitting.inference.nuts import nuts
+from fitting.inference.nuts import NutsOptions, nuts
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import convergence_in_words, estimates, sample
 from jaxvision.errors import InputError
@@ -31,9 +31,13 @@ def twisted(vector, args):
     return -bent @ precision @ bent / 2
 
 
-def run(twist, **options):
-    args = (PRECISION, jnp.asarray(twist))
-    return nuts(twisted, SPACE, jnp.zeros(3), COVARIANCE, args, **options)
+def run(twist, *, seed=0, after=None, **options):
+    return nuts(
+        *(twisted, SPACE, jnp.zeros(3), COVARIANCE, (PRECISION, jnp.asarray(twist))),
+        options=NutsOptions(**options),
+        seed=seed,
+        after=after,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +131,8 @@ def half_line(vector, rate):
 @pytest.mark.slow
 def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
     space = SPACE[:1]
-    posterior = nuts(half_line, space, jnp.ones(1), np.eye(1), jnp.asarray(1.0), draws=500)
+    options = NutsOptions(draws=500)
+    posterior = nuts(half_line, space, jnp.ones(1), np.eye(1), jnp.asarray(1.0), options=options)
     assert posterior.samples.min() > 0
     np.testing.assert_allclose(posterior.samples.mean(), 1.0, atol=0.3)
     with pytest.raises(InputError, match="impossible at the mode"):

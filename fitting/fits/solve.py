@@ -15,6 +15,7 @@ from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import SamplingOptions
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import Misfit, judge
+from ..inference.nuts import NutsOptions, nuts, require_blackjax
 from ..inference.posterior import Posterior, laplace, sample
 from ..inference.problem import (
     Problem,
@@ -29,15 +30,17 @@ from ..inference.search import Optimum, search, spread_starts, start_at
 from .result import Fit
 from .words import about_posterior, about_search, verdict
 
+Options = SamplingOptions | NutsOptions
+
 
 def fit(
     problem: Problem,
     *,
     start: dict[str, Any] | None = None,
     starts: int = 16,
-    posterior: Literal["laplace", "emcee"] = "laplace",
+    posterior: Literal["laplace", "emcee", "nuts"] = "laplace",
     misfit: Literal["fail", "inflate"] = "fail",
-    sampling: SamplingOptions | None = None,
+    sampling: Options | None = None,
     seed: int = 0,
 ) -> Fit:
     """Fits a problem: the best of many searches, its posterior, and whether to believe it.
@@ -51,20 +54,23 @@ def fit(
         start: natural values by name, in their units, from which the only search begins; None for
             `starts` of them.
         starts: searches spread over bounds and priors, of which the best is kept.
-        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or `emcee`,
-            draws from the exact posterior.
+        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or draws from
+            the exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
+            chains follow the gradient: for many parameters, and where `predict` is smooth (the
+            `nuts` extra).
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
             or `inflate` the intervals by the square root of chi-square per degree of freedom
             (Birge's factor), which takes the model for a sufficient approximation.
-        sampling: how to run emcee; None for its defaults.
+        sampling: how long to sample: `SamplingOptions` of emcee, `NutsOptions` of NUTS; None for
+            their defaults.
         seed: of starts and draws.
 
     Returns:
         The fit.
 
     Raises:
-        InputError: for a start that names no parameter, a model that is finite nowhere, and data
-            that leave a direction open.
+        InputError: for a start that names no parameter, a model that is finite nowhere, data that
+            leave a direction open, and NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -83,6 +89,7 @@ def fit(
         >>> abs(float(result.values["rate"]) - 1.3) < 0.05
         True
     """
+    options = _options(posterior, sampling)
     if start is None:
         begin = spread_starts(problem, starts, seed=seed)
     else:
@@ -97,11 +104,28 @@ def fit(
     determined = float(np.trace(optimum.data_information @ covariance))
     checks = judge(residuals, determined)
     widened, explanation = _widened(problem, vector, optimum, covariance, checks, misfit)
-    drawn = _draw(problem, vector, optimum, widened, posterior, sampling, seed)
+    drawn = _draw(problem, vector, optimum, widened, options, seed)
     failures = verdict(optimum, checks, explanation)
     failures += about_search(optimum)
     findings = (*explanation, *checks.remarks, *about_posterior(problem, optimum, drawn))
     return Fit(problem, optimum, drawn, checks, residuals, tuple(failures), findings)
+
+
+def _options(posterior: str, sampling: Options | None) -> Options | None:
+    """How to run the sampler, None for Laplace; what cannot be run is said before the search."""
+    kinds = {"laplace": type(None), "emcee": SamplingOptions, "nuts": NutsOptions}
+    if posterior not in kinds:
+        raise InputError(f"posterior = {posterior!r}: use 'laplace', 'emcee' or 'nuts'.")
+    if posterior == "nuts":
+        require_blackjax()
+    if sampling is None:
+        return kinds[posterior]()
+    if not isinstance(sampling, kinds[posterior]):
+        raise InputError(
+            f"posterior = {posterior!r} does not go with {type(sampling).__name__}: "
+            "SamplingOptions are emcee's, NutsOptions those of NUTS."
+        )
+    return sampling
 
 
 def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
@@ -192,17 +216,14 @@ def _draw(
     vector: Array,
     optimum: Optimum,
     covariance: np.ndarray,
-    method: str,
-    sampling: SamplingOptions | None,
+    options: Options | None,
     seed: int,
 ) -> Posterior:
     space = problem.space
-    if method == "laplace":
+    if options is None:
         return laplace(log_density, space, vector, problem, covariance=covariance, seed=seed)
-    if method != "emcee":
-        raise InputError(f"posterior = {method!r}: use 'laplace' or 'emcee'.")
     stretch = jnp.asarray(curvature_stretch(optimum.information, covariance), vector.dtype)
-    args = (problem, vector, stretch)
-    return sample(
-        _stretched_log_density, space, vector, covariance, args, options=sampling, seed=seed
-    )
+    exact = (_stretched_log_density, space, vector, covariance, (problem, vector, stretch))
+    if isinstance(options, NutsOptions):
+        return nuts(*exact, options=options, seed=seed)
+    return sample(*exact, options=options, seed=seed)

@@ -83,7 +83,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         if skew:
             found.append(
                 f"The intervals of {listed(skew)} are wide, so that a Gaussian may misjudge them: "
-                "posterior='emcee' draws from the exact posterior."
+                "posterior='emcee' or 'nuts' draws from the posterior itself."
             )
     found.append(convergence_in_words(posterior))
     if problem.data.dtype != jnp.float64:

@@ -11,6 +11,7 @@ interruption changes a chain. Chains are trusted from 400 effective draws and up
 """
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,6 +38,35 @@ FEWEST_DRAWS = 10
 SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # of a start toward the mode until it is possible
 
 
+@dataclass(frozen=True)
+class NutsOptions:
+    """How to run NUTS.
+
+    Attributes:
+        draws: of each chain, at least 10, after a warm-up of 300 steps.
+        chains: how many, independent of each other and advanced together.
+        block: draws between two checkpoints.
+        checkpoint: folder of the blocks, None to keep them in memory.
+        progress: called with (steps done, steps in all) after each block.
+
+    Raises:
+        InputError: for unusable numbers.
+    """
+
+    draws: int = 1000
+    chains: int = 4
+    block: int = 100
+    checkpoint: Path | None = None
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        if self.draws < FEWEST_DRAWS or self.chains < 1 or self.block < 1:
+            raise InputError(
+                f"{self.draws} draws of {self.chains} chains in blocks of {self.block}: give at "
+                f"least {FEWEST_DRAWS} draws of one chain in blocks of one."
+            )
+
+
 class _State(eqx.Module):
     """Where the chains are, and the adaptation of their step: log of the step, of its average,
     count, mean error and centre (Nesterov's dual averaging)."""
@@ -54,12 +84,8 @@ def nuts(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
     *,
-    draws: int = 1000,
-    chains: int = 4,
+    options: NutsOptions | None = None,
     seed: int = 0,
-    block: int = 100,
-    checkpoint: Path | None = None,
-    progress: Progress | None = None,
     after: Posterior | None = None,
 ) -> Posterior:
     """Draws by NUTS, the chains starting from the Gaussian (mode, covariance).
@@ -75,35 +101,28 @@ def nuts(
         mode: (P,) unconstrained.
         covariance: (P, P) on the unconstrained scale.
         args: data of `log_density`.
-        draws: of each chain, after a warm-up of 300 steps.
-        chains: how many, independent of each other and advanced together.
+        options: of the chains; None for the defaults.
         seed: of every draw.
-        block: draws between two checkpoints.
-        checkpoint: folder of the blocks, None to keep them in memory.
-        progress: called with (steps done, steps in all) after each block.
         after: a shorter posterior of the same density, data, start and seed, to go on from.
 
     Returns:
         The posterior, warm-up removed.
 
     Raises:
-        InputError: without blackjax, for unusable numbers, for a mode that is impossible, and for a
-            checkpoint, or a posterior to go on from, of another run.
+        InputError: without blackjax, for a mode that is impossible, and for a checkpoint, or a
+            posterior to go on from, of another run.
     """
-    _ = _blackjax()
-    if draws < FEWEST_DRAWS or chains < 1 or block < 1:
-        raise InputError(
-            f"{draws} draws of {chains} chains in blocks of {block}: give at least {FEWEST_DRAWS} "
-            "draws of one chain in blocks of one."
-        )
+    _ = require_blackjax()
+    options = options or NutsOptions()
+    chains, block = options.chains, options.block
     spread = jnp.asarray(np.linalg.cholesky(np.asarray(covariance, np.float64)), mode.dtype)
     settings = (space, seed, chains, WARM_UP, TARGET_ACCEPTANCE)
     run = fingerprint(log_density, mode, covariance, args, *settings, package="blackjax")
-    blocks = begun(checkpoint, () if after is None else after.blocks, run)
+    blocks = begun(options.checkpoint, () if after is None else after.blocks, run)
     density = (log_density, mode, spread, args)
     starting, drawing = jax.random.split(jax.random.key(seed))
     state = _resumed(blocks[-1]) if blocks else _start(*density, starting, chains)
-    total = WARM_UP + draws
+    total = WARM_UP + options.draws
     while (done := length(blocks)) < total:
         steps = next_length(done, block, total)
         state, drawn = _advance(*density, state, drawing, jnp.asarray([done, steps]), block)
@@ -112,13 +131,21 @@ def nuts(
             | {name: np.asarray(values)[:steps] for name, values in drawn.items()}
             | {name: np.asarray(values) for name, values in vars(state).items()}
         )
-        store(checkpoint, len(blocks) - 1, blocks[-1])
-        if progress is not None:
-            progress(length(blocks), total)
+        store(options.checkpoint, len(blocks) - 1, blocks[-1])
+        if options.progress is not None:
+            options.progress(length(blocks), total)
     return _posterior(space, np.asarray(mode, np.float64), np.asarray(spread), blocks, seed)
 
 
-def _blackjax() -> ModuleType:
+def require_blackjax() -> ModuleType:
+    """The package of the sampler.
+
+    Returns:
+        blackjax.
+
+    Raises:
+        InputError: when it is not installed.
+    """
     try:
         import blackjax
     except ImportError as error:
@@ -187,7 +214,7 @@ def _advance(
     from blackjax.adaptation.step_size import DualAveragingAdaptationState
     from blackjax.mcmc.hmc import HMCState
 
-    kernel = _blackjax().nuts.build_kernel()
+    kernel = require_blackjax().nuts.build_kernel()
     density = _whitened(log_density, mode, spread, args)
     round_metric = jnp.ones_like(mode)
     _, update, _ = _adaptation()

@@ -1,4 +1,4 @@
-"""The draws of a posterior: written as NetCDF, and drawn as corner plot and walkers' paths."""
+"""The draws of a posterior: written as NetCDF, and drawn as corner plot and paths of its chains."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -15,7 +15,7 @@ from ..inference.posterior import Posterior
 from .formatting import format_axis
 from .section import Columns, Picture, Section
 
-MOST_WALKERS = 16  # paths drawn; more only blacken the panel
+MOST_PATHS = 16  # drawn; more only blacken the panel
 
 
 def corner_figure(posterior: Posterior) -> Figure:
@@ -44,12 +44,12 @@ def corner_figure(posterior: Posterior) -> Figure:
 
 
 def trace_figure(posterior: Posterior) -> Figure:
-    """Some walkers' paths after burn-in: a settled chain looks like even noise."""
+    """Paths of some chains after burn-in: a settled chain looks like even noise."""
     count = len(posterior.space)
     figure = Figure(figsize=(8, 1.1 * count + 0.8), layout="constrained")
     axes = np.atleast_1d(figure.subplots(count, 1, sharex=True))
     for i, (axis, parameter) in enumerate(zip(axes, posterior.space, strict=True)):
-        axis.plot(posterior.draws[:MOST_WALKERS, :, i].T, color="tab:blue", alpha=0.3, lw=0.5)
+        axis.plot(posterior.draws[:MOST_PATHS, :, i].T, color="tab:blue", alpha=0.3, lw=0.5)
         axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=8)
         axis.tick_params(labelsize=8)
     axes[-1].set_xlabel("step after burn-in")
@@ -132,7 +132,7 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
             draw = partial(corner_figure, posterior)
             pictures.append(Picture(f"corner_{group}", f"Joint uncertainty{which}", caption, draw))
         if posterior.sampled:
-            caption = "Paths of some walkers after burn-in; a settled chain looks like even noise."
+            caption = "Paths of some chains after burn-in; a settled chain looks like even noise."
             draw = partial(trace_figure, posterior)
-            pictures.append(Picture(f"trace_{group}", f"Walkers{which}", caption, draw))
+            pictures.append(Picture(f"trace_{group}", f"Chains{which}", caption, draw))
     return tuple(pictures)
