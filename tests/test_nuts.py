@@ -94,6 +94,10 @@ def test_nuts_finds_a_banana(banana):
     assert_same_quantiles(unconstrained(banana), exact, (worth, len(exact)))
 
 
+def test_the_step_adapts_to_the_acceptance_that_is_asked_for():
+    assert 0.9 < run(TWIST, draws=300, seed=3, acceptance=0.95).acceptance < 0.99
+
+
 @pytest.mark.slow
 def test_emcee_agrees_with_nuts_on_a_banana(banana):
     by_emcee = sample(
@@ -142,6 +146,8 @@ def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
 def test_what_cannot_be_run_is_said(monkeypatch):
     with pytest.raises(InputError, match="3 draws of 4 chains"):
         run(0.0, draws=3)
+    with pytest.raises(InputError, match=r"acceptance = 1\.0: use a number between 0 and 1"):
+        NutsOptions(acceptance=1.0)
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(InputError, match=r"pip install 'jaxvision\[nuts\]'"):
         run(0.0)

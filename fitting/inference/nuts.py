@@ -31,7 +31,6 @@ from .parameters import ParameterSpace, to_natural
 from .posterior import LogDensity, Posterior
 
 WARM_UP = 300  # steps that adapt the step size; draws follow
-TARGET_ACCEPTANCE = 0.8
 FIRST_STEP = 0.5  # in standard deviations
 FEWEST_EFFECTIVE, LARGEST_R_HAT = 400.0, 1.01
 FEWEST_DRAWS = 10
@@ -45,6 +44,8 @@ class NutsOptions:
     Attributes:
         draws: of each chain, at least 10, after a warm-up of 300 steps.
         chains: how many, independent of each other and advanced together.
+        acceptance: mean acceptance to which the warm-up adapts the step, between 0 and 1. Where
+            trajectories diverge, more of it takes smaller steps around the bends of the posterior.
         block: draws between two checkpoints.
         checkpoint: folder of the blocks, None to keep them in memory.
         progress: called with (steps done, steps in all) after each block.
@@ -55,6 +56,7 @@ class NutsOptions:
 
     draws: int = 1000
     chains: int = 4
+    acceptance: float = 0.8
     block: int = 100
     checkpoint: Path | None = None
     progress: Progress | None = None
@@ -65,6 +67,8 @@ class NutsOptions:
                 f"{self.draws} draws of {self.chains} chains in blocks of {self.block}: give at "
                 f"least {FEWEST_DRAWS} draws of one chain in blocks of one."
             )
+        if not 0 < self.acceptance < 1:
+            raise InputError(f"acceptance = {self.acceptance}: use a number between 0 and 1.")
 
 
 class _State(eqx.Module):
@@ -116,7 +120,7 @@ def nuts(
     options = options or NutsOptions()
     chains, block = options.chains, options.block
     spread = jnp.asarray(np.linalg.cholesky(np.asarray(covariance, np.float64)), mode.dtype)
-    settings = (space, seed, chains, WARM_UP, TARGET_ACCEPTANCE)
+    settings = (space, seed, chains, WARM_UP, options.acceptance)
     run = fingerprint(log_density, mode, covariance, args, *settings, package="blackjax")
     blocks = begun(options.checkpoint, () if after is None else after.blocks, run)
     density = (log_density, mode, spread, args)
@@ -125,7 +129,9 @@ def nuts(
     total = WARM_UP + options.draws
     while (done := length(blocks)) < total:
         steps = next_length(done, block, total)
-        state, drawn = _advance(*density, state, drawing, jnp.asarray([done, steps]), block)
+        state, drawn = _advance(
+            *density, state, drawing, jnp.asarray([done, steps]), block, options.acceptance
+        )
         blocks.append(
             {"fingerprint": np.array(run)}
             | {name: np.asarray(values)[:steps] for name, values in drawn.items()}
@@ -188,15 +194,15 @@ def _started(
     first = jnp.where(possible.any(axis=0), jnp.argmax(possible, axis=0), len(SHRINKING) - 1)
     position = nearer[first, jnp.arange(chains)]
     value, gradient = jax.vmap(jax.value_and_grad(density))(position)
-    adapt, _, _ = _adaptation()
+    adapt, _, _ = _adaptation(0.0)  # the target plays no part in its beginning
     begun = jnp.stack([jnp.asarray(x, mode.dtype) for x in adapt(FIRST_STEP)])
     return _State(position, value, gradient, begun)
 
 
-def _adaptation() -> Any:
+def _adaptation(acceptance: float) -> Any:
     from blackjax.adaptation.step_size import dual_averaging_adaptation
 
-    return dual_averaging_adaptation(TARGET_ACCEPTANCE)
+    return dual_averaging_adaptation(acceptance)
 
 
 @eqx.filter_jit
@@ -209,6 +215,7 @@ def _advance(
     key: PRNGKeyArray,
     range_: Int[Array, "2"],
     block: int,
+    acceptance: float,
 ) -> tuple[_State, dict[str, Array]]:
     """The steps of a block, (first, how many), and what they drew."""
     from blackjax.adaptation.step_size import DualAveragingAdaptationState
@@ -217,7 +224,7 @@ def _advance(
     kernel = require_blackjax().nuts.build_kernel()
     density = _whitened(log_density, mode, spread, args)
     round_metric = jnp.ones_like(mode)
-    _, update, _ = _adaptation()
+    _, update, _ = _adaptation(acceptance)
     chains = len(state.log_density)
     first, steps = range_
 
