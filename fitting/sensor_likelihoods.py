@@ -78,8 +78,11 @@ class SensorNoise(eqx.Module):
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, rounded and clipped where there is an ADC."""
-        signal = Censored(self._deviation(prediction)).draw(key, self.expected(prediction))
-        bits = _record(self.sensor).bits
+        sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
+        analogue = eqx.tree_at(lambda s: s.bits, sensor, None, is_leaf=lambda x: x is None)
+        deviation = jnp.sqrt(signal_variance(analogue, prediction))  # rounding brings its own
+        signal = Censored(deviation).draw(key, self.expected(prediction))
+        bits = sensor.bits
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
 
     def _deviation(self, prediction: Array) -> Array:

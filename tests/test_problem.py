@@ -325,3 +325,36 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fitted, count):
         for found, level in zip(row, (0.68, 0.95), strict=True):
             low, high = stats.binom.interval(0.999, count, level)
             assert low <= found <= high
+
+
+@pytest.mark.parametrize("below", [1.0, 3.0])
+def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below):
+    """A positive number whose data lie below 0: the exact posterior is a truncated normal; Laplace
+    on the scale of the transform comes within a factor of two of its upper end."""
+    error, count = 0.02, 25
+    spread = np.random.default_rng(0).standard_normal(count)
+    data = -below * error + error * np.sqrt(count) * (spread - spread.mean())
+    problem = Problem(
+        {"a": Parameter(lower=0.0, upper=10.0)},
+        lambda a: a * jnp.ones(count),
+        Gaussian(sd=error * np.sqrt(count)),
+        data,
+    )
+    exact = scipy.stats.truncnorm(a=below, b=np.inf, loc=-below * error, scale=error).ppf(0.975)
+    _, upper = fit(problem).estimates[0].interval_95
+    assert exact < upper < 2.1 * exact
+
+
+def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
+    data, model = np.zeros(5), lambda a: a * jnp.ones(5)
+    with pytest.raises(InputError, match="do not fit data of shape"):
+        Problem({"a": Parameter(start=0.0)}, model, Gaussian(sd=np.ones((5, 1))), data)
+    record = {"r": {"x": jnp.ones(3)}}
+    with pytest.raises(InputError, match="part of"):
+        Problem(
+            {"r['x']": Parameter(), "r['x'][0]": 1.0},
+            lambda r: r["x"],
+            Gaussian(sd=1.0),
+            np.zeros(3),
+            records=record,
+        )

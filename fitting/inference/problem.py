@@ -160,6 +160,10 @@ def _placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Para
                 f"{name}: shape {parameter.shape} does not fit, the record's is {known.shape}."
             )
     start = parameter.start if parameter.start is not None else known
+    if known is not None:
+        if start is not None:
+            start = np.broadcast_to(start, known.shape)
+        return replace(parameter, name=name, shape=known.shape, start=start)
     shape = parameter.shape
     if shape is None:
         shape = np.shape(start) if start is not None else np.shape(parameter.lower)
@@ -176,6 +180,11 @@ def _check_names(problem: Problem, parameters: Mapping[str, Any]) -> None:
     for name in (*problem.fixed, *problem.tied):
         if is_path(name):
             read(problem.records, name)
+    paths = [name for name in parameters if is_path(name)]
+    for outer in paths:
+        for inner in paths:
+            if inner.startswith((f"{outer}.", f"{outer}[")):
+                raise InputError(f"{inner} is part of {outer}, a parameter too: name one of them.")
     clash = {*GIVEN} & {*parameters, *problem.records} or problem.records.keys() & parameters.keys()
     if clash:
         raise InputError(f"{sorted(clash)[0]!r} is taken: choose another name.")
@@ -202,6 +211,18 @@ def _check_shapes(problem: Problem) -> None:
             f"predict gives an array of shape {sizes}, the data have {problem.data.shape}: "
             "they must be equal."
         )
+    origin = jnp.zeros(len(problem.space))
+    try:
+        shape = eqx.filter_eval_shape(log_likelihood_terms, origin, problem).shape
+    except (TypeError, ValueError) as error:  # JAX's own words on shapes that do not go together
+        shape, cause = None, error
+    else:
+        cause = None
+    if shape != problem.data.shape:
+        raise InputError(
+            f"The likelihood's numbers do not fit data of shape {problem.data.shape}: give each as "
+            "one number or in the data's shape."
+        ) from cause
 
 
 def _shape_of_prediction(problem: Problem) -> tuple[int, ...]:
