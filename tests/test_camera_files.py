@@ -58,6 +58,11 @@ def test_the_consumer_camera_has_the_measured_sensitivities():
     assert tile[1, 0] == green
     np.testing.assert_allclose(red / green, measured[band, 0] / measured[band, 1], rtol=1e-9)
     np.testing.assert_allclose(blue / green, measured[band, 2] / measured[band, 1], rtol=1e-9)
+    two = np.asarray(mean_photoelectrons(sensor, jnp.ones((2, 2, 31)).at[..., 15:].set(0))) / (
+        np.asarray(mean_photoelectrons(sensor, jnp.ones((2, 2, 31))))
+    )
+    share = measured[:15].sum(axis=0) / measured.sum(axis=0)
+    np.testing.assert_allclose(two[0, 0, 0], share[0], rtol=1e-6)
     three = read_camera("consumer_bayer", wavelengths=jnp.asarray([4.5e-7, 5.5e-7, 6.2e-7])).sensor
     assert three.colour_filter.transmission.shape == (3, 3)
     np.testing.assert_array_equal(three.photon_conversion.wavelength, [4.5e-7, 5.5e-7, 6.2e-7])

@@ -83,6 +83,12 @@ def test_values_are_rounded_to_their_uncertainty(value, error, expected):
     assert format_value(Estimate("x", "x", "1", value, error)) == expected
 
 
+def test_ends_of_an_interval_have_the_digits_of_the_error():
+    estimate = gaussian_estimate(X, 2.0, 0.06)
+    assert format_interval(estimate, 68) == "[1.940, 2.060]"
+    assert format_interval(estimate, 95) == "[1.882, 2.118]"
+
+
 def test_numbers_without_uncertainty_and_missing_ones():
     assert format_value(Estimate("x", "x", "1", 1 / 3)) == "0.333333"
     assert format_value(not_determined(X, "why")) == "–"

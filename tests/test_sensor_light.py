@@ -128,7 +128,6 @@ def test_a_larger_chip_gathers_more_light_at_equal_field_of_view():
 # ------------------------------------------------ neighbours
 
 
-@pytest.mark.slow
 def test_crosstalk_against_a_loop_and_nothing_is_lost():
     share = 0.07
     expected = np.zeros_like(IMAGE)

@@ -191,6 +191,7 @@ def test_telegraph_noise_jumps_in_some_pixels(level):
     frames = [np.asarray(shoot(key, sensor, flat(50.0), die_key=DIE)) for key in (KEY, DIE)]
     variance = 0.25 * level**2 / 2
     check_moments(frames[0], 50, variance, variance * level**2)
+    np.testing.assert_allclose(signal_variance(sensor, flat(50.0, (1, 1, 1))), variance)
     values = np.unique(np.round(frames[0] - 50, 9))
     np.testing.assert_allclose(values, [-level, 0, level], atol=1e-9)
     quiet = (frames[0] == 50) & (frames[1] == 50)

@@ -80,10 +80,9 @@ def test_closed_sphere_has_radiance_one(strategy):
     assert np.all(np.abs(mean - expected) <= 4 * error + 1e-9)
 
 
-@pytest.mark.slow
 def test_roulette_is_unbiased():
-    """Ends early or late, the same mean: with 400 pieces nothing is left out."""
-    mean, error = mean_of_paths(closed([0.5], [0.5]), INSIDE, Paths(1, 400, roulette=1), 4000)
+    """Ends early or late, the same mean: with 60 pieces 1e-18 is left out."""
+    mean, error = mean_of_paths(closed([0.5], [0.5]), INSIDE, Paths(1, 60, roulette=1), 2000)
     assert 1e-4 < error[0] < 0.05
     assert abs(mean[0] - 1) < 4 * error[0]
 
