@@ -1,7 +1,7 @@
 """Every primitive has a fallback in public JAX: the same values and derivatives, in every program.
 
 This file is also the program that computes them, in a process of its own where the fallbacks are
-forced: `python test_staging.py FILE`.
+forced: `python test_plain_jax.py FILE`.
 """
 
 import os

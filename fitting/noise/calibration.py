@@ -73,7 +73,7 @@ def calibrate(
         The calibration.
 
     Raises:
-        InputError: where a fit has no maximum, or a chain stays too short.
+        InputError: where a fit has no maximum.
     """
     within = ranges(measurement)
     usable = linear_levels(measurement)

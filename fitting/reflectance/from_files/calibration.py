@@ -126,7 +126,7 @@ def calibrate(
         The calibration.
 
     Raises:
-        InputError: for an index outside its range, and for a chain that stays too short.
+        InputError: for an index outside its range.
     """
     check_index(index)
     fits = fit_models(measured, objective=objective, index=index)

@@ -4,7 +4,7 @@
     DN  = black + white (X / white)^(1 / gamma)            what the file holds
 
 in each channel by itself. E is the irradiance on a surface facing the light, in the rig's unit, so
-k_d and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance_models` with unit
+k_d and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance.models` with unit
 k_s: of Phong, Blinn and the Gaussian lobe as published, without a cosine, of all others f_r
 cos(theta_i). Oren-Nayar has k_d lobe in place of both terms. Parts that a `Form` does not name are
 neither parameters nor traced.

@@ -1,4 +1,4 @@
-"""Reflectance of a known shape under known lights: one of `reflectance_models`, per channel.
+"""Reflectance of a known shape under known lights: one of `reflectance.models`, per channel.
 
 Several models are fitted to the same lights and compared on the others; the one asked for is
 reported in full, with what stands in the way of believing it.
