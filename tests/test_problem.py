@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from scipy import stats
 
-from fitting import Gaussian, Normal, Parameter, Problem, Tied, fit
+from fitting import Clustered, Gaussian, Normal, Parameter, Problem, Tied, fit
 from fitting.inference.problem import log_density, prediction, values_at
 from fitting.inference.search import spread_starts
 from jaxvision import Lambert, Phong, PointLight, Scene, Sphere, Surface
@@ -358,3 +358,30 @@ def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
             np.zeros(3),
             records=record,
         )
+
+
+def test_groups_excuse_a_misfit_only_where_they_share_errors():
+    """A straight line through a parabola, in three groups."""
+    x = np.linspace(-1.0, 1.0, 30)
+
+    def fitted(labels):
+        line = {"a": Parameter(start=0.0), "b": Parameter(start=0.0)}
+        likelihood = Clustered(Gaussian(sd=0.01), labels)
+        return fit(Problem(line, lambda a, b: a + b * x, likelihood, x**2))
+
+    few = fitted(np.repeat(np.arange(3), 10))
+    assert not few.converged
+    assert "Too few groups" in " ".join(few.findings)
+
+
+def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
+    """Normal prior 1 +- .001 beside data that scatter three times as stated."""
+    noise = np.random.default_rng(4).standard_normal(50)
+    problem = Problem(
+        {"a": Parameter(prior=Normal(1.0, 0.001))},
+        lambda a: a * jnp.ones(50),
+        Gaussian(sd=1.0),
+        1 + 3 * noise,
+    )
+    found = fit(problem, misfit="inflate")
+    np.testing.assert_allclose(found.estimates[0].standard_error, 0.001, rtol=1e-3)

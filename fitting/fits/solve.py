@@ -103,11 +103,11 @@ def fit(
     residuals = _residuals(problem, vector)
     determined = float(np.trace(optimum.data_information @ covariance))
     checks = judge(residuals, determined)
-    widened, explanation = _widened(problem, vector, optimum, covariance, checks, misfit)
+    widened, words, explained = _widened(problem, vector, optimum, covariance, checks, misfit)
     drawn = _draw(problem, vector, optimum, widened, options, seed)
-    failures = verdict(optimum, checks, explanation)
+    failures = verdict(optimum, checks, words if explained else ())
     failures += about_search(optimum)
-    findings = (*explanation, *checks.remarks, *about_posterior(problem, optimum, drawn))
+    findings = (*words, *checks.remarks, *about_posterior(problem, optimum, drawn))
     return Fit(problem, optimum, drawn, checks, residuals, tuple(failures), findings)
 
 
@@ -182,8 +182,9 @@ def _widened(
     covariance: np.ndarray,
     checks: Misfit,
     misfit: str,
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The covariance that allows for what the model misses, and why, in words."""
+) -> tuple[np.ndarray, tuple[str, ...], bool]:
+    """The covariance that allows for what the model misses, why, in words, and whether a misfit is
+    explained by it: groups explain one only where they share errors."""
     if isinstance(problem.likelihood, Clustered):
         labels = np.unique(np.asarray(problem.likelihood.labels).ravel(), return_inverse=True)[1]
         scores = np.asarray(_scores(vector, problem), np.float64)
@@ -193,16 +194,20 @@ def _widened(
             words = "Too few groups to see errors that they share"
         elif robust.design_effect == 1:
             words = "The groups' residuals show no shared errors"
-        return robust.covariance, (
-            f"{words}; the variance is {robust.design_effect:.3g} times that of independent data.",
+        sentence = (
+            f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
         )
+        return robust.covariance, (sentence,), robust.design_effect > 1
     if misfit == "inflate" and checks.dof > 0 and checks.chi_square > checks.dof:
         factor = checks.chi_square / checks.dof
-        return factor * covariance, (
-            f"Chi-square per degree of freedom is {factor:.4g}; all intervals are widened by "
-            f"{np.sqrt(factor):.3g}, as if the noise were that much larger.",
+        prior = optimum.information - optimum.data_information
+        widened = np.linalg.inv(optimum.data_information / factor + prior)
+        sentence = (
+            f"Chi-square per degree of freedom is {factor:.4g}; what the data say is widened by "
+            f"{np.sqrt(factor):.3g}, as if their noise were that much larger."
         )
-    return covariance, ()
+        return widened, (sentence,), True
+    return covariance, (), False
 
 
 def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
