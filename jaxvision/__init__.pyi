@@ -12,6 +12,7 @@ from . import (
     colour_spaces as colour_spaces,
     compositing as compositing,
     development as development,
+    effects as effects,
     errors as errors,
     filters as filters,
     geometry as geometry,

@@ -29,6 +29,7 @@ FLOORS = [
     {"histogram", "compositing", "optics", "sensor"},
     {"rendering"},
     {"matting", "transport", "development"},
+    {"effects"},
     {"shot", "accuracy", "scene_checks"},
     {"io", "toml_files", "command_line"},
     {"measured_files", "mesh_files", "camera_files", "plots"},
@@ -36,7 +37,7 @@ FLOORS = [
     {"render_command"},
     {"cli"},
 ]
-PHYSICS = set.union(*FLOORS[2:15])
+PHYSICS = set.union(*FLOORS[2:16])
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},

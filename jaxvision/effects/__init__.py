@@ -1,0 +1,11 @@
+"""Only the effects that a scene calls for: what each can change in a picture, and what to drop.
+
+certificate   the records: effects, tolerances, and what was dropped with its bound
+stages        how a stage of the camera plugs in
+
+NumPy in float64, outside `jit`: records with traced numbers are refused.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,236 @@
+"""What was kept, what was dropped, and what that can do to a picture at most.
+
+Bounds are suprema over all pixels of one number: the 2-Wasserstein distance between the law of a
+pixel before rounding with an effect and without it. A mean moved by d is d; noise that is dropped
+is the difference of two standard deviations. The distance obeys the triangle inequality, so the
+bounds of successive drops add. Beside it stands `place`, the most by which anything moves in the
+picture, in pixels: at an edge no bound on the value of a pixel follows from it. Bounds are of the
+exact integrals, whatever rule samples a light.
+"""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from html import escape
+from typing import Literal, get_args
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene import Camera, Scene
+
+Rank = Literal["exact", "bound", "estimate"]
+Unit = Literal["relative", "DN", "sigma"]
+
+RADIANCE, IRRADIANCE, DN = "W m^-2 sr^-1", "W m^-2", "DN"
+_WORDS = {
+    "%": ("relative", 0.01),
+    "": ("relative", 1.0),
+    "dn": ("DN", 1.0),
+    "sigma": ("sigma", 1.0),
+}
+_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(%|dn|sigma|)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far a picture may move by what is dropped.
+
+    Attributes:
+        value: of the distance named at the top of `effects.certificate`, >= 0, in `unit`.
+        unit: "relative": of radiance, to the level of the certificate; "DN"; "sigma": of the
+            sensor's own noise in the dark, where it is smallest.
+        place: pixels by which anything may move.
+        rare: expected number of pixels that may differ by any amount, such as dead ones.
+
+    Raises:
+        InputError: for a number below 0 or NaN, or an unknown unit.
+    """
+
+    value: float
+    unit: Unit = "relative"
+    place: float = 0.1
+    rare: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("value", "place", "rare"):
+            number = getattr(self, name)
+            if not number >= 0:
+                raise InputError(f"Tolerance.{name} must be at least 0, got {number}.")
+        if self.unit not in get_args(Unit):
+            words = ", ".join(get_args(Unit))
+            raise InputError(f"Tolerance.unit must be one of {words}, got {self.unit!r}.")
+
+
+def parse(text: str, *, place: float = 0.1, rare: float = 0.01) -> Tolerance:
+    """A tolerance as it is written on a command line.
+
+    Args:
+        text: a number and its unit: "1%" or "0.01" of the level of radiance, "0.5DN", "0.1sigma".
+        place: pixels by which anything may move.
+        rare: expected number of pixels that may differ by any amount.
+
+    Returns:
+        The tolerance.
+
+    Raises:
+        InputError: for any other text.
+
+    Example:
+        >>> from jaxvision import effects
+        >>> print(effects.parse("0.5DN"))
+        Tolerance(value=0.5, unit='DN', place=0.1, rare=0.01)
+    """
+    found = _NUMBER.fullmatch(text.strip())
+    try:
+        assert found is not None
+        unit, scale = _WORDS[found[2].lower()]
+        return Tolerance(float(found[1]) * scale, unit, place, rare)  # pyright: ignore[reportArgumentType]
+    except (AssertionError, ValueError):
+        raise InputError(
+            f"a tolerance is a number and its unit, as in 1%, 0.5DN or 0.1sigma, got {text!r}."
+        ) from None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One thing that a scene or a camera does to a picture, and the most that it can do.
+
+    Attributes:
+        name: that of the field, by its place in the scene as it was given: "lights[2]",
+            "shadows[2]", "surfaces[0].material.specular", "sensor.read_noise".
+        present: whether the records hold it.
+        why: what the bound rests on, or why there is none, in a few words.
+        bound: what leaving it out changes at most, in `unit`; inf: not bounded.
+        place: pixels by which leaving it out moves anything at most.
+        unit: that of `bound`: of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or of the certificate.
+        rank: "exact": proved not to matter; "bound": proved; "estimate": sampled, never counted
+            among what is proved.
+        seconds: measured time that it takes in a picture, or None.
+        free: whether a fit may change it, so that it is never dropped.
+        rare: expected number of pixels that it changes by any amount.
+    """
+
+    name: str
+    present: bool
+    why: str
+    bound: float
+    place: float = 0.0
+    unit: str = RADIANCE
+    rank: Rank = "bound"
+    seconds: float | None = None
+    free: bool = False
+    rare: float = 0.0
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a pruned scene and camera leave out, and the bound on it.
+
+    Attributes:
+        kept: the effects that remain, bounds in `unit`.
+        dropped: the effects left out, likewise, in the order in which they went.
+        total: what is proved of the sum of all that was dropped, in `unit`.
+        estimated: the same of what was dropped by estimates only, in `unit`.
+        place: pixels by which anything moves at most.
+        tolerance: what was allowed, in `unit`.
+        unit: "relative", "DN" or "sigma".
+        level: W m^-2 sr^-1 to which "relative" is relative; None for other units.
+        assumptions: what the bounds rest on, a sentence each.
+        rare: expected number of pixels that differ by any amount.
+    """
+
+    kept: tuple[Effect, ...]
+    dropped: tuple[Effect, ...]
+    total: float
+    estimated: float
+    place: float
+    tolerance: float
+    unit: str
+    level: float | None
+    assumptions: tuple[str, ...] = ()
+    rare: float = 0.0
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows."""
+        head = "".join(f"<th>{word}</th>" for word in ("", *_HEADINGS))
+        body = "".join(
+            f"<tr><td>{word}</td>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+            for word, cells in _rows(self)
+        )
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.assumptions)
+        last = escape(_summary(self))
+        return f"<table><tr>{head}</tr>{body}</table><p>{last}</p><ul>{notes}</ul>"
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """A scene and a camera without what does not matter, ready for `render` and `capture`.
+
+    Attributes:
+        scene: what is left of the scene.
+        camera: what is left of the camera; None if only a view was given.
+        samples: `PixelSamples` to call `render` with, or None.
+        moments: how many moments of a motion to render.
+        expand: (bands, r) no unit; the radiance of all bands is that of the r bands of `scene`
+            times its transpose. None: the bands are as they were.
+        certificate: what was kept and dropped.
+    """
+
+    scene: Scene
+    camera: Camera
+    samples: object | None
+    moments: int | None
+    expand: np.ndarray | None
+    certificate: Certificate
+
+
+_HEADINGS = ("effect", "bound", "pixels", "rank", "why")
+
+
+def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
+    """("kept" or "dropped", cells) of each effect."""
+    for word, found in (("dropped", certificate.dropped), ("kept", certificate.kept)):
+        for effect in found:
+            why = f"free; {effect.why}" if effect.free else effect.why
+            bound = "none" if math.isinf(effect.bound) else f"{effect.bound:.3g}"
+            yield word, (effect.name, bound, f"{effect.place:.2g}", effect.rank, why)
+
+
+def _summary(certificate: Certificate) -> str:
+    """The last line of a table."""
+    c, unit = certificate, "" if certificate.unit == "relative" else f" {certificate.unit}"
+    count = len(c.dropped) + len(c.kept)
+    line = (
+        f"Dropped {len(c.dropped)} of {count}: at most {c.total:.3g}{unit} of "
+        f"{c.tolerance:.3g}{unit} proved"
+    )
+    line += f" + {c.estimated:.3g}{unit} estimated" if c.estimated > 0 else ""
+    line += f", {c.place:.2f} px"
+    line += f", {c.rare:.2g} pixels by any amount" if c.rare > 0 else ""
+    line += f"; relative to {c.level:.4g} W m^-2 sr^-1" if c.level is not None else ""
+    return f"{line}."
+
+
+def explain(certificate: Certificate) -> str:
+    """A certificate in words: a line for each effect, what the bounds rest on, and the total.
+
+    Args:
+        certificate: from `prune`.
+
+    Returns:
+        Several lines of text; bounds in the certificate's unit (relative, DN or sigma), places in
+        pixels.
+    """
+    table = [(word, *cells) for word, cells in _rows(certificate)]
+    table = [("", *_HEADINGS), *table]
+    widths = [max(len(row[i]) for row in table) for i in range(5)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row[:5], widths, strict=True))
+        + "  "
+        + row[5]
+        for row in table
+    ]
+    notes = [f"Assumed: {note}" for note in certificate.assumptions]
+    return "\n".join([*(line.rstrip() for line in lines), *notes, _summary(certificate)])

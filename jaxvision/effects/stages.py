@@ -1,0 +1,127 @@
+"""How a stage of the camera plugs in: it gives rows, each an effect and how to leave it out.
+
+Light runs scene -> optics -> sensor -> development, and so does what one stage must know of the one
+before it. All numbers are NumPy float64, outside `jit`.
+
+    scene_stage(scene, view)                -> rows, Arriving     radiance.py
+    optics_stage(view, arriving, ...)       -> rows, OnSensor     optics.py
+    motion_stage(scene, view, motion, ...)  -> rows               motion.py
+    sensor_stage(sensor, light, shape=...)  -> rows, Response     sensor.py
+    development_stage(development)          -> rows               development.py
+
+Each record arrives as `Ends`, its two copies at the low and at the high end of what a fit may
+change (the same record twice where nothing is free). A bound takes from each field the end at which
+it is largest: sizes, albedos, radiances, gains and noises at `high`, distances and wells at `low`.
+A field whose effect on a bound is not monotone must give inf where the two ends differ. A stage
+does not look at what is free otherwise: `prune` never drops a free effect.
+
+Bounds must hold on every picture between the full and the pruned one, so they use suprema that
+ignore all that only takes light away (shadows, rims, wells).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from ..scene import AmbientLight, Camera, Light, Surface
+from .certificate import Effect
+
+T = TypeVar("T")
+
+
+class Ends(NamedTuple, Generic[T]):
+    """A record at the two ends of what a fit may change; one record twice where nothing is free."""
+
+    low: T
+    high: T
+
+    def of(self, name: str) -> "Ends[Any]":
+        """A field of both."""
+        return Ends(getattr(self.low, name), getattr(self.high, name))
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What is being pruned: lights and surfaces at their first places, None where they went.
+
+    Attributes:
+        surfaces: all of them.
+        lights: each, or None where it was dropped.
+        shadowless: numbers of the lights whose shadows were dropped.
+        ambient: or None.
+        camera: view, sensor and development.
+        samples: `PixelSamples` or None.
+        motion: or None.
+        moments: of a motion, or None.
+        bands: (kept bands, expand) or None.
+    """
+
+    surfaces: tuple[Surface, ...]
+    lights: tuple[Light | None, ...]
+    shadowless: frozenset[int]
+    ambient: AmbientLight | None
+    camera: Camera
+    samples: Any = None
+    motion: Any = None
+    moments: int | None = None
+    bands: tuple[np.ndarray, np.ndarray] | None = None
+
+
+Drop = Callable[[Draft], Draft]
+Gone = frozenset[str]
+
+
+@dataclass(frozen=True)
+class Row:
+    """An effect, what it does at most, and how it is left out.
+
+    Attributes:
+        effect: name, reason, rank and place; its `bound` is the largest of `amount`, in its unit,
+            which says what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ().
+        amount: the bound, by band before the sensor; clipped at 0, inf where there is none.
+        drop: from a draft to one without the effect, by `dataclasses.replace`, so that every
+            record's own checks run; None where nothing can be dropped.
+        after: where the bound depends on what went before: from the names of what is gone to the
+            bound, () DN. None: `amount`, whatever went.
+        assumes: what the bound rests on beside the records, a sentence; "" if nothing.
+        saves: share of the picture's work that goes with it, by a declared table.
+        instead_of: names of effects of which at most one can be dropped, such as a light and its
+            extent.
+    """
+
+    effect: Effect
+    amount: np.ndarray
+    drop: Drop | None
+    after: Callable[[Gone], float] | None = None
+    assumes: str = ""
+    saves: float = 0.05
+    instead_of: frozenset[str] = field(default_factory=frozenset)
+
+
+class Arriving(NamedTuple):
+    """What the scene sends to the camera: `radiance`, (bands,) W m^-2 sr^-1, its supremum in the
+    picture (inf: none known); `near`, `far`: m along the axis, the depths of all that may be in
+    view (far: inf with a sky or an endless plane)."""
+
+    radiance: np.ndarray
+    near: float
+    far: float
+
+
+class OnSensor(NamedTuple):
+    """What the lens makes of it: `irradiance`, (bands,) W m^-2, its supremum; `opening`, W m^-2 per
+    W m^-2 sr^-1: the largest gain of any pixel, with nothing that takes light away."""
+
+    irradiance: np.ndarray
+    opening: float
+
+
+class Response(NamedTuple):
+    """What the sensor makes of a change: `dn`, from a change of irradiance, (bands,) W m^-2, in any
+    pixel to the most by which the law of a pixel moves, DN; `dark`: DN rms of all noise in the
+    dark, the unit "sigma"."""
+
+    dn: Callable[[np.ndarray], float]
+    dark: float
