@@ -89,6 +89,7 @@ class Row:
         saves: share of the picture's work that goes with it, by a declared table.
         instead_of: names of effects of which at most one can be dropped, such as a light and its
             extent.
+        needs: names of effects that must be gone before, such as a rim before the lens it sits on.
     """
 
     effect: Effect
@@ -98,6 +99,7 @@ class Row:
     assumes: str = ""
     saves: float = 0.05
     instead_of: frozenset[str] = field(default_factory=frozenset)
+    needs: frozenset[str] = field(default_factory=frozenset)
 
 
 class Arriving(NamedTuple):
@@ -120,8 +122,9 @@ class OnSensor(NamedTuple):
 
 class Response(NamedTuple):
     """What the sensor makes of a change: `dn`, from a change of irradiance, (bands,) W m^-2, in any
-    pixel to the most by which the law of a pixel moves, DN; `dark`: DN rms of all noise in the
-    dark, the unit "sigma"."""
+    pixel, and the names of what is gone to the most by which the law of a pixel moves, DN (with
+    less noise left, light that changes its shot noise shows more); `dark`: DN rms of all noise in
+    the dark, the unit "sigma"."""
 
-    dn: Callable[[np.ndarray], float]
+    dn: Callable[[np.ndarray, Gone], float]
     dark: float
