@@ -27,6 +27,7 @@ class Camera(Entry):
     """`[camera]`: what is known of the camera; what is not known stays out.
 
     Without both gain and read_noise a fit estimates the noise of its pixels from their residuals.
+    An `_sd` is the standard deviation with which a number is known; without one it counts as exact.
 
     Attributes:
         bits: ADC bits of the digital numbers in the files (12-bit data may lie in 16-bit files), 1
@@ -39,6 +40,11 @@ class Camera(Entry):
         pattern: phase of a Bayer mosaic.
         pixel_pitch: m.
         wavelength: m, of the monochromatic light of the flats.
+        black_sd: DN, of the black level.
+        gamma_sd: of the encoding exponent.
+        gain_sd: DN per electron.
+        read_noise_sd: electrons rms.
+        prnu_sd: of the pixels' own gains, relative to their mean: what is left of the flat field.
     """
 
     bits: Annotated[int, Field(ge=1, le=16)]
@@ -50,6 +56,11 @@ class Camera(Entry):
     pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     pixel_pitch: Positive | None = None
     wavelength: Positive | None = None
+    black_sd: Positive | None = None
+    gamma_sd: Positive | None = None
+    gain_sd: Positive | None = None
+    read_noise_sd: Positive | None = None
+    prnu_sd: Positive | None = None
 
     @property
     def full_scale(self) -> int:
@@ -116,6 +127,11 @@ class Light(Entry):
         intensity: irradiance per channel on a surface facing the light (W m^-2 or relative), or the
             radiant intensity of a point light.
         held_out: keep this image for testing the prediction.
+        intensity_sd: standard deviation of the intensity, relative to it.
+        direction_sd: of the direction toward the light, rad along each of two axes across it.
+        exposure_sd: of the image's exposure, relative to it.
+        stray_sd: rms of the light that reaches every pixel by other ways, relative to the
+            irradiance of this light.
     """
 
     file: str
@@ -123,6 +139,10 @@ class Light(Entry):
     position: Vector | None = None
     intensity: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
     held_out: bool = False
+    intensity_sd: Positive | None = None
+    direction_sd: Positive | None = None
+    exposure_sd: Positive | None = None
+    stray_sd: Positive | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> "Light":
