@@ -23,12 +23,12 @@ from jaxvision.errors import InputError
 
 from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .report.progress import Progress, Reporter, reporting
-from .rig import Rig, load_rig
 
 if TYPE_CHECKING:
     import numpy as np
 
     from .report.section import Section
+    from .rig import Purpose, Rig
 
 COMMAND = "jaxvision-fit"
 
@@ -77,6 +77,16 @@ def _existing(path: Path) -> Path:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; check the name.")
     return path
+
+
+def _rig(path: Path, purpose: "Purpose") -> "Rig":
+    """A rig that names what a calibration needs, and whose images exist."""
+    from .rig import load_rig, require, require_images
+
+    rig = load_rig(path)
+    require(rig, purpose)
+    require_images(rig, purpose)
+    return rig
 
 
 def _path(text: str) -> Path:
@@ -130,7 +140,10 @@ def noise(
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
 
     def calibrate_noise(reporter: Reporter) -> tuple[list, dict]:
-        _ = _existing(path) if path.suffix.lower() == ".csv" else load_rig(path)
+        if path.suffix.lower() == ".csv":
+            _existing(path)
+        else:
+            _rig(path, "photon transfer")
         from .noise.calibration import calibrate
         from .noise.read import read_photon_transfer
         from .noise.section import section
@@ -149,7 +162,7 @@ def response(options: Options, path: RigPath) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
 
     def calibrate_response(reporter: Reporter) -> tuple[list, dict]:
-        rig = load_rig(path)
+        rig = _rig(path, "a response calibration")
         from .response.calibration import calibrate, radiance_images
         from .response.read import read_exposure_stack
         from .response.section import section
@@ -256,7 +269,7 @@ def brdf(
         _run("Reflectance", paths[0], options, calibrate_images)
 
 
-def _one_rig(paths: Sequence[Path], objective: Objective | None) -> Rig:
+def _one_rig(paths: Sequence[Path], objective: Objective | None) -> "Rig":
     if len(paths) > 1:
         raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
     if paths[0].is_file() and paths[0].suffix != ".toml":
@@ -266,7 +279,7 @@ def _one_rig(paths: Sequence[Path], objective: Objective | None) -> Rig:
         )
     if objective is not None:
         raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
-    return load_rig(paths[0])
+    return _rig(paths[0], "a reflectance calibration")
 
 
 def _check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:

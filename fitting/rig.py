@@ -5,17 +5,24 @@ The schema below is the documentation of the format; paths are relative to the r
 image is read; a mistake is an `InputError` that names the file, the entry and the remedy.
 """
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from jaxvision.errors import InputError
 from jaxvision.toml_files import Entry, checked, read_toml
 
 RIG_FILE = "rig.toml"
+
+Purpose = Literal["photon transfer", "a response calibration", "a reflectance calibration"]
+NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig
+    "photon transfer": ("flat", "dark"),
+    "a response calibration": ("exposure",),
+    "a reflectance calibration": ("light", "geometry"),
+}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -149,7 +156,7 @@ class Light(Entry):
         if (self.direction is None) == (self.position is None):
             raise ValueError("give either direction or position")
         if self.direction is not None:
-            length = float(np.linalg.norm(self.direction))
+            length = math.hypot(*self.direction)
             if abs(length - 1) > 1e-2:
                 raise ValueError(
                     f"direction has length {length:.4g}, not 1; give a unit vector toward the light"
@@ -245,20 +252,50 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     return checked(file, {"folder": file.parent, **content}, Rig, "rig")
 
 
-def require(rig: Rig, *sections: str, purpose: str) -> None:
-    """Refuses a rig that lacks what a calibration needs.
+def require(rig: Rig, purpose: Purpose) -> None:
+    """Refuses a rig that lacks a section that a calibration needs.
 
     Args:
         rig: to check.
-        sections: names of its fields; the first that is empty is named.
-        purpose: "a response calibration", say.
+        purpose: the calibration.
 
     Raises:
-        InputError: for a missing section.
+        InputError: names the first section that is missing.
     """
-    for section in sections:
+    for section in NEEDED[purpose]:
         if not getattr(rig, section):
             heading = f"[{section}]" if section == "geometry" else f"[[{section}]]"
             raise InputError(
                 f"{rig.folder}: the rig has no {heading} entry, which {purpose} needs; add it."
             )
+
+
+def require_images(rig: Rig, purpose: Purpose) -> None:
+    """Refuses a rig if an image that a calibration needs does not exist; none is read.
+
+    Args:
+        rig: to check.
+        purpose: the calibration.
+
+    Raises:
+        InputError: names the first image that is missing.
+    """
+    for section in NEEDED[purpose]:
+        entries = getattr(rig, section)
+        for entry in [entries] if isinstance(entries, Geometry) else entries or ():
+            for name in _images(entry):
+                if not rig.path(name).is_file():
+                    raise InputError(
+                        f"{rig.path(name)}: no such image file; check the name and the folder."
+                    )
+
+
+def _images(entry: Flat | Dark | Exposure | Light | Geometry) -> tuple[str, ...]:
+    """The files that an entry names."""
+    match entry:
+        case Flat() | Dark():
+            return entry.files
+        case Exposure() | Light():
+            return (entry.file,)
+        case Geometry():
+            return tuple(name for name in (entry.normals, entry.mask) if name is not None)

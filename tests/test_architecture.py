@@ -245,28 +245,30 @@ def loaded_by(program: str) -> tuple[set[str], str]:
     return {name.split(".")[0] for name in modules}, done.stderr
 
 
-COMMAND = "from jaxvision.cli import app; app([{}])"
+OF_TYPER = {"pydantic"}  # for the options of a sub-command
 
 
 @pytest.mark.parametrize(
-    "program",
+    ("command", "arguments", "allowed"),
     [
-        "import jaxvision; dir(jaxvision)",
-        COMMAND.format("'--help'"),
-        COMMAND.format("'--version'"),
-        COMMAND.format("'render', '--help'"),
-        COMMAND.format("'inspect', 'no_such_file.png'"),
+        ("jaxvision", ["--help"], set()),
+        ("jaxvision", ["--version"], set()),
+        ("jaxvision", ["render", "--help"], OF_TYPER),
+        ("jaxvision", ["inspect", "no_such_file.png"], OF_TYPER | {"numpy"}),
+        ("fitting", ["--help"], set()),
+        ("fitting", ["brdf", "--help"], OF_TYPER),
     ],
 )
-def test_a_name_or_a_help_text_loads_no_library_that_computes(program):
-    loaded, stderr = loaded_by(program)
+def test_help_and_a_wrong_path_load_no_library_that_computes(command, arguments, allowed):
+    loaded, stderr = loaded_by(f"from {command}.cli import app; app({arguments})")
     assert "jaxvision" in loaded, stderr
-    assert not loaded & {"jax", *NEVER_ON_IMPORT} - {"pydantic"}  # typer's own, for --help
+    assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT} - allowed
 
 
-def test_fitting_names_what_a_user_may_use_and_loads_nothing_for_it():
-    loaded, stderr = loaded_by("import fitting; assert 'Problem' in dir(fitting)")
-    assert "fitting" in loaded, stderr
+@pytest.mark.parametrize(("package", "name"), [("jaxvision", "capture"), ("fitting", "Problem")])
+def test_the_names_of_a_package_load_nothing(package, name):
+    loaded, stderr = loaded_by(f"import {package}; assert {name!r} in dir({package})")
+    assert package in loaded, stderr
     assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT}
 
 

@@ -222,7 +222,15 @@ def test_a_misspelt_key_is_named(tmp_path):
 
 
 def test_what_needs_no_computation_imports_none(tmp_path):
-    """Help, the version, and paths and rigs that cannot be used; all in one fresh process."""
+    """Help, the version, and paths, rigs and images that cannot be used; all in one process."""
+    images_missing = broken_rig(
+        tmp_path / "missing",
+        flat='[[flat]]\nfiles = ["a.tif", "b.tif"]\nexposure = 1',
+        dark='[[dark]]\nfiles = ["a.tif", "b.tif"]\nexposure = 1',
+        exposure='[[exposure]]\nfile = "a.tif"\nexposure = 1',
+        light='[[light]]\nfile = "a.tif"\ndirection = [0, 0, 1]',
+        geometry='[geometry]\nnormals = "a.npy"',
+    )
     attempts = [
         ["--help"],
         ["--version"],
@@ -233,6 +241,8 @@ def test_what_needs_no_computation_imports_none(tmp_path):
         ["brdf", str(tmp_path / "none.bsdf")],
         ["brdf", str(broken_rig(tmp_path / "rig") / "rig.txt")],
         ["noise", "--nonsense"],
+        ["noise", str(broken_rig(tmp_path / "no_flat"))],
+        *([command, str(images_missing)] for command in ("noise", "response", "brdf")),
     ]
     program = (
         "import sys, json\n"
@@ -249,6 +259,7 @@ def test_what_needs_no_computation_imports_none(tmp_path):
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     ends, loaded = json.loads(ran.stdout.splitlines()[-1])
-    assert ends == [0, 0, 0, 2, 2, 2, 2, 2, 2]
+    assert ends == [0, 0, 0] + 10 * [2]
+    assert ran.stderr.count("a.tif: no such image file") == 3
     assert "jaxvision" in loaded
-    assert not set(loaded) & {"jax", "equinox", "scipy", "matplotlib", "emcee", "xarray"}
+    assert not set(loaded) & {"jax", "numpy", "equinox", "scipy", "emcee", "xarray"}

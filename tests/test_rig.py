@@ -82,9 +82,9 @@ def test_missing_rig_and_missing_section(tmp_path):
     with pytest.raises(InputError, match=r"rig\.toml: no such rig file"):
         load_rig(tmp_path)
     rig = load_rig(write_rig(tmp_path, GOOD))
-    require(rig, "flat", "geometry", purpose="a test")
+    require(rig, "a reflectance calibration")
     with pytest.raises(InputError, match=r"no \[\[dark\]\] entry, which photon transfer needs"):
-        require(rig, "flat", "dark", purpose="photon transfer")
+        require(rig, "photon transfer")
 
 
 @pytest.fixture

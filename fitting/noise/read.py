@@ -60,7 +60,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     Raises:
         InputError: for frames that do not belong together.
     """
-    require(rig, "flat", "dark", purpose="photon transfer")
+    require(rig, "photon transfer")
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
     darks = _pooled(rig.dark)
     light = [_light(rig, flat) for flat in flats]

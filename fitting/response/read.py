@@ -92,7 +92,7 @@ def read_exposure_stack(
         InputError: for a group without two different exposure times, for images of different size,
             for values that are not integers, and for a mask of another size or with nothing in it.
     """
-    require(rig, "exposure", purpose="a response calibration")
+    require(rig, "a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
     known_black = _black_level(rig, load)
     planes: list[Plane] = []

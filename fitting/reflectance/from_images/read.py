@@ -18,10 +18,10 @@ from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
 from ...observation import Load, read_mask, read_stack
-from ...rig import Geometry, Light, Rig, SphereGeometry, require
+from ...rig import Geometry, Light, Purpose, Rig, SphereGeometry, require
 
 VIEW = (0.0, 0.0, 1.0)
-PURPOSE = "a reflectance calibration"
+PURPOSE: Purpose = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
@@ -103,7 +103,7 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
         InputError: for images that are missing, of unequal size, dark or clipped throughout, for
             shapes that do not fit and for too few pixels.
     """
-    require(rig, "light", "geometry", purpose=PURPOSE)
+    require(rig, PURPOSE)
     assert rig.geometry is not None
     if rig.camera.pattern is not None:
         raise InputError(
