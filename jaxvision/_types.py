@@ -51,10 +51,15 @@ Record = TypeVar("Record")
 
 
 def as_float(x: Any) -> Array:
-    """An array of strong floating dtype: floating input keeps its own, anything else gets JAX's
-    default.
+    """An array of strong floating dtype.
 
     Strong, because a weakly typed leaf traces a second time when a strong one follows.
+
+    Args:
+        x: numbers in any unit.
+
+    Returns:
+        The same numbers: floating arrays keep their dtype, anything else gets JAX's default.
     """
     array = jnp.asarray(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
@@ -69,7 +74,14 @@ def common_dtype(*records: object) -> jnp.dtype:
 
 
 def as_optional_float(x: Any) -> Array | None:
-    """`as_float`, with None (an absent effect) staying None."""
+    """`as_float` of what may be absent.
+
+    Args:
+        x: numbers in any unit, or None for an absent effect.
+
+    Returns:
+        The same numbers in a strong floating dtype, or None.
+    """
     return None if x is None else as_float(x)
 
 
@@ -95,7 +107,7 @@ def as_dtype(record: Record, dtype: Any) -> Record:
     float32 against float64 is the caller's choice, made at each call.
 
     Args:
-        record: any tree of arrays.
+        record: any tree of arrays, in any units.
         dtype: a floating dtype, or its name.
 
     Returns:

@@ -41,6 +41,7 @@ EAGER = {
     "jaxvision.filters.scipy_operators",
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_tables",
+    "jaxvision.transport.radiosity._trapped",
 }
 # Static answers to static questions: no array goes in. And parts of functions that are swept:
 # `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
@@ -67,6 +68,19 @@ STATIC = {
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
 }
+# Constant to gradients, and a drawn direction, whose weight is.
+STATIC |= {"jaxvision.geometry._size.reach_of", "jaxvision.geometry._bounds.ball_around"}
+STATIC |= {"jaxvision.brdf._specular.one_way"}
+STATIC |= {f"jaxvision.brdf._registry.{name}" for name in ("is_body", "is_delta")}
+STATIC |= {f"jaxvision.{room}._registry.register" for room in ("brdf", "lights")}
+STATIC |= {"jaxvision.brdf._registry.register_delta"}
+STATIC |= {"jaxvision.lights._registry.register_extended"}
+STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
+STATIC |= {"jaxvision._numerics.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
+STATIC |= {  # which rule each light has
+    f"jaxvision.lights._samples.{name}"
+    for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")
+}
 STATIC |= {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
 STATIC |= {
     f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
@@ -84,30 +98,34 @@ def modules(package):
     return [importlib.import_module(name) for name in names]
 
 
-def functions(package):
-    """Every public function where it is defined."""
-    found = {}
+def defined(package):
+    """(name, value) of what public modules define, and of what packages export from private ones,
+    each named after the module that defines it."""
     for module in modules(package):
         for name, value in vars(module).items():
-            inner = inspect.unwrap(value) if callable(value) else value
-            if (
-                not name.startswith("_")
-                and inspect.isfunction(inner)
-                and inner.__module__ == module.__name__
-            ):
-                found[f"{module.__name__}.{name}"] = value
-    return found
+            if not name.startswith("_") and home(value) == module.__name__:
+                yield f"{home(value)}.{name}", value
+    for module in (package, *modules(package)):
+        for name in getattr(module, "__all__", ()):
+            value = getattr(module, name)
+            if (home(value) or "").partition(".")[0] == package.__name__:
+                yield f"{home(value)}.{name}", value
+
+
+def home(value):
+    """The module that defines a function or a class; None for anything else."""
+    inner = inspect.unwrap(value) if callable(value) else value
+    return inner.__module__ if inspect.isfunction(inner) or inspect.isclass(inner) else None
+
+
+def functions(package):
+    """Every public function where it is defined."""
+    return {name: value for name, value in defined(package) if not inspect.isclass(value)}
 
 
 def records(package):
-    return {
-        f"{module.__name__}.{name}": value
-        for module in modules(package)
-        for name, value in vars(module).items()
-        if inspect.isclass(value)
-        and value.__module__ == module.__name__
-        and not name.startswith("_")
-    }
+    """Every public class where it is defined."""
+    return {name: value for name, value in defined(package) if inspect.isclass(value)}
 
 
 def traced():

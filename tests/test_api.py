@@ -125,6 +125,8 @@ def report(wrong):
 
 # Compositions of functions that are swept themselves, seconds to compile four times over.
 LONG = {
+    "geometry._mesh.intersect_mesh",
+    "lights._samples.incident_sample",
     "brdf.evaluation.albedo",
     "brdf.torrance_sparrow.albedo",
     "brdf.dichromatic_separation.body_colour",

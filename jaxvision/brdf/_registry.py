@@ -49,11 +49,21 @@ def register(
 ) -> None:
     """Makes a record of material known to everything that reflects light.
 
-    Only `evaluate(material, wi, wo)`, the BRDF (bands,) in sr^-1, is needed; it and the others
-    are handed directions as `Vec`, in the local frame. Without `sample` and
-    `pdf`, which come together, else `ValueError`, directions follow the cosine; without `albedo`
-    it is a product quadrature of 32 x 64 directions, good for broad lobes; without `shading` it is
-    the BRDF times the cosine of incidence.
+    The functions are called with unit directions as `Vec`, in the local frame.
+
+    Args:
+        record: the class of the material.
+        evaluate: `evaluate(material, wi, wo)`, the BRDF, (bands,) sr^-1.
+        sample: `sample(material, wo, u)`, a direction from three uniform numbers; without it
+            directions follow the cosine.
+        pdf: `pdf(material, wi, wo)`, () sr^-1, the density of `sample`.
+        albedo: `albedo(material, wo)`, (bands,) no unit; without it a product quadrature of
+            32 x 64 directions, good for broad lobes.
+        shading: `shading(material, wi, wo)`, (bands,) sr^-1; without it the BRDF times the cosine
+            of incidence.
+
+    Raises:
+        ValueError: for one of `sample` and `pdf` without the other.
     """
     if (sample is None) != (pdf is None):
         given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
@@ -125,25 +135,55 @@ def family(material: Any) -> Family:
 
 
 def is_delta(material: Any) -> bool:
-    """Whether a material sends light into one or two directions only, as mirrors and glass do."""
+    """Whether a material sends light into one or two directions only, as mirrors and glass do.
+
+    Args:
+        material: any registered material.
+
+    Returns:
+        The answer, a Python bool, no unit.
+    """
     return family(material).specular is not None
 
 
 def is_body(material: Any) -> bool:
-    """Whether a material fills the shape that it covers, as glass does: light goes on inside."""
+    """Whether a material fills the shape that it covers, as glass does: light goes on inside.
+
+    Args:
+        material: any registered material.
+
+    Returns:
+        The answer, a Python bool, no unit.
+    """
     return family(material).absorption is not None
 
 
 def absorption(material: Any) -> Colour | None:
-    """What a material that fills its shape absorbs, (bands,) m^-1; None where it is clear or fills
-    nothing."""
+    """What a material that fills its shape absorbs.
+
+    Args:
+        material: any registered material.
+
+    Returns:
+        (bands,) m^-1; None for a material that is clear or fills nothing.
+    """
     of_body = family(material).absorption
     return None if of_body is None else of_body(material)
 
 
 def specular(material: Any, w: Vector) -> Specular:
-    """Where a ray that came from `w`, (3,) unit, local, goes on from a mirror or a clear surface;
-    `ValueError` for a material with a density."""
+    """Where a ray goes on from a mirror or a clear surface.
+
+    Args:
+        material: a mirror or glass.
+        w: (3,) unit, local, the direction from which the ray came.
+
+    Returns:
+        The directions, unit, local, and their shares of the flux, (bands,) no unit.
+
+    Raises:
+        ValueError: for a material with a density.
+    """
     of_family = family(material).specular
     if of_family is None:
         raise ValueError(f"specular needs a mirror or glass, got {type(material).__name__}.")
@@ -151,9 +191,16 @@ def specular(material: Any, w: Vector) -> Specular:
 
 
 def seen_in_mirror(material: Any, wo: Vector) -> tuple[Vec, Colour] | None:
-    """The local direction that a viewer at `wo`, (3,) unit, local, sees in an opaque mirror, and
-    its reflectance there, (bands,), no unit. None for all other materials, glass among them: what
-    it mirrors is only a part of what it shows."""
+    """What a viewer sees in an opaque mirror.
+
+    Args:
+        material: any registered material.
+        wo: (3,) unit, local, toward the viewer.
+
+    Returns:
+        The direction that is seen, unit, local, and the reflectance there, (bands,) no unit. None
+        for all other materials, glass among them, which shows more than what it mirrors.
+    """
     if not is_delta(material):
         return None
     ways = specular(material, wo)

@@ -50,8 +50,16 @@ class Specular(eqx.Module):
 
 
 def passing(ways: Specular, carries: Carries) -> Colour:
-    """The share that goes through: of the flux for "light", of the radiance behind the surface,
-    transmittance / eta^2, for "radiance"; (bands,) or (1,), no unit."""
+    """The share that goes through a clear surface.
+
+    Args:
+        ways: of a surface that light goes through.
+        carries: "light" for the share of the flux; "radiance" for that of the radiance behind the
+            surface, transmittance / eta^2.
+
+    Returns:
+        (bands,) or (1,), no unit.
+    """
     assert ways.transmittance is not None  # the caller has asked whether light goes through
     if carries == "light" or ways.eta is None:
         return ways.transmittance
@@ -59,8 +67,17 @@ def passing(ways: Specular, carries: Carries) -> Colour:
 
 
 def one_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
-    """One of the directions by a uniform number, as likely as its share of the flux, and what it
-    counts: the share over the likelihood, which is a constant to gradients."""
+    """One of the directions, drawn with a probability of its share of the flux.
+
+    Args:
+        ways: the directions.
+        u: () uniform in [0, 1), no unit.
+        carries: as for `passing`.
+
+    Returns:
+        The direction, unit, local, and its weight, (bands,) or (1,), no unit: the share over the
+        probability, which is a constant to gradients.
+    """
     if ways.refracted is None or ways.transmittance is None:
         return ways.mirrored, ways.reflectance
     likely = jax.lax.stop_gradient(diffuse_share(ways.reflectance, ways.transmittance))

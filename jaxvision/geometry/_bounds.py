@@ -26,8 +26,14 @@ class Ball(eqx.Module):
 
 
 def ball_around(shapes: Sequence[Shape]) -> Ball | None:
-    """A sphere that encloses all shapes, m; None where one is an unbounded plane. A constant to
-    gradients."""
+    """A sphere that encloses all shapes.
+
+    Args:
+        shapes: at least one.
+
+    Returns:
+        Centre and radius, m, constant to gradients; None where a shape is an unbounded plane.
+    """
     shapes = jax.lax.stop_gradient(list(shapes))
     balls = [_ball(shape) for shape in shapes if not isinstance(shape, Plane)]
     if len(balls) < len(shapes):

@@ -29,12 +29,26 @@ class SurfacePoint(eqx.Module):
 
 
 def has_area(shape: Shape) -> bool:
-    """Whether points of the shape can be drawn: a plane is unbounded."""
+    """Whether points of a shape can be drawn.
+
+    Args:
+        shape: any shape.
+
+    Returns:
+        False for a plane, which is unbounded; a Python bool, no unit.
+    """
     return not isinstance(shape, Plane)
 
 
 def surface_area(shape: Shape) -> Scalar:
-    """Area of the whole surface, () in m^2; inf for a plane."""
+    """Area of the whole surface of a shape.
+
+    Args:
+        shape: any shape.
+
+    Returns:
+        () m^2; inf for a plane.
+    """
     match shape:
         case Sphere():
             return 4 * jnp.pi * shape.radius**2

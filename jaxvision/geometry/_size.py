@@ -22,8 +22,14 @@ def largest_component(v: Vec3) -> Scalar:
 
 
 def reach_of(points: Sequence[Vec3]) -> Scalar:
-    """The largest of all components in magnitude, in the unit of the points; 1 if all are 0. A
-    constant to gradients."""
+    """The largest of all components in magnitude.
+
+    Args:
+        points: (3,) each, in any one unit.
+
+    Returns:
+        () in the unit of the points, 1 if all are 0. A constant to gradients.
+    """
     largest = reduce(jnp.maximum, (largest_component(point) for point in points))
     return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))
 
@@ -45,11 +51,24 @@ def size_of(shape: Shape) -> Scalar:
 
 
 def largest_size(shapes: Sequence[Shape]) -> Scalar:
-    """The largest of all, m."""
+    """The largest coordinate that any of the shapes reaches.
+
+    Args:
+        shapes: at least one.
+
+    Returns:
+        () m.
+    """
     return reduce(jnp.maximum, (size_of(shape) for shape in shapes))
 
 
 def offset_length(size: Scalar) -> Scalar:
-    """How far a point moves off its surface, m, where `size`, m, is the largest length that it was
-    computed from: 4e-6 of it in float32, 7e-15 in float64."""
+    """How far a point is moved off its surface, so that no ray that leaves it meets it again.
+
+    Args:
+        size: () m, the largest length that the point was computed from.
+
+    Returns:
+        () m: 4e-6 of `size` in float32, 7e-15 in float64.
+    """
     return _OFFSET * float(jnp.finfo(size.dtype).eps) * size

@@ -59,7 +59,16 @@ def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitt
 
 
 def emitted_from_point(position: Vec, direction: Vec, flux: Colour) -> Emitted:
-    """A ray from `position`, m, along the unit `direction`, with a flux, (bands,) W."""
+    """A ray that leaves a point light.
+
+    Args:
+        position: m, of the light.
+        direction: unit, of the ray.
+        flux: (bands,) W.
+
+    Returns:
+        The ray and its flux, (bands,) W.
+    """
     return Emitted(Ray(position, direction), flux, as_vec(jnp.zeros(3, direction.x.dtype)))
 
 

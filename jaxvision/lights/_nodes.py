@@ -24,14 +24,30 @@ def product(
 
 
 def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre on the unit square: nodes (order^2, 2) and weights of sum 1, no unit."""
+    """Gauss-Legendre quadrature on the unit square.
+
+    Args:
+        order: nodes along a side, at least 1.
+
+    Returns:
+        Nodes, (order^2, 2), and weights of sum 1, (order^2,); no unit.
+    """
     return product(gauss_legendre(order), gauss_legendre(order))
 
 
 def shifted_lattice(
     key: Key, samples: int, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """Evenly spread points of [0, 1)^2, each uniform by itself, and equal weights; no unit."""
+    """Evenly spread points of [0, 1)^2, each of which is uniform by itself.
+
+    Args:
+        key: of the random shift.
+        samples: how many, at least 1.
+        dtype: floating, of the result.
+
+    Returns:
+        Points, (samples, 2), and equal weights of sum 1, (samples,); no unit.
+    """
     lattice = jnp.asarray(np.arange(samples)[:, None] * _STEPS % 1, dtype)
     points = (lattice + jax.random.uniform(key, (1, 2), dtype)) % 1
     return points, jnp.full(samples, 1 / samples, dtype)

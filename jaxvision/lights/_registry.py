@@ -138,7 +138,14 @@ def kind_of(light: Light) -> Discrete | Extended:
 
 
 def can_be_seen(light: Light) -> bool:
-    """Whether a ray can meet the light: points and directions have no size."""
+    """Whether a ray can meet a light: points and directions have no size.
+
+    Args:
+        light: any registered light.
+
+    Returns:
+        The answer, a Python bool, no unit.
+    """
     return isinstance(kind_of(light), Extended)
 
 

@@ -23,8 +23,19 @@ AnyRule = TypeVar("AnyRule", bound=Rule)
 def light_nodes(
     light: Light, rule: Rule, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """Where in the unit square a rule looks at a light, and the weights, of sum 1; no unit. A
-    light at one place is looked at once. `ValueError` for what is no rule."""
+    """The places of the unit square at which a rule samples a light.
+
+    Args:
+        light: any registered light; one at a single place is sampled once.
+        rule: how to sample it.
+        dtype: floating, of the result.
+
+    Returns:
+        (samples, 2) places and (samples,) weights of sum 1, no unit.
+
+    Raises:
+        ValueError: if `rule` is not a rule.
+    """
     check_kind("rule", rule, Rule)
     kind = kind_of(light)
     if isinstance(kind, Discrete):
@@ -38,8 +49,19 @@ def light_nodes(
 def incident_sample(
     light: Light, rule: Rule, point: Vector, u: Float[Array, "2"], weight: Scalar
 ) -> Incident:
-    """What one node of `light_nodes` sends to `point`, (3,) in m: its irradiance, W m^-2, is the
-    radiance times the solid angle that the node stands for."""
+    """What one node of `light_nodes` sends to a point.
+
+    Args:
+        light: any registered light.
+        rule: that gave the node.
+        point: (3,) m.
+        u: (2,) the node, no unit.
+        weight: () of the node, no unit.
+
+    Returns:
+        Direction, distance, and irradiance, (bands,) W m^-2: the radiance times the solid angle
+        that the node stands for.
+    """
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         return kind.incident(light, point)
@@ -48,8 +70,15 @@ def incident_sample(
 
 
 def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
-    """The rule for one of many points, pixels by their number: each draws its own random samples;
-    fixed nodes stay as they are."""
+    """The rule for one of many points, each of which draws random samples of its own.
+
+    Args:
+        rule: of all points.
+        number: () whole number of the point, a pixel say, no unit.
+
+    Returns:
+        The rule with a key of its own; a rule of fixed nodes as it is.
+    """
     if isinstance(rule, MonteCarlo | Balanced):
         return type(rule)(jax.random.fold_in(rule.key, number), rule.samples)
     return rule
@@ -87,7 +116,14 @@ def rules_of(
 
 
 def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[Rule, ...]:
-    """One rule for each light: a sequence of them as it is, a single one repeated.
+    """One rule for each light.
+
+    Args:
+        lights: of a scene.
+        rule: one for each light, or a single one for all.
+
+    Returns:
+        As many rules as lights.
 
     Raises:
         ValueError: if there are not as many rules as lights.
@@ -104,7 +140,15 @@ def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[
 def lights_by_rule(
     lights: Sequence[Light], rules: Sequence[Rule]
 ) -> list[tuple[tuple[int, ...], Light, Rule]]:
-    """Lights of one structure under one rule, stacked: (their numbers, the stack, the rule)."""
+    """Lights of one structure under one rule, stacked.
+
+    Args:
+        lights: of a scene.
+        rules: one for each.
+
+    Returns:
+        For each stack: the numbers of its lights in the scene, the stack, the rule.
+    """
     groups = group_by_structure(lights)
     return [part for members, group in groups for part in split_by_rule(members, group, rules)]
 
@@ -112,7 +156,16 @@ def lights_by_rule(
 def split_by_rule(
     members: tuple[int, ...], group: Any, rules: Sequence[AnyRule]
 ) -> list[tuple[tuple[int, ...], Any, AnyRule]]:
-    """A stack of sources, cut by their rules: (numbers, stack, rule) of each part."""
+    """A stack of sources, cut by their rules.
+
+    Args:
+        members: numbers of the sources in the scene.
+        group: the sources, stacked along the leading axis of each array.
+        rules: of all sources of the scene.
+
+    Returns:
+        For each part: the numbers of its sources in the scene, the stack, the rule.
+    """
     shared: dict[tuple, list[int]] = {}
     for place, i in enumerate(members):
         leaves, kind = jax.tree.flatten(rules[i])

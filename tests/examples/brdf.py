@@ -5,8 +5,10 @@ import numpy as np
 
 from jaxvision import as_vec
 from jaxvision.brdf import fresnel as fr
+from jaxvision.brdf import specular
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
+from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
@@ -40,6 +42,8 @@ LIGHT = jnp.asarray([1.0, 0.9, 0.7])
 RED = jnp.asarray([0.9, 0.25, 0.1])
 PLANES = jnp.stack([unit(0.3, -0.8, 0.5), unit(-0.6, 0.1, 0.7), unit(0.5, 0.2, -0.9)])
 GGX = {"distribution": "ggx"}
+CLEAR = Glass(1.5, absorption=[0.2, 0.1])
+WAYS = specular(CLEAR, WO)
 
 
 def family(name, material, *functions):
@@ -57,6 +61,10 @@ def family(name, material, *functions):
 SAMPLED = "evaluate", "sample", "pdf", "albedo"
 
 EXAMPLES = {
+    "brdf._registry.absorption": ((CLEAR,), {}),
+    "brdf._registry.seen_in_mirror": ((Mirror(KD), WO), {}),
+    "brdf._registry.specular": ((CLEAR, WO), {}),
+    "brdf._specular.passing": ((WAYS,), {"carries": "radiance"}),
     "brdf.evaluation.reflect": ((PHONG, N, WI, WO), {"tangent": WI}),
     "brdf.evaluation.shading": ((PHONG, WI, WO), {}),
     "brdf.evaluation.evaluate": ((PHONG, WI, WO), {}),

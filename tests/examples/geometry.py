@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import PointLight
+from jaxvision import PointLight, Vec
 from jaxvision import scene as s
 from jaxvision.geometry import Encounter, Ray
 from jaxvision.geometry.flat import flat_quad
@@ -33,6 +33,22 @@ LAMPS = [PointLight([1, 2, -3], [0.3, 0.2]), PointLight([-1, 2, -2], [0.1, 0.4])
 
 
 EXAMPLES = {
+    "_numerics.angle_between": ((N, W), {}),
+    "_numerics.log_cos_between": ((N, W), {}),
+    "_numerics.dot": ((N, POINT), {}),
+    "_numerics.norm": ((POINT,), {}),
+    "_numerics.normalize": ((POINT,), {}),
+    "_numerics.safe_sqrt": ((FAR,), {}),
+    "_types.as_dtype": ((SPHERE,), {"dtype": np.float64}),
+    "_types.as_float": ((FAR,), {}),
+    "_types.as_optional_float": ((FAR,), {}),
+    "_vector.as_array": ((Vec(FAR, -FAR, 2 * FAR),), {}),
+    "_vector.as_vec": ((POINT,), {}),
+    "geometry._mesh.intersect_mesh": ((RAY, MESH), {}),
+    "geometry._places.point_on": ((BOX, jnp.asarray([0.3, 0.6])), {}),
+    "geometry._places.surface_area": ((MESH,), {}),
+    "geometry._size.largest_size": (([SPHERE, BOX],), {}),
+    "geometry._size.offset_length": ((FAR,), {}),
     "geometry.rays.mirror_direction": ((N, W), {}),
     "geometry.rays.offset_origin": ((POINT, N, W), {}),
     "geometry.sphere.sphere_distance": ((RAY, SPHERE), {}),

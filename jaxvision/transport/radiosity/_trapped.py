@@ -16,8 +16,17 @@ def trapping_surface(
     albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """The number of the first surface, no unit, whose light meets only white ones in some band,
-    again and again, in a room that lets less than 2e-3 of it out; None if there is none."""
+    """The first surface whose light meets only white surfaces in some band, again and again, in a
+    room that lets less than 2e-3 of it out.
+
+    Args:
+        table: (elements, patches) form factors, no unit.
+        albedo: (surfaces, bands), no unit.
+        plan: how the surfaces are cut.
+
+    Returns:
+        The number of the surface, no unit; None if there is none.
+    """
     own, surface = parents_of(plan), surfaces_of(plan)
     inside = table.sum(axis=1) > _BESIDE
     count = table.shape[1]
