@@ -188,7 +188,8 @@ def _widened(
     if isinstance(problem.likelihood, Clustered):
         labels = np.unique(np.asarray(problem.likelihood.labels).ravel(), return_inverse=True)[1]
         scores = np.asarray(_scores(vector, problem), np.float64)
-        robust = cluster_robust(scores, optimum.information, labels, np.zeros_like(labels))
+        prior = optimum.information - optimum.data_information
+        robust = cluster_robust(scores, optimum.information, labels, prior=prior)
         words = f"Residuals share errors within the {labels.max() + 1} groups"
         if np.isnan(robust.by_light):
             words = "Too few groups to see errors that they share"
@@ -197,7 +198,7 @@ def _widened(
         sentence = (
             f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
         )
-        return robust.covariance, (sentence,), robust.design_effect > 1
+        return robust.gaussian_covariance, (sentence,), robust.design_effect > 1
     if misfit == "inflate" and checks.dof > 0 and checks.chi_square > checks.dof:
         factor = checks.chi_square / checks.dof
         prior = optimum.information - optimum.data_information

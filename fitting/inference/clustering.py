@@ -6,6 +6,20 @@ the log likelihood, summed within such clusters, has a covariance J that exceeds
 I^-1 J I^-1 is the sandwich covariance (Liang & Zeger, Biometrika 73, 1986; two ways of clustering
 at once: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011), and trace(I^-1 J) / P the design
 effect, the factor by which fewer observations would say as much.
+
+A fit bends toward the errors of a cluster, the more so the more of the information comes from it.
+With parameters in units in which I = 1, and A_g the share of cluster g in it, its summed scores s_g
+are therefore taken larger (CR2: Bell & McCaffrey, Survey Methodology 28, 2002),
+
+    V = sum_g B_g s_g s_g^T B_g,    B_g = (1 - A_g)^(-1/2),
+
+which makes E V = sum_g A_g where residuals are independent. V of few clusters is itself uncertain:
+the variance c^T V c of a coefficient is a quadratic form of the residuals with the matrix G,
+
+    G_gh = delta_gh b_g.a_g - a_g.a_h,    b_g = B_g c,    a_g = A_g b_g,
+
+about chi-square distributed with (tr G)^2 / tr G^2 degrees of freedom (Satterthwaite), those of the
+Student's t that its interval takes (Imbens & Kolesar, Rev. Econ. Stat. 98, 2016).
 """
 
 from dataclasses import dataclass
@@ -13,10 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
+from scipy.stats import chi2, norm, t
 
 CHANCE = 0.01  # probability of calling independent residuals clustered
-FEWEST_FREE = 3  # clusters beyond the parameters: Student's t has a variance from there
+FEWEST_FREEDOM = 1.5  # with fewer, next to nothing can be said of what clusters share
+WHOLE = 1e-9  # of 1 - A_g: a direction that a cluster alone determines leaves no residual in it
+THINNEST = 1e-3  # variance of any direction over that of independent data: draws need one
+LEVEL = 0.975  # quantile at which a Gaussian stands in for Student's t
 
 
 @dataclass(frozen=True)
@@ -24,72 +41,170 @@ class Robustness:
     """Covariance of a fit, and how far its residuals cluster.
 
     Attributes:
-        covariance: (parameters, parameters); sandwich where clustering shows, else the inverse
-            information.
-        by_light: design effect within lights as measured; NaN with fewer than three clusters more
-            than parameters.
-        by_pixel: the same within pixels.
+        covariance: (parameters, parameters); sandwich, or the inverse information where too few
+            lights are there to judge.
+        freedom: (parameters,) degrees of freedom of each variance; infinite where it counts as
+            known.
+        by_light: design effect within lights as measured; NaN where they are too few.
+        by_pixel: the same within pixels; NaN also without any.
         design_effect: of the covariance; 1 where both are within chance.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
+    freedom: Float[np.ndarray, " parameters"]
     by_light: float
     by_pixel: float
     design_effect: float
+
+    @property
+    def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
+        """Of the Gaussian whose 95 % intervals are those of Student's t."""
+        wider = t.ppf(LEVEL, self.freedom) / norm.ppf(LEVEL)
+        return self.covariance * np.outer(wider, wider)
+
+
+@dataclass(frozen=True)
+class _Clustering:
+    """One kind of clusters, parameters in units of I = 1.
+
+    Attributes:
+        shares: (clusters, P, P) A_g.
+        widening: (clusters, P, P) B_g.
+        variance: (P, P) V.
+        unclustered: (P, P) the same with every sample its own cluster.
+        effect: of V, over what independent residuals of the same size give.
+    """
+
+    shares: Float[np.ndarray, "clusters parameters parameters"]
+    widening: Float[np.ndarray, "clusters parameters parameters"]
+    variance: Float[np.ndarray, "parameters parameters"]
+    unclustered: Float[np.ndarray, "parameters parameters"]
+    effect: float
 
 
 def cluster_robust(
     scores: Float[np.ndarray, "parameters samples"],
     information: Float[np.ndarray, "parameters parameters"],
     light: Int[np.ndarray, " samples"],
-    pixel: Int[np.ndarray, " samples"],
+    pixel: Int[np.ndarray, " samples"] | None = None,
+    *,
+    slopes: Float[np.ndarray, "parameters samples"] | None = None,
+    prior: Float[np.ndarray, "parameters parameters"] | None = None,
 ) -> Robustness:
     """Covariance that allows for residuals shared within lights and within pixels.
 
-    A kind of clustering enters only where its design effect exceeds what independent residuals give
-    in 99 of 100 cases, and never narrows an error. P fitted parameters take their part of what the
-    clusters show, so J counts clusters - P of them; with few, J is itself uncertain, and the
-    covariance is widened to the variance of Student's t.
+    What lights share always enters: a test with few lights overlooks errors that matter. What
+    pixels share enters where their test, whose clusters are many, sees it.
 
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
         information: (parameters, parameters), as if all samples were independent.
         light: (samples,) cluster of each sample.
-        pixel: (samples,) cluster of another kind.
+        pixel: (samples,) cluster of another kind; None where there is none.
+        slopes: (parameters, samples), gradient of each sample's prediction in its standard
+            deviations, whose outer products sum to the information; None takes the scores', which
+            do so on average.
+        prior: (parameters, parameters), the part of the information that comes from priors.
 
     Returns:
-        Covariance and design effects.
+        Covariance, its degrees of freedom and design effects.
 
     Source:
-        Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011.
+        Bell & McCaffrey, Survey Methodology 28, 2002; Cameron, Gelbach & Miller, J. Bus. Econ.
+        Stat. 29, 2011.
     """
     count = len(information)
     root = np.linalg.cholesky(information)
     whitened = solve_triangular(root, scores, lower=True)
-    extra = np.zeros((count, count))
-    effects = []
-    for cluster in (light, pixel):
-        sums = _cluster_sums(whitened, cluster)
-        clusters = sums.shape[1]
-        freedom = clusters - count
-        if freedom < FEWEST_FREE:
+    leverage = whitened if slopes is None else solve_triangular(root, slopes, lower=True)
+    contrasts = solve_triangular(root, np.eye(count), lower=True).T  # coefficients as c
+    from_data = np.eye(count)
+    if prior is not None:
+        from_data -= contrasts.T @ prior @ contrasts
+    total, uncertainty = np.eye(count), np.zeros(count)
+    effects, clustered = [], False
+    for cluster, always in ((light, True), (pixel, False)):
+        if cluster is None:
             effects.append(np.nan)
             continue
-        covariance = sums @ sums.T * clusters / freedom
-        effect = np.trace(covariance) / count
-        effects.append(float(effect))
-        if effect > chi2.ppf(1 - CHANCE, count * freedom) / (count * freedom):
-            extra += covariance * freedom / (freedom - 2) - np.eye(count)
-    eigenvalues, directions = np.linalg.eigh(np.eye(count) + extra)
-    eigenvalues = np.maximum(eigenvalues, 1.0)
-    half = solve_triangular(root.T, directions, lower=False) * np.sqrt(eigenvalues)
-    return Robustness(half @ half.T, effects[0], effects[1], float(np.mean(eigenvalues)))
+        found = _clustering(whitened, leverage, cluster, from_data)
+        freedom = _freedom(found, contrasts)
+        if not np.min(freedom) >= FEWEST_FREEDOM:
+            effects.append(np.nan)
+            continue
+        beyond = found.effect > _chance_effect(found)
+        effects.append(found.effect)
+        clustered |= beyond
+        if always or beyond:
+            total = total + found.variance - (from_data if always else found.unclustered)
+            own = np.einsum("ki,ij,kj->k", contrasts, found.variance, contrasts)
+            uncertainty += own**2 / freedom
+    values, directions = np.linalg.eigh(total)
+    half = contrasts @ directions * np.sqrt(np.maximum(values, THINNEST))
+    covariance = half @ half.T
+    with np.errstate(divide="ignore"):
+        freedom = np.diagonal(covariance) ** 2 / uncertainty
+    effect = max(float(np.trace(total)) / count, 1.0) if clustered else 1.0
+    return Robustness(covariance, freedom, effects[0], effects[1], effect)
 
 
-def _cluster_sums(scores: np.ndarray, cluster: np.ndarray) -> np.ndarray:
-    """Scores summed within each cluster that occurs: (parameters, clusters)."""
-    sums = np.stack([np.bincount(cluster, row) for row in scores])
-    return sums[:, np.bincount(cluster) > 0]
+def _clustering(
+    whitened: np.ndarray, leverage: np.ndarray, cluster: np.ndarray, from_data: np.ndarray
+) -> _Clustering:
+    """Shares of the clusters that occur, and V."""
+    count = len(whitened)
+    present = np.bincount(cluster) > 0
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return np.bincount(cluster, values)[present]
+
+    sums = np.stack([summed(row) for row in whitened], axis=-1)
+    products = np.empty((len(sums), count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            products[:, i, j] = products[:, j, i] = summed(leverage[i] * leverage[j])
+    root = _power(from_data, 0.5)
+    scale = root @ _power(products.sum(axis=0), -0.5)
+    shares = scale @ products @ scale.T
+    unclustered = whitened @ whitened.T
+    scale = root @ _power(unclustered, -0.5)
+    widening = _power(np.eye(count) - shares, -0.5)
+    taken = np.einsum("gij,gj->gi", widening, sums)
+    to_size = np.einsum("gij,gj->gi", widening, sums @ scale.T)
+    effect = float(np.sum(to_size**2) / np.trace(from_data))
+    return _Clustering(shares, widening, taken.T @ taken, unclustered, effect)
+
+
+def _power(matrices: np.ndarray, power: float) -> np.ndarray:
+    """Of symmetric matrices (..., P, P), 0 in the directions of no extent."""
+    values, directions = np.linalg.eigh((matrices + np.swapaxes(matrices, -1, -2)) / 2)
+    extended = values > WHOLE
+    powers = np.where(extended, np.where(extended, values, 1) ** power, 0)
+    return (directions * powers[..., None, :]) @ np.swapaxes(directions, -1, -2)
+
+
+def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " parameters"]:
+    """(tr G)^2 / tr G^2 of each coefficient; NaN where clusters leave no residual."""
+    b = np.einsum("gij,kj->kgi", found.widening, contrasts)
+    a = np.einsum("gij,kgj->kgi", found.shares, b)
+    own, taken = np.sum(b * a, axis=-1), np.sum(a * a, axis=-1)
+    across = np.einsum("kgi,kgj->kij", a, a)
+    trace = np.sum(own - taken, axis=-1)
+    squares = np.sum(own**2 - 2 * own * taken, axis=-1) + np.sum(across**2, axis=(-1, -2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(squares > WHOLE * trace**2, trace**2 / squares, np.nan)
+
+
+def _chance_effect(found: _Clustering) -> float:
+    """Design effect that independent residuals exceed with probability `CHANCE`: tr V is a
+    quadratic form with the matrix delta_gh C_g - D_g D_h^T, C_g = B_g A_g B_g, D_g = B_g A_g."""
+    d = found.widening @ found.shares
+    c = d @ found.widening
+    outer = np.einsum("gij,gik->jk", d, d)
+    mixed = np.einsum("gij,gik,gjk->", c, d, d)
+    squares = np.sum(c**2) - 2 * mixed + np.sum(outer * outer)
+    freedom = float(np.trace(found.shares.sum(axis=0))) ** 2 / squares
+    return float(chi2.ppf(1 - CHANCE, freedom) / freedom)
 
 
 def curvature_stretch(

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
+from scipy.stats import t
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
 
@@ -89,8 +89,9 @@ def gaussian_estimate(
     method: str = "",
     group: str = "",
     log_scale: bool = False,
+    freedom: float = np.inf,
 ) -> Estimate:
-    """Estimate with Gaussian intervals.
+    """Estimate with Gaussian intervals, or those of Student's t.
 
     Args:
         what: the quantity.
@@ -100,6 +101,7 @@ def gaussian_estimate(
         group: it belongs to.
         log_scale: intervals are symmetric in the logarithm (for positive quantities) instead of
             about the value.
+        freedom: degrees of freedom of the standard error; infinite where it is known.
 
     Returns:
         The estimate.
@@ -112,7 +114,8 @@ def gaussian_estimate(
         >>> round(low, 4), round(high, 4)
         (0.2304, 0.2696)
     """
-    ends = [_shifted(value, float(norm.ppf(q)) * standard_error, log_scale) for q in QUANTILES]
+    steps = t.ppf(QUANTILES, freedom) * standard_error
+    ends = [_shifted(value, float(step), log_scale) for step in steps]
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 
 

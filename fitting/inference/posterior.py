@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from jaxvision.errors import InputError
 
@@ -43,6 +43,8 @@ class Posterior:
         unconstrained_mode: (P,).
         covariance: (P, P) on the unconstrained scale.
         seed: of the draws.
+        freedom: (P,) degrees of freedom of the variances, where Laplace's intervals are those of
+            Student's t; None where the variances count as known.
         log_density: (chains, draws), None for Laplace.
         tau: (P,) autocorrelation times in steps, None for Laplace; of NUTS, what its effective
             draws amount to.
@@ -61,6 +63,7 @@ class Posterior:
     unconstrained_mode: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     seed: int
+    freedom: Float[np.ndarray, " parameters"] | None = None
     log_density: Float[np.ndarray, "chains draws"] | None = None
     tau: Float[np.ndarray, " parameters"] | None = None
     acceptance: float | None = None
@@ -90,6 +93,7 @@ def laplace_or_emcee(
     *,
     sampling: SamplingOptions | None,
     seed: int,
+    freedom: Float[np.ndarray, " parameters"] | None = None,
 ) -> Posterior:
     """Draws from a posterior by Laplace's approximation, or by emcee.
 
@@ -101,6 +105,7 @@ def laplace_or_emcee(
         args: data of `log_density`.
         sampling: how to run emcee; None for Laplace.
         seed: of every draw.
+        freedom: (P,) degrees of freedom of the variances, for Laplace; None where they are known.
 
     Returns:
         The posterior.
@@ -109,7 +114,9 @@ def laplace_or_emcee(
         InputError: as `laplace` and `sample` do.
     """
     if sampling is None:
-        return laplace(log_density, space, mode, args, covariance=covariance, seed=seed)
+        return laplace(
+            log_density, space, mode, args, covariance=covariance, freedom=freedom, seed=seed
+        )
     return sample(log_density, space, mode, covariance, args, options=sampling, seed=seed)
 
 
@@ -120,11 +127,15 @@ def laplace(
     args: Any,
     *,
     covariance: Float[np.ndarray, "parameters parameters"] | None = None,
+    freedom: Float[np.ndarray, " parameters"] | None = None,
     inflation: float = 1.0,
     seed: int = 0,
     draws: int = 4000,
 ) -> Posterior:
     """Gaussian posterior on the unconstrained scale about its mode.
+
+    With degrees of freedom, every parameter's draws follow Student's t, their dependence the
+    Gaussian's.
 
     Args:
         log_density: module-level function of (vector, args).
@@ -133,6 +144,7 @@ def laplace(
         args: data of `log_density`.
         covariance: (P, P) to use (a sandwich, say); None for the inverse of the negative Hessian
             of `log_density` at the mode.
+        freedom: (P,) degrees of freedom of the variances; None where they are known.
         inflation: factor on the covariance.
         seed: of the draws.
         draws: how many.
@@ -159,6 +171,10 @@ def laplace(
             "The best fit is no proper maximum, so it has no standard errors: the model does not "
             "describe these data; check what the rig says of the camera and the images."
         ) from error
+    if freedom is not None:
+        deviation = np.sqrt(np.diagonal(covariance))
+        chance = norm.cdf((vectors - centre) / deviation)
+        vectors = centre + deviation * t.ppf(chance, freedom)
     return Posterior(
         space=space,
         method="Laplace",
@@ -167,6 +183,7 @@ def laplace(
         unconstrained_mode=centre,
         covariance=covariance,
         seed=seed,
+        freedom=freedom,
     )
 
 
@@ -243,7 +260,7 @@ def sample(
 def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
-    Laplace: the mode and the Gaussian's quantiles carried through the transform. Samplers: median,
+    Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform. Samplers: median,
     standard deviation and quantiles of the draws.
 
     Args:
@@ -260,7 +277,8 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
         )
     deviation = np.sqrt(np.diagonal(posterior.covariance))
     centre = jnp.asarray(posterior.unconstrained_mode)
-    steps = norm.ppf(QUANTILES)[:, None] * deviation
+    freedom = np.inf if posterior.freedom is None else posterior.freedom
+    steps = t.ppf(np.asarray(QUANTILES)[:, None], freedom) * deviation
     ends = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
     slope = np.asarray(_slope(posterior.space, centre))
     spread = np.abs(slope) * deviation
@@ -276,7 +294,8 @@ def convergence_in_words(posterior: Posterior) -> str:
     """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
     it is."""
     if posterior.tau is None:
-        return "Intervals are Laplace's: Gaussian about the best fit on the scale of the transform."
+        shape = "Gaussian" if posterior.freedom is None else "Student's t"
+        return f"Intervals are Laplace's: {shape} about the best fit on the scale of the transform."
     slowest = int(np.argmax(posterior.tau))
     name, tau = names(posterior.space)[slowest], posterior.tau[slowest]
     chains, kept = posterior.draws.shape[:2]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from jaxvision.errors import InputError
 
@@ -172,9 +172,12 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
             if not np.isfinite(inflation):
                 reasons.setdefault(name, "the data leave it open (see the findings)")
         return reasons
-    for name, variance in zip(present, np.diagonal(fit.robustness.covariance), strict=True):
-        if variance > OPEN**2:
-            factor = np.exp(min(float(norm.ppf(0.975) * np.sqrt(variance)), 30.0))
+    half_widths = t.ppf(0.975, fit.robustness.freedom) * np.sqrt(
+        np.diagonal(fit.robustness.covariance)
+    )
+    for name, half_width in zip(present, half_widths, strict=True):
+        if half_width > norm.ppf(0.975) * OPEN:
+            factor = np.exp(min(float(half_width), 30.0))
             why = f"its 95 % interval reaches from 1/{factor:.2g} to {factor:.2g} times"
             reasons.setdefault(name, why)
     return reasons

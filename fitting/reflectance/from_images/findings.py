@@ -1,6 +1,7 @@
 """What a reader of a reflectance calibration must be told, in sentences and as a table."""
 
 import numpy as np
+from scipy.stats import t
 
 from ...inference.posterior import convergence_in_words
 from ...report.section import Table
@@ -14,6 +15,7 @@ SIDE_STARTS = 0.5  # component of the normal from which a pixel belongs to a sid
 OUTLINE = 0.4  # component of the normal toward the camera below which it belongs to the outline
 SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light, as a part of k_d, worth a word
 FEWEST_SHADOWED = 100
+FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 
@@ -94,13 +96,21 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             "how far the pixels of one image share an error (of its light, say); the intervals "
             "assume that they do not and may be far too narrow, so use more lights."
         )
+    elif fit.robustness is not None and np.min(fit.robustness.freedom) < FEW_FREEDOM:
+        found.append(
+            f"{name}Errors are judged by how {len(np.unique(fit.selection.light))} fitted lights "
+            f"agree; that leaves {np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % "
+            f"intervals reach {t.ppf(0.975, np.min(fit.robustness.freedom)):.1f} standard errors "
+            "to either side; more lights narrow them."
+        )
     if fit.design_effect > 1:
         assert fit.robustness is not None
         found.append(
             f"{name}Residuals move together (design effect {fit.robustness.by_light:.3g} within "
             f"images, {fit.robustness.by_pixel:.3g} within pixels), so {fit.samples.dn.size} "
             f"samples say as much as {fit.samples.dn.size / fit.design_effect:.0f} independent "
-            f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider."
+            f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider on "
+            "average over the parameters."
         )
     return found
 

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ...inference.bounded import minimise_in_box
 from ...inference.clustering import Robustness, cluster_robust
@@ -38,7 +38,7 @@ from .model import (
     parameter_space,
     predicted_dn,
     residuals,
-    scores,
+    scores_and_slopes,
 )
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
@@ -135,8 +135,9 @@ def fit_channel(
     judged = identifiability(space, information)
     robustness = None
     if judged.determined:
-        gradients = np.asarray(scores(vector, samples), np.float64)
-        robustness = cluster_robust(gradients, information, selection.light, selection.pixel)
+        robustness = robust_covariance(
+            vector, samples, selection, information, np.arange(len(space))
+        )
     residual, signal, slope = _residual_signal_slope(vector, samples)
     likeliest, _ = _weighted(vector, samples, sensor)
     dof = len(residual) - len(space)
@@ -158,6 +159,32 @@ def fit_channel(
         log_likelihood=float(jnp.sum(log_likelihoods(vector, likeliest))),
         converged=bool(converged),
     )
+
+
+def robust_covariance(
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+    information: Float[np.ndarray, "parameters parameters"],
+    known: Int[np.ndarray, " known"],
+) -> Robustness:
+    """Covariance of some parameters, the others held at their best values.
+
+    Args:
+        vector: (parameters,) of the fit, unconstrained.
+        samples: of the fit.
+        selection: of the samples.
+        information: (parameters, parameters), as if all samples were independent.
+        known: (known,) indices of the parameters.
+
+    Returns:
+        What lights and pixels share allowed for.
+    """
+    gradients, slopes = (
+        np.asarray(x, np.float64)[known] for x in scores_and_slopes(vector, samples)
+    )
+    among = information[np.ix_(known, known)]
+    return cluster_robust(gradients, among, selection.light, selection.pixel, slopes=slopes)
 
 
 def predicted_image(

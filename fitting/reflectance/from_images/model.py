@@ -299,17 +299,21 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
 
 
 @eqx.filter_jit
-def scores(
+def scores_and_slopes(
     vector: Float[Array, " parameters"], samples: Samples
-) -> Float[Array, "parameters samples"]:
-    """Gradient of each sample's log likelihood.
+) -> tuple[Float[Array, "parameters samples"], Float[Array, "parameters samples"]]:
+    """Gradient of each sample's log likelihood, and of its prediction in standard deviations.
 
     Args:
         vector: (parameters,) unconstrained.
         samples: of one channel.
 
     Returns:
-        (parameters, samples).
+        (parameters, samples) each; the slopes of saturated samples are 0.
     """
-    _, along = jax.linearize(lambda v: log_likelihoods(v, samples), vector)
+
+    def both(v: Array) -> tuple[Array, Array]:
+        return log_likelihoods(v, samples), residuals(v, samples)
+
+    _, along = jax.linearize(both, vector)
     return jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))

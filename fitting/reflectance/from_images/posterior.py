@@ -74,7 +74,7 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
         saturated=saturated_only(fit.samples),
         mode=mode,
         stretch=jnp.asarray(
-            curvature_stretch(fit.information, fit.robustness.covariance), mode.dtype
+            curvature_stretch(fit.information, fit.robustness.gaussian_covariance), mode.dtype
         ),
     )
 
@@ -82,7 +82,8 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 def channel_posterior(
     fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int
 ) -> Posterior:
-    """Draws of one channel: Laplace with the robust covariance, or emcee's.
+    """Draws of one channel: Laplace with the robust covariance and Student's t, or emcee's, from
+    the Gaussian whose 95 % intervals are as wide as that t's.
 
     Args:
         fit: with a known covariance.
@@ -94,13 +95,14 @@ def channel_posterior(
         The posterior.
     """
     assert fit.robustness is not None
-    data = composite(fit, grouping)
+    robust, data = fit.robustness, composite(fit, grouping)
     return laplace_or_emcee(
         composite_log_density,
         fit.space,
         data.mode,
-        fit.robustness.covariance,
+        robust.covariance if sampling is None else robust.gaussian_covariance,
         data,
         sampling=for_group(sampling, fit.channel),
         seed=seed,
+        freedom=robust.freedom,
     )

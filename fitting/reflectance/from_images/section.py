@@ -9,7 +9,6 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 
-from ...inference.clustering import cluster_robust
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
 from ...inference.posterior import estimates
 from ...report.section import Picture, Section
@@ -18,8 +17,8 @@ from . import figures
 from .calibration import ReflectanceCalibration
 from .comparison import comparison_table, verdict
 from .findings import findings, misfit_table
-from .fit import ChannelFit
-from .model import parameter_space, scores
+from .fit import ChannelFit, robust_covariance
+from .model import parameter_space
 
 
 def section(calibration: ReflectanceCalibration) -> Section:
@@ -75,12 +74,12 @@ def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
 def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
     """What is determined, given the best values of what is not; and the reasons for the rest."""
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
-    errors = np.zeros(len(fit.space))
+    errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)
     if known:
-        gradients = np.asarray(scores(jnp.asarray(fit.vector), fit.samples), np.float64)[known]
-        among = fit.information[np.ix_(known, known)]
-        robust = cluster_robust(gradients, among, fit.selection.light, fit.selection.pixel)
+        vector, chosen = jnp.asarray(fit.vector), np.asarray(known)
+        robust = robust_covariance(vector, fit.samples, fit.selection, fit.information, chosen)
         errors[known] = np.sqrt(np.diagonal(robust.covariance))
+        freedom[known] = robust.freedom
     rows = [
         gaussian_estimate(
             fit.space[i],
@@ -89,6 +88,7 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
             method="Laplace",
             group=fit.channel,
             log_scale=True,
+            freedom=freedom[i],
         )
         for i in known
     ]
