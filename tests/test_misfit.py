@@ -85,13 +85,13 @@ def test_a_mean_of_few_clusters_is_the_t_test_of_their_means():
     """Balanced clusters and one parameter: CR2 is the variance of the clusters' means, with
     clusters - 1 degrees of freedom (scipy's one-sample t-test)."""
     rng = np.random.default_rng(3)
-    scores, information, light, pixel, _ = mean_with_clusters(
+    scores, information, light, *_ = mean_with_clusters(
         rng, lights=6, pixels=100, shared_by_light=0.3, shared_by_pixel=0.0
     )
     # Shares come from outer products of scores: equal in every cluster once their sizes are.
     scores = scores / np.sqrt(np.bincount(light, scores[0] ** 2) / 100)[light]
     scores = scores - scores.mean()
-    found = cluster_robust(scores, information, light)
+    found = cluster_robust(scores, information, light, None)
     means = np.bincount(light, scores[0]) / 100
     low, high = scipy.stats.ttest_1samp(means, 0).confidence_interval(0.95)
     half = scipy.stats.t.ppf(0.975, found.freedom[0]) * np.sqrt(found.covariance[0, 0])
@@ -105,7 +105,7 @@ def test_what_a_prior_says_is_not_judged_by_clusters():
         np.random.default_rng(1), lights=12, pixels=50, shared_by_light=0.3, shared_by_pixel=0.0
     )
     scores, information, light, _, _ = data
-    found = cluster_robust(scores, 1001 * information, light, prior=1000 * information)
+    found = cluster_robust(scores, 1001 * information, light, None, prior=1000 * information)
     np.testing.assert_allclose(found.covariance, 1 / (1001 * information), rtol=0.02)
 
 

@@ -189,7 +189,7 @@ def _widened(
         labels = np.unique(np.asarray(problem.likelihood.labels).ravel(), return_inverse=True)[1]
         scores = np.asarray(_scores(vector, problem), np.float64)
         prior = optimum.information - optimum.data_information
-        robust = cluster_robust(scores, optimum.information, labels, prior=prior)
+        robust = cluster_robust(scores, optimum.information, labels, None, prior=prior)
         words = f"Residuals share errors within the {labels.max() + 1} groups"
         if np.isnan(robust.by_light):
             words = "Too few groups to see errors that they share"

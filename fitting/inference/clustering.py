@@ -86,7 +86,7 @@ def cluster_robust(
     scores: Float[np.ndarray, "parameters samples"],
     information: Float[np.ndarray, "parameters parameters"],
     light: Int[np.ndarray, " samples"],
-    pixel: Int[np.ndarray, " samples"] | None = None,
+    pixel: Int[np.ndarray, " samples"] | None,
     *,
     slopes: Float[np.ndarray, "parameters samples"] | None = None,
     prior: Float[np.ndarray, "parameters parameters"] | None = None,

@@ -260,8 +260,8 @@ def sample(
 def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
-    Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform. Samplers: median,
-    standard deviation and quantiles of the draws.
+    Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform.
+    Samplers: median, standard deviation and quantiles of the draws.
 
     Args:
         posterior: of P parameters.
