@@ -127,6 +127,12 @@ def reciprocal(x: Scalars) -> Scalars:
     return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)
 
 
+def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
+    """b, in its unit, where the condition holds (default: b > 0); elsewhere 1, with gradient 0,
+    for a quotient that its caller masks."""
+    return jnp.where(b > 0 if where is None else where, b, 1)
+
+
 def divide(
     a: Scalars | float | int,
     b: Scalars,
@@ -136,7 +142,7 @@ def divide(
     """a / b, in the quotient of their units, where the condition holds (default: b > 0); elsewhere
     `otherwise`, with gradient 0 in a and b."""
     safe = b > 0 if where is None else where
-    return jnp.where(safe, a / jnp.where(safe, b, 1), otherwise)
+    return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._numerics import or_one
 from ._types import Scalar, Spectrum, check_choice, print_by_name
 
 Wavelengths = Float[Array, " bands"]
@@ -199,7 +200,7 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         5.67
     """
     warm = temperature > 0
-    x = _H_C_OVER_K / (wavelengths * jnp.where(warm, temperature, 1))
+    x = _H_C_OVER_K / (wavelengths * or_one(temperature))
     radiance = (_TWO_H_C_SQUARED * 1e30) / (1e6 * wavelengths) ** 5 * jnp.exp(-x) / -jnp.expm1(-x)
     return jnp.where(warm, radiance, 0)
 

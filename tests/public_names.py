@@ -9,7 +9,10 @@ import jaxvision
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
     "jaxvision.io",
+    "jaxvision.plots.inspection",
+    "jaxvision.plots.summary",
     "jaxvision.errors",
+    "jaxvision.effects.certificate",
     "jaxvision.accuracy",
     "jaxvision.camera_files",
     "jaxvision.mesh_files",
@@ -23,6 +26,9 @@ EAGER = {
     "jaxvision.scene_files.materials",
     "jaxvision.scene_files.records",
     "jaxvision.scene_files.schema",
+    "jaxvision.scene_files.camera_schema",
+    "jaxvision.scene_files.light_schema",
+    "jaxvision.scene_files.surface_schema",
     "jaxvision.scene_files.material_schema",
     "jaxvision.scene_files.spectrum_schema",
     "jaxvision.scene_files.folder",
@@ -92,8 +98,7 @@ def modules(package):
     names = [
         name
         for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-        if not any(part.startswith("_") for part in name.split("."))
-        and not name.endswith((".cli", ".plots"))
+        if not any(part.startswith("_") for part in name.split(".")) and not name.endswith(".cli")
     ]
     return [importlib.import_module(name) for name in names]
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, dot, smallest_divisor
+from .._numerics import arctan2, dot, or_one, smallest_divisor
 from .._types import Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import direction_at
@@ -79,7 +79,7 @@ def log_cos_half(wi: Vector, wo: Vector) -> Scalars:
     """
     both = as_vec(wi) + as_vec(wo)
     above = both.z > smallest_divisor(both.z.dtype)
-    z = jnp.where(above, both.z, 1)
+    z = or_one(both.z, above)
     squared = jnp.square(both.x / z) + jnp.square(both.y / z)
     return -jnp.log1p(jnp.where(above, squared, 0)) / 2
 

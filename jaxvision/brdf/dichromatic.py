@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numerics import or_one
 from .._types import Colour, Scalar, as_float, check_fields, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -90,8 +91,8 @@ def sample(material: Dichromatic, wo: Vector, u: Float[Array, "3"]) -> Vec:
     left of u_2 goes on to it."""
     part = _body_part(material)
     from_body = u[2] < part
-    left_body = u[2] / jnp.where(part > 0, part, 1)
-    left_interface = (u[2] - part) / jnp.where(part < 1, 1 - part, 1)
+    left_body = u[2] / or_one(part)
+    left_interface = (u[2] - part) / or_one(1 - part)
     body = family(material.body).sample(material.body, wo, u.at[2].set(left_body))
     lobe = family(material.interface).sample(material.interface, wo, u.at[2].set(left_interface))
     return jax.tree.map(lambda b, i: jnp.where(from_body, b, i), as_vec(body), as_vec(lobe))

@@ -25,7 +25,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._numerics import divide, safe_sqrt, smallest_divisor
+from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
@@ -105,7 +105,7 @@ def separate(
     sine = _length(aside)
     distinct = sine > jnp.finfo(image.dtype).eps
     on_b, on_i = image @ c_b, image @ c_i
-    below = jnp.square(jnp.where(distinct, sine, 1))
+    below = jnp.square(or_one(sine, distinct))
     m_b, m_i = (on_b - cos * on_i) / below, (on_i - cos * on_b) / below
     inside = distinct & (m_b > 0) & (m_i > 0)
     alone_b, alone_i = jnp.maximum(on_b, 0), jnp.maximum(on_i, 0)
@@ -152,7 +152,7 @@ def body_colour(
     total = (weight[..., None] * across).reshape(-1, image.shape[-1]).sum(axis=0)
     length = _length(total)
     tinted = length > jnp.finfo(image.dtype).eps * jnp.abs(weight * along).sum()
-    side = total / jnp.where(tinted, length, 1)
+    side = total / or_one(length, tinted)
     m = jnp.maximum((across @ side) * weight, 0).reshape(-1)
     positive = m > smallest_divisor(m.dtype)
     ratio = divide(along.reshape(-1), m, where=positive, otherwise=jnp.inf)

@@ -9,7 +9,7 @@ interface reflects all.
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._numerics import divide, safe_sqrt, smallest_divisor
+from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, as_float, check_fields
 
 
@@ -99,8 +99,8 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     g_squared = contrast + c * c
     passes = g_squared > 0
     g = safe_sqrt(g_squared)
-    s_sum = jnp.where(passes, c + g, 1)
-    p_sum = jnp.where(passes, eta * eta * c + g, 1)
+    s_sum = or_one(c + g, passes)
+    p_sum = or_one(eta * eta * c + g, passes)
     # divided twice: of equal indices at grazing angles the square's own gradient would overflow
     r_s = contrast / s_sum / s_sum
     r_p = contrast * (c * c * (eta * eta + 1) - 1) / p_sum / p_sum

@@ -12,7 +12,7 @@ internal reflection). Local frame; the body is below the normal, +z.
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._numerics import safe_sqrt
+from .._numerics import or_one, safe_sqrt
 from .._types import Colour, Scalar, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -55,8 +55,7 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta
     aside = v.x * v.x + v.y * v.y
     through = (eta - 1) * (eta + 1) + v.z * v.z > 0
-    slant = aside > 0
-    along = 1 / jnp.sqrt(jnp.where(slant, aside, 1))
+    along = 1 / jnp.sqrt(or_one(aside))
     scale = jnp.where(through, 1 / eta, along)
     return Vec(-v.x * scale, -v.y * scale, jnp.where(v.z > 0, -below, below))
 

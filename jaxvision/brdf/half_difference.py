@@ -20,7 +20,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import dot, normalize, safe_sqrt
+from .._numerics import dot, normalize, or_one, safe_sqrt
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -62,7 +62,7 @@ def half_difference(wi: Vector, wo: Vector) -> HalfDifference:
     h = as_vec(normalize(wi + wo))
     sin_h = safe_sqrt(h.x * h.x + h.y * h.y)
     aside = sin_h > 0
-    scale = 1 / jnp.where(aside, sin_h, 1)
+    scale = 1 / or_one(sin_h)
     cos_phi, sin_phi = jnp.where(aside, h.x * scale, 1), jnp.where(aside, h.y * scale, 0)
     # Half of wi - wo is the part of wi across h, free of the rounding that wi's part along h has.
     across = (wi - wo) * jnp.asarray(0.5, wi.x.dtype)

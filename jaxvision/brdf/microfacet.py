@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
-from .._numerics import divide, dot, log_of_zero, normalize, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, log_of_zero, normalize, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, print_by_name
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cross
@@ -51,16 +51,16 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
     match distribution:
         case "beckmann":
             above = n.z > 1e-5  # flatter facets have no weight that a float can hold
-            z = jnp.where(above, n.z, 1)
+            z = or_one(n.z, above)
             steepness = across / (z * z)
             # where the exponential is 0, z^4 in a derivative would leave the range of a float
             counts = above & (steepness < -log_of_zero(z.dtype))
-            z = jnp.where(counts, z, 1)
+            z = or_one(z, counts)
             density = jnp.exp(-jnp.where(counts, steepness, 0)) / (scale * jnp.square(z * z))
             return jnp.where(counts, density, 0)
         case "ggx":
             facing = n.z > 0
-            spread = jnp.where(facing, across + n.z * n.z, 1)
+            spread = or_one(across + n.z * n.z, facing)
             return jnp.where(facing, 1 / (scale * jnp.square(spread)), 0)
         case _:
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
@@ -76,7 +76,7 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
         case "beckmann":
             t = safe_sqrt(squared)
             tilted = t > smallest_divisor(t.dtype)
-            steepness = v.z / jnp.where(tilted, t, 1)
+            steepness = v.z / or_one(t, tilted)
             bell = jnp.exp(-jnp.square(steepness)) / (2 * jnp.sqrt(jnp.pi))
             hidden = t * bell - v.z * erfc(steepness) / 2
             return jnp.where(tilted, jnp.maximum(hidden, 0), 0)
@@ -135,7 +135,7 @@ def sample_facet(wo: Vector, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)
     tilted = sine > smallest_divisor(sine.dtype)
-    side = 1 / jnp.where(tilted, sine, 1)
+    side = 1 / or_one(sine, tilted)
     t1 = Vec(jnp.where(tilted, -view.y * side, 1), jnp.where(tilted, view.x * side, 0), 0 * view.z)
     t2 = cross(view, t1)
     radius, phi = safe_sqrt(u[0]), 2 * jnp.pi * u[1]

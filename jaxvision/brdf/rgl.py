@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import divide, dot, normalize, smallest_divisor
+from .._numerics import divide, dot, normalize, or_one, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
@@ -145,8 +145,7 @@ def _reflected_by(
     if not material.scaled:
         return value
     ndf, sigma = _over_square(material.ndf, h_place), _over_square(material.sigma, wo_place)
-    positive = sigma > 0
-    return jnp.where(positive, value * (ndf / (4 * jnp.where(positive, sigma, 1))), 0)
+    return jnp.where(sigma > 0, value * (ndf / (4 * or_one(sigma))), 0)
 
 
 def shading(material: RGL, wi: Vector, wo: Vector) -> Colour:
@@ -217,7 +216,7 @@ def albedo(material: RGL, wo: Vector, *, order: int = 64) -> Colour:
         place, density = warp(material.vndf, at, (x, y))
         h = square_to_half(place, origin)
         ahead = (reflected(turned, h).z > 0) & (dot(turned, h) > 0) & (density > 0)
-        area = stretch(place[0], h, turned) / jnp.where(density > 0, density, 1)
+        area = stretch(place[0], h, turned) / or_one(density)
         return jnp.where(ahead, _reflected_by(material, at, (x, y), place, wo_place) * area, 0)
 
     rows = jax.vmap(jax.vmap(weight, (None, 0)), (0, None))(nodes, nodes)

@@ -26,6 +26,7 @@ from .._numerics import (
     gauss_legendre,
     norm,
     normalize,
+    or_one,
     safe_sqrt,
     smallest_divisor,
 )
@@ -166,7 +167,7 @@ def sample(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -> Vec:
         case "smith":
             h = sample_facet(wo, _alpha(material), u[:2])
         case "v-cavity":  # what is left of u_2 chooses the side
-            left = (u[2] - part) / jnp.where(part < 1, 1 - part, 1)
+            left = (u[2] - part) / or_one(1 - part)
             h = _cavity_facet(material, wo, u.at[2].set(left))
     return choose(part, u, reflected(as_vec(wo), h))
 

@@ -6,6 +6,7 @@ Elementwise on relative values of any shape; the named curves are in `point_ops`
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numerics import or_one
 from .._types import Scalars, as_relative, print_by_name
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
@@ -96,7 +97,7 @@ def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
     before, behind = chord[:-1], chord[1:]
     near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
     onward = before * behind > 0
-    safe_before, safe_behind = (jnp.where(onward, c, 1) for c in (before, behind))
+    safe_before, safe_behind = (or_one(c, onward) for c in (before, behind))
     mean = (near_before + near_behind) / (near_before / safe_before + near_behind / safe_behind)
     first = _end_slope(width[0], width[1], chord[0], chord[1])
     last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])

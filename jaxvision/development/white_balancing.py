@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import divide, power, smallest_divisor
+from .._numerics import divide, or_one, power, smallest_divisor
 from .._types import Image, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
@@ -93,7 +93,7 @@ def grey_world_gains(
     norm = jnp.asarray(norm, image.dtype)
     # powers of numbers up to 1 do not overflow, and the largest of a band does not vanish
     largest = jax.lax.stop_gradient(jnp.max(image * used, axis=(-3, -2)))
-    scale = jnp.where(largest > 0, largest, 1)
+    scale = or_one(largest)
     raised = used * power(image / jnp.broadcast_to(scale[..., None, None, :], image.shape), norm)
     count = jnp.maximum(used.sum((-3, -2)), 1)
     return _balancing(scale * power(raised.sum((-3, -2)) / count, 1 / norm))

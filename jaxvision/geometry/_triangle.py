@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics import divide, dot, normalize, smallest_divisor
+from .._numerics import divide, dot, normalize, or_one, smallest_divisor
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, masked, where
@@ -59,7 +59,7 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     area = u + v + w
     # narrower than rounding: seen edge on, or no triangle at all
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
-    inverse = 1 / jnp.where(flat, 1, area)
+    inverse = 1 / or_one(area, ~flat)
     distance = (u * a.z + v * b.z + w * c.z) * inverse
     return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
 
@@ -151,7 +151,7 @@ def _place(
     normal = as_vec(normalize(area))
     slope, length = dot(normal, ray.direction), dot(area, normal)
     crosses = known & (jnp.abs(slope) > smallest_divisor(slope.dtype)) & (length > 0)
-    distance = dot(normal, a - ray.origin) / jnp.where(crosses, slope, 1)
+    distance = dot(normal, a - ray.origin) / or_one(slope, crosses)
     hit = crosses & (distance > 0)
     place = ray.origin + jnp.where(hit, distance, 0) * ray.direction - a
     inverse = divide(1, length, where=hit)

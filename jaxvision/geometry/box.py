@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._numerics import divide, dot, smallest_divisor, with_gradient_of
+from .._numerics import divide, dot, or_one, smallest_divisor, with_gradient_of
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
@@ -44,7 +44,7 @@ def _slabs(
         strict=True,
     ):
         crosses = jnp.abs(d) > smallest_divisor(d.dtype)
-        inverse = 1 / jnp.where(crosses, d, 1)
+        inverse = 1 / or_one(d, crosses)
         middle, half_chord = -o * inverse, h * jnp.abs(inverse)
         enter.append(jnp.where(crosses, middle - half_chord, -jnp.inf))
         leave.append(jnp.where(crosses, middle + half_chord, jnp.inf))

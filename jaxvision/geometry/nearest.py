@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from .._groups import group_by_structure, take
-from .._numerics import dot
+from .._numerics import dot, or_one
 from .._staging import at_once, stored, together
 from .._types import Scalar
 from .._vector import Vec, Vector, as_vec, where
@@ -282,7 +282,7 @@ def blocked(
     way = end - start
     square = dot(way, way)
     apart = finite & (square > 0)
-    inverse = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
+    inverse = jnp.where(apart, jax.lax.rsqrt(or_one(square, apart)), 0)
     toward = where(apart, way * inverse, direction)
     length = jnp.where(finite, square * inverse - offset_length(reach), jnp.inf)
     ray = Ray(start, toward)

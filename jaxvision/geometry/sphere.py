@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor, with_gradient_of
+from .._numerics import divide, dot, norm, or_one, safe_sqrt, smallest_divisor, with_gradient_of
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
@@ -66,7 +66,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     distance = with_gradient_of(found, jnp.where(hit, jnp.where(first, near, far), 0))
     along = jnp.where(first, -half_chord, half_chord)
     outward = closest + along * ray.direction
-    square = jnp.where(hit, dot(outward, outward), 1)
+    square = or_one(dot(outward, outward), hit)
     normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
     on_sphere = as_vec(sphere.centre) + sphere.radius * normal
     return Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))

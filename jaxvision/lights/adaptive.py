@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics import dot
+from .._numerics import dot, or_one
 from .._types import Scalars
 from .._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
@@ -59,7 +59,7 @@ def adaptive_irradiance(
             # in units of the longer edge, which keeps fourth powers in range
             u, v = as_vec(light.edge_u), as_vec(light.edge_v)
             square = jax.lax.stop_gradient(jnp.maximum(dot(u, u), dot(v, v)))
-            scale = jax.lax.rsqrt(jnp.where(square > 0, square, 1))
+            scale = jax.lax.rsqrt(or_one(square))
             corner = (light.corner - points) * scale
             solid = nodes_integral(corner, u * scale, v * scale, normals, order=order)
             return solid[:, None] * light.radiance[None]

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._bands import by_band
-from .._numerics import dot, smallest_divisor
+from .._numerics import dot, or_one, smallest_divisor
 from .._types import Colour, Scalar, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import direction_at
@@ -54,7 +54,7 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
     toward = position - point
     square = dot(toward, toward)
     apart = square > smallest_divisor(square.dtype) ** 2
-    nearness = jnp.where(apart, jax.lax.rsqrt(jnp.where(apart, square, 1)), 0)
+    nearness = jnp.where(apart, jax.lax.rsqrt(or_one(square, apart)), 0)
     return toward * nearness, square * nearness, nearness
 
 

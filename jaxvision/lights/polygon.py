@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, dot, polynomial, smallest_divisor
+from .._numerics import divide, dot, or_one, polynomial, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec, masked, where
@@ -93,12 +93,12 @@ def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     defined = narrow | wide
     adjacent = cosine * cosine
     steep = square > adjacent
-    inverse = 1 / jnp.where(defined, jnp.maximum(square, adjacent), 1)
+    inverse = 1 / or_one(jnp.maximum(square, adjacent), defined)
     ratio = jnp.where(defined, jnp.minimum(square, adjacent), 0) * inverse
     coefficients = _ARCTAN_OVER[8 if square.dtype == jnp.float64 else 4]
     arctan = polynomial(coefficients[::-1], ratio)
     quarters = jnp.where(steep, jnp.pi / 2, jnp.where(cosine < 0, jnp.pi, 0))
-    turned = quarters * jax.lax.rsqrt(jnp.where(wide, square, 1))
+    turned = quarters * jax.lax.rsqrt(or_one(square, wide))
     angle = turned + jnp.where(steep, -cosine, cosine) * inverse * arctan
     return jnp.where(defined, angle, 0)
 
@@ -108,12 +108,12 @@ def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, 
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
     inverse = divide(1, length, where=narrow | wide)
-    adjacent = jnp.where(narrow, cosine, 1)
+    adjacent = or_one(cosine, narrow)
     x = jnp.where(narrow, square, 0) / (adjacent * adjacent)
     series = jnp.zeros_like(x)  # sum over k >= 1 of (-1)^k x^(k - 1) k / (2 k + 1), Horner
     for k in range(_TERMS, 0, -1):
         series = (-1) ** k * k / (2 * k + 1) + x * series
-    direct = (cosine * inverse - value) / (2 * jnp.where(wide, square, 1))
+    direct = (cosine * inverse - value) / (2 * or_one(square, wide))
     return jnp.where(narrow, series / adjacent**3, jnp.where(wide, direct, 0)), -inverse
 
 
@@ -309,7 +309,7 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
     for (s, t), weight in zip(nodes, weights, strict=True):
         toward = corner + (s * u + t * v)
         square = dot(toward, toward)
-        yield weight, s, t, toward, 1 / jnp.where(square > 0, square, 1)
+        yield weight, s, t, toward, 1 / or_one(square)
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:

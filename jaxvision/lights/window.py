@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import divide, dot, norm, normalize, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, as_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..geometry import Ray
@@ -88,7 +88,7 @@ def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
     same_side = a * b > 0
     total = b * across_a + a * across_b
-    rise = step * (b + a) / jnp.where(same_side, total, 1)
+    rise = step * (b + a) / or_one(total, same_side)
     span = jnp.where(
         same_side, jnp.arcsinh(jnp.where(same_side, rise, 0)), jnp.arcsinh(b) - jnp.arcsinh(a)
     )
@@ -118,8 +118,7 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
     height = dot(normal, toward)
     lengths, starts, gaps = [], [], []
     for edge in (window.edge_u, window.edge_v):
-        length = norm(edge)
-        length = jnp.where(length > 0, length, 1)
+        length = or_one(norm(edge))
         start = dot(edge, toward) / length
         starts.append(start)
         lengths.append(length)

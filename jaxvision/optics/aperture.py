@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, divide, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, divide, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars, check_count
 from ..scene import (
     AnnularAperture,
@@ -130,7 +130,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
             x, y = aperture_corners(aperture, radius.dtype)
             covered = _polygon_in_pixels(edges, radius * x, radius * y)
     total = covered.sum()
-    return covered / jnp.where(total > smallest_divisor(total.dtype), total, 1)
+    return covered / or_one(total, total > smallest_divisor(total.dtype))
 
 
 _SMALLEST = 0.01

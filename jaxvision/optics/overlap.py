@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, safe_sqrt, smallest_divisor
+from .._numerics import arctan2, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars
 
 
@@ -112,7 +112,7 @@ def _side(radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Sca
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
     some = square > smallest_divisor(square.dtype) ** 2
-    scale = jnp.where(some, square, 1)
+    scale = or_one(square, some)
     nearest = -(x0 * along_x + y0 * along_y) / scale
     beside = (x0 * along_y - y0 * along_x) / scale
     half = safe_sqrt(radius * radius / scale - beside * beside)

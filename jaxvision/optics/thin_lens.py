@@ -15,7 +15,7 @@ Sources:
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._numerics import divide, smallest_divisor
+from .._numerics import divide, or_one, smallest_divisor
 from .._types import Scalars
 
 
@@ -66,7 +66,7 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
         1 / first - 1 / second, (...) m^-1.
     """
     near = _is_near(first, second) & _is_near(second, first) & jnp.isfinite(first)
-    a, b = (jnp.where(near, z, 1) for z in (first, second))
+    a, b = (or_one(z, near) for z in (first, second))
     close = (b - a) * _reciprocal(a) * _reciprocal(b)
     far = _reciprocal(first) - _reciprocal(second)
     return jnp.where(near, close, far)

@@ -29,13 +29,13 @@ from ..scene import (
     ThinLens,
     View,
 )
-from . import schema
+from . import camera_schema, light_schema, surface_schema
 from .bands import Bands, in_bands
 from .folder import Folder
 from .spectrum_schema import Axes, Spectrum
 
 
-def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
+def shape_of(entry: surface_schema.Surface, folder: Folder, dtype: str) -> Shape:
     """The shape of a table `[[surface]]`.
 
     Args:
@@ -50,18 +50,18 @@ def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
         InputError: a rotation or a mesh file that cannot be used.
     """
     match entry:
-        case schema.SphereEntry():
+        case surface_schema.SphereEntry():
             return Sphere(entry.centre, entry.radius)
-        case schema.PlaneEntry():
+        case surface_schema.PlaneEntry():
             return Plane(entry.point, entry.normal)
-        case schema.DiscEntry():
+        case surface_schema.DiscEntry():
             return Disc(entry.centre, entry.normal, entry.radius)
-        case schema.QuadEntry():
+        case surface_schema.QuadEntry():
             return Quad(entry.corner, entry.edge_u, entry.edge_v)
-        case schema.BoxEntry():
+        case surface_schema.BoxEntry():
             rotation = _checked_axes(entry.rotation)
             return Box(entry.centre, entry.half_extents, rotation=rotation)
-        case schema.MeshEntry():
+        case surface_schema.MeshEntry():
             return read_mesh(
                 folder.file(entry.file),
                 scale=entry.scale,
@@ -73,7 +73,7 @@ def shape_of(entry: schema.Surface, folder: Folder, dtype: str) -> Shape:
             )
 
 
-def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
+def light_of(entry: light_schema.Light, bands: Bands, folder: Folder) -> Light:
     """The light of a table `[[light]]`.
 
     Args:
@@ -92,22 +92,22 @@ def light_of(entry: schema.Light, bands: Bands, folder: Folder) -> Light:
         return in_bands(value, bands, folder, quantity="light")
 
     match entry:
-        case schema.PointEntry():
+        case light_schema.PointEntry():
             return PointLight(entry.position, spectrum(entry.intensity))
-        case schema.SmallEntry():
+        case light_schema.SmallEntry():
             return SmallLight(entry.position, entry.normal, spectrum(entry.intensity))
-        case schema.DirectionalEntry():
+        case light_schema.DirectionalEntry():
             return DirectionalLight(entry.direction, spectrum(entry.irradiance))
-        case schema.RectangleEntry():
+        case light_schema.RectangleEntry():
             radiance = spectrum(entry.radiance)
             return RectangleLight(entry.corner, entry.edge_u, entry.edge_v, radiance)
-        case schema.EnvironmentEntry():
+        case light_schema.EnvironmentEntry():
             return environment_map(
                 entry.scale * _sky(entry, bands, folder), rotation=_map_axes(entry)
             )
 
 
-def view_of(entry: schema.Camera) -> View:
+def view_of(entry: camera_schema.Camera) -> View:
     """The projection of the table `[camera]`.
 
     Args:
@@ -122,16 +122,16 @@ def view_of(entry: schema.Camera) -> View:
     position, rotation = np.asarray(entry.position), _camera_axes(entry)
     rows, columns = entry.resolution
     match entry:
-        case schema.OrthographicEntry():
+        case camera_schema.OrthographicEntry():
             pitch = entry.width / columns
             return Orthographic(position, rotation, pitch, resolution=(rows, columns))
-        case schema.PinholeEntry():
+        case camera_schema.PinholeEntry():
             focal_length, pitch = entry.focal_length, entry.pixel_pitch
             if entry.field_of_view is not None:  # the same picture at any focal length
                 focal_length = 1.0
                 pitch = 2 * np.tan(np.radians(entry.field_of_view) / 2) / columns
             return Pinhole(position, rotation, focal_length, pitch, resolution=(rows, columns))
-        case schema.ThinLensEntry():
+        case camera_schema.ThinLensEntry():
             blades = entry.blades
             return ThinLens(
                 position,
@@ -145,7 +145,7 @@ def view_of(entry: schema.Camera) -> View:
             )
 
 
-def _camera_axes(entry: schema.Camera) -> np.ndarray:
+def _camera_axes(entry: camera_schema.Camera) -> np.ndarray:
     forward = np.subtract(entry.target, entry.position)
     if not forward.any():
         raise InputError("position and target are one point; move one of them.")
@@ -154,7 +154,7 @@ def _camera_axes(entry: schema.Camera) -> np.ndarray:
     return np.asarray(look_at(*map(jnp.asarray, (entry.position, entry.target, entry.up))))
 
 
-def _sky(entry: schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.ndarray:
+def _sky(entry: light_schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.ndarray:
     """(h, w, bands) W m^-2 sr^-1."""
     if entry.file is None:
         assert entry.radiance is not None  # the schema takes one of both
@@ -169,7 +169,7 @@ def _sky(entry: schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.nda
     return picture
 
 
-def _map_axes(entry: schema.EnvironmentEntry) -> np.ndarray:
+def _map_axes(entry: light_schema.EnvironmentEntry) -> np.ndarray:
     """Rows: the directions of the picture's middle column, of its left quarter and of its top."""
     up, toward = np.asarray(entry.up), np.asarray(entry.toward)
     left = np.cross(up, toward)

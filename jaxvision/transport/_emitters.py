@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._bands import Bands, apart, plus, times
 from .._groups import Tree, group_by_structure, of_member, row
-from .._numerics import divide, dot, reciprocal, safe_sqrt, smallest_divisor
+from .._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
 from .._staging import stored
 from .._types import Colour, Scalar
 from .._vector import Vec, as_vec
@@ -275,7 +275,7 @@ def _shining_surface(
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
     shines = (surface >= 0) & (facing > 0)
-    nearness = jnp.where(shines, facing * emitters.area[met], 1)
+    nearness = or_one(facing * emitters.area[met], shines)
     return shines, jnp.where(shines, distance * distance / nearness, 0) / emitters.count
 
 

@@ -13,7 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._numerics import arctan2, divide, norm, normalize, safe_log, safe_sqrt, smallest_divisor
+from ..._numerics import (
+    arctan2,
+    divide,
+    norm,
+    normalize,
+    or_one,
+    safe_log,
+    safe_sqrt,
+    smallest_divisor,
+)
 from ..._types import Scalar, Scalars, check_count
 from ..._vector import Vec, as_vec
 from ...lights import gauss_legendre
@@ -105,7 +114,7 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
         h * arctan2(longer, 1 + h * s) - longer * arctan2(jnp.ones_like(w), s)
     )
     rest = 1 + w2 + h2
-    square = jnp.where(s > 0, s * s, 1)
+    square = or_one(s * s, s > 0)
     of_width = _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * (rest / square))
     of_height = _log_remaining(w2 / square / (1 + h2), (h2 / (1 + h2)) * (rest / square))
     logs = jnp.log1p(w2 * (h2 / rest)) + w2 * of_width + h2 * of_height
@@ -139,7 +148,7 @@ def parallel_exchange(
     Source:
         Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-13.
     """
-    scale = jnp.where(gap > 0, gap, 1)
+    scale = or_one(gap)
     x, y = (jnp.abs(_differences(first[i], second[i])) / scale for i in range(2))
     signs = jnp.asarray(np.outer(_SIGNS, _SIGNS), gap.dtype)
     exact = gap * gap / (2 * jnp.pi) * (signs * _opposed(*_pairs(x, y))).sum()
@@ -281,7 +290,7 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
             size = weight * norm(patch)
             total = total + size * point_to_polygon(place, as_vec(normalize(patch)), second)
             area = area + size
-        return total / jnp.where(area > 0, area, 1)
+        return total / or_one(area)
 
     value = at(order)
     return Exchange(value, jnp.abs(value - at(order - 1)))

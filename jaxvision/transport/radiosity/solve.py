@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._numerics import divide
+from ..._numerics import divide, or_one
 from ..._types import Scalar, check_choice, print_by_name
 
 PatchSpectra = Float[Array, "patches bands"]
@@ -77,7 +77,7 @@ def solve_radiosity(
     def band(rho: Float[Array, " patches"], b: Float[Array, " patches"]) -> Array:
         matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
         brightest = jax.lax.stop_gradient(jnp.abs(b).max())
-        scale = jnp.where(brightest > 0, brightest, 1)
+        scale = or_one(brightest)
         operator = lineax.MatrixLinearOperator(matrix)
         # float32 may not reach the tolerance: what it does reach is the answer
         return scale * lineax.linear_solve(operator, b / scale, solver, throw=False).value

@@ -1,25 +1,18 @@
-"""An image shown as numbers: the picture, a histogram of each channel, a scan line, the grid of
-values about a pixel, and the surface over the plane (Szeliski, Computer Vision, fig. 3.3).
-
-This is the edge of the library: eager, NumPy in, with matplotlib loaded on first use. Values are DN
-(integer images) or relative (floating images). An image that cannot be shown raises `InputError`,
-one sentence.
-"""
+"""What the figure of an image is made of, one function a view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from .errors import InputError
-from .histogram import exact_histogram
-from .point_ops import srgb_encode
+from ..histogram import exact_histogram
+from ..point_ops import srgb_encode
+from ._pixels import colours_of
+from .summary import BandSummary, band_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
 INK = {
@@ -38,175 +31,9 @@ SURFACE_SIDE = 72  # most facets along a side of the surface
 BEFORE_NOTE = 1.5  # a bin this much higher than the axis is noted instead of squeezing the rest
 
 
-@dataclass(frozen=True)
-class BandSummary:
-    """One channel in numbers, over its finite values; the moments are NaN where there are none.
-
-    Attributes:
-        name: of the channel.
-        minimum: DN or relative, as all values here.
-        maximum: likewise.
-        mean: likewise.
-        standard_deviation: likewise.
-        median: likewise.
-        black: number of values <= 0.
-        saturated: number of values >= white.
-        nan: number of NaN.
-        infinite: number of infinite values.
-    """
-
-    name: str
-    minimum: float
-    maximum: float
-    mean: float
-    standard_deviation: float
-    median: float
-    black: int
-    saturated: int
-    nan: int
-    infinite: int
-
-
-def band_names(bands: int) -> tuple[str, ...]:
-    """The names of an image's channels.
-
-    Args:
-        bands: their number.
-
-    Returns:
-        grey; grey, alpha; red, green, blue; red, green, blue, alpha; for any other number band 0,
-        band 1, ...
-    """
-    known = {
-        1: ("grey",),
-        2: ("grey", "alpha"),
-        3: ("red", "green", "blue"),
-        4: ("red", "green", "blue", "alpha"),
-    }
-    return known.get(bands) or tuple(f"band {i}" for i in range(bands))
-
-
-def summarise(image: np.ndarray, *, white: float | None = None) -> tuple[BandSummary, ...]:
-    """Range, moments and the counts of black, saturated and undefined values of each channel.
-
-    Args:
-        image: (h, w) or (h, w, bands), DN or relative.
-        white: the value from which a pixel counts as saturated, in the image's unit. None takes the
-            largest code of the integer type, or 1 for floating images.
-
-    Returns:
-        One summary a channel.
-
-    Raises:
-        InputError: for an array that is no image.
-    """
-    pixels = _checked(image)
-    limit = _white(pixels, white)
-    names = band_names(pixels.shape[-1])
-    return tuple(_summary(name, pixels[..., i], limit) for i, name in enumerate(names))
-
-
-def inspect(
-    image: np.ndarray,
-    *,
-    row: int | None = None,
-    at: tuple[int, int] | None = None,
-    white: float | None = None,
-    title: str = "",
-) -> "Figure":
-    """One figure with five views of an image.
-
-    Args:
-        image: (h, w) or (h, w, bands), DN or relative; 1 to 4 bands are grey, grey and alpha, RGB
-            and RGBA.
-        row: the row of the scan line, counted from the top from 0; None takes that of `at`.
-        at: (row, column) of the pixel whose surroundings are printed; None takes the middle.
-        white: the value from which a pixel counts as saturated, as for `summarise`.
-        title: of the figure.
-
-    Returns:
-        The figure, to be saved or shown.
-
-    Raises:
-        InputError: for an array that is no image, and for a row or pixel outside it.
-    """
-    from matplotlib.figure import Figure
-
-    pixels = _checked(image)
-    height, width, _ = pixels.shape
-    place = (height // 2, width // 2) if at is None else at
-    line = place[0] if row is None else row
-    if not 0 <= line < height:
-        raise InputError(f"row {line} is outside the image; it has rows 0 to {height - 1}.")
-    if not (0 <= place[0] < height and 0 <= place[1] < width):
-        raise InputError(
-            f"pixel ({place[0]}, {place[1]}) is outside the image; it has rows 0 to {height - 1} "
-            f"and columns 0 to {width - 1}."
-        )
-    limit = _white(pixels, white)
-    picture, how = _as_picture(pixels, limit)
-    rows, columns = (_window(*pair) for pair in zip(place, (height, width), strict=True))
-
-    figure = Figure(figsize=(13, 8.4), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08, wspace=0.04, hspace=0.05)  # type: ignore[union-attr]
-    grid = figure.add_gridspec(2, 3, width_ratios=(1.05, 1, 1))
-    _draw_picture(figure.add_subplot(grid[0, 0]), picture, how, line, rows, columns)
-    _draw_histogram(figure.add_subplot(grid[0, 1]), pixels, limit)
-    _draw_scan_line(figure.add_subplot(grid[0, 2]), pixels, line)
-    _draw_numbers(figure.add_subplot(grid[1, 0]), pixels, picture, rows, columns)
-    _draw_surface(figure.add_subplot(grid[1, 1], projection="3d"), pixels)  # type: ignore[arg-type]
-    _draw_summary(figure.add_subplot(grid[1, 2]), summarise(pixels, white=limit), limit)
-    shape = f"{height} × {width}" + (f" × {pixels.shape[2]}" if pixels.shape[2] > 1 else "")
-    figure.suptitle(f"{title}   {shape}, {pixels.dtype}".strip(), fontsize=12)
-    return figure
-
-
-# ------------------------------------------------ the image
-
-
-def _checked(image: np.ndarray) -> np.ndarray:
-    """(h, w, bands) of a numeric dtype."""
-    pixels = np.asarray(image)
-    if pixels.ndim not in (2, 3) or 0 in pixels.shape:
-        raise InputError(
-            f"an image is (h, w) or (h, w, bands) with at least one pixel, got {pixels.shape}."
-        )
-    if pixels.dtype.kind not in "uif":
-        raise InputError(f"an image holds integers or floating numbers, got {pixels.dtype}.")
-    return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
-def _white(pixels: np.ndarray, white: float | None) -> float:
-    if white is not None:
-        return float(white)
-    return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
-
-
-def _summary(name: str, band: np.ndarray, white: float) -> BandSummary:
-    finite = band[np.isfinite(band)].astype(float)
-    known = finite if finite.size else np.array([np.nan])
-    return BandSummary(
-        name=name,
-        minimum=float(known.min()),
-        maximum=float(known.max()),
-        mean=float(known.mean()),
-        standard_deviation=float(known.std()),
-        median=float(np.median(known)),
-        black=int((band <= 0).sum()),
-        saturated=int((band >= white).sum()),
-        nan=int(np.isnan(band).sum()),
-        infinite=int(np.isinf(band).sum()),
-    )
-
-
-def _colours(pixels: np.ndarray) -> np.ndarray:
-    """The bands that are light: alpha left out."""
-    return pixels[..., : {2: 1, 4: 3}.get(pixels.shape[-1], pixels.shape[-1])]
-
-
-def _as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
+def as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
     """(h, w, 3) in [0, 1] with NaN marked, and a description of the mapping."""
-    colours = _colours(pixels).astype(float)
+    colours = colours_of(pixels).astype(float)
     how = ""
     if colours.shape[-1] not in (1, 3):
         how = f"mean of {colours.shape[-1]} bands, "
@@ -228,21 +55,11 @@ def _as_picture(pixels: np.ndarray, white: float) -> tuple[np.ndarray, str]:
     return np.nan_to_num(picture), how
 
 
-def _window(centre: int, size: int) -> range:
-    """Up to 7 neighbours about a pixel, inside the image."""
-    side = min(7, size)
-    start = min(max(centre - side // 2, 0), size - side)
-    return range(start, start + side)
-
-
 def _ink(name: str, index: int) -> str:
     return INK.get(name, OTHER_INKS[index % len(OTHER_INKS)])
 
 
-# ------------------------------------------------ the views
-
-
-def _draw_picture(
+def draw_picture(
     axis: "Axes", picture: np.ndarray, how: str, line: int, rows: range, columns: range
 ) -> None:
     from matplotlib.patches import Rectangle
@@ -254,7 +71,7 @@ def _draw_picture(
     axis.set(xlabel="column", ylabel="row", title=f"picture ({how})")
 
 
-def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
+def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
     """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range)."""
     bands, names = pixels.shape[-1], band_names(pixels.shape[-1])
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
@@ -276,7 +93,7 @@ def _draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
         low, high = low - 0.5, high + 0.5
     counts, edges = _counts(values, (float(low), float(high)))
     # without alpha: its full bins would squeeze the others
-    light = counts[: _colours(pixels).shape[-1]]
+    light = counts[: colours_of(pixels).shape[-1]]
     ceiling = BEFORE_NOTE * max(float(np.quantile(light, 0.995)), 1.0)
     for i, name in enumerate(names):
         axis.stairs(
@@ -311,7 +128,7 @@ def _counts(values: np.ndarray, value_range: tuple[float, float]) -> tuple[np.nd
     return np.asarray(histogram.counts), np.asarray(histogram.edges)
 
 
-def _draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
+def draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
     for i, name in enumerate(band_names(pixels.shape[-1])):
         values = pixels[line, :, i].astype(float)
         axis.plot(
@@ -329,7 +146,7 @@ def _draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
     axis.grid(alpha=0.3)
 
 
-def _draw_numbers(
+def draw_numbers(
     axis: "Axes", pixels: np.ndarray, picture: np.ndarray, rows: range, columns: range
 ) -> None:
     """Each pixel its own cell, its values printed one below the other."""
@@ -367,11 +184,11 @@ def _printed(pixel: np.ndarray) -> list[str]:
     return [f"{v:.3g}" if isinstance(v, float) else str(v) for v in shown]
 
 
-def _draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
+def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
     """The mean of the colour bands as a height, each facet the mean of a block of pixels, over
     what is finite there; a block without stands at the mean of all."""
     height, width, _ = pixels.shape
-    colours = _colours(pixels).astype(float)
+    colours = colours_of(pixels).astype(float)
     step = max(1, -(-max(height, width) // SURFACE_SIDE))
     y, x = np.arange(0, height, step), np.arange(0, width, step)
 
@@ -394,7 +211,7 @@ def _draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
     axis.tick_params(labelsize=8)
 
 
-def _draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> None:
+def draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> None:
     """The numbers of `summarise` as a table: a column a band."""
     rows = ["min", "max", "mean", "s.d.", "median", "≤ 0", f"≥ {white:.6g}", "NaN", "inf"]
     shown = bands[:4]

@@ -1,0 +1,19 @@
+"""Colour spaces: conversions on arrays whose last axis holds the three components.
+
+RGB is linear and relative (1 is white) unless a name says otherwise. XYZ has Y = 1 at the white. L*
+of Lab and Luv runs from 0 to 100. The hue of LCh is in rad in [0, 2 pi), that of HSV and HSL in
+turns in [0, 1). Nothing is clipped. Colours outside a gamut convert there and back, except these
+colours outside [0, 1]: by HSV those with a largest component of 0, and by HSL those of lightness 0
+or 1.
+
+Values and gradients are finite at black, white and every grey, and however near to them; there the
+undefined hue is 0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as
+0: so dark a colour has no chromaticity and no saturation, and so grey a colour has no hue in HSV
+and HSL. A last axis other than 3 and integer codes are a `ValueError`. Matrices come from
+`colour_data` by name, a static option. They are never applied by `@`, which is slow over an axis of
+three.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,39 @@
+"""Chromaticity and luminance: xyY. A colour too dark to have a chromaticity is 0."""
+
+import jax.numpy as jnp
+
+from ._components import Colours, joined, parts, reciprocal, vanishes
+
+
+def xyz_to_xyy(xyz: Colours) -> Colours:
+    """Chromaticities and luminance (x, y, Y).
+
+    Args:
+        xyz: (..., 3) relative.
+
+    Returns:
+        (..., 3) relative; black has x = y = 0.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    x, y, z = parts(xyz)
+    share = reciprocal(x + y + z)
+    return joined(x * share, y * share, y)
+
+
+def xyy_to_xyz(xyy: Colours) -> Colours:
+    """The inverse of `xyz_to_xyy`.
+
+    Args:
+        xyy: (..., 3) chromaticities x, y, no unit, and relative Y; y = 0 is black.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    x, y, luminance = parts(xyy)
+    scale = luminance * reciprocal(y)
+    return joined(x * scale, jnp.where(vanishes(y), 0, luminance), (1 - x - y) * scale)

@@ -1,0 +1,138 @@
+"""The CIE 1976 spaces: Lab, Luv and their polar form LCh. L* runs from 0 to 100, the hue of LCh
+from 0 to 2 pi rad."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalars
+from ._components import Colours, chroma_of, hue_angle, joined, parts, reciprocal
+
+_BREAK = 6 / 29
+
+
+def _lightness(t: Scalars) -> Scalars:
+    """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line below."""
+    curved = t > _BREAK**3
+    return jnp.where(curved, jnp.cbrt(jnp.where(curved, t, 1)), t * (1 / (3 * _BREAK**2)) + 4 / 29)
+
+
+def _from_lightness(f: Scalars) -> Scalars:
+    return jnp.where(f > _BREAK, f * f * f, 3 * _BREAK**2 * (f - 4 / 29))
+
+
+def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
+    """CIE 1976 L*, a*, b*.
+
+    Args:
+        xyz: (..., 3) relative.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) L* from 0 to 100, a* and b*, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: CIE 15:2018, 8.2.1.
+    """
+    fx, fy, fz = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
+    return joined(116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz))
+
+
+def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
+    """The inverse of `xyz_to_lab`.
+
+    Args:
+        lab: (..., 3) L* from 0 to 100, a* and b*, no unit.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    lightness, a, b = parts(lab)
+    fy = (lightness + 16) / 116
+    thirds = (fy + a / 500, fy, fy - b / 200)
+    return joined(*(white[i] * _from_lightness(f) for i, f in enumerate(thirds)))
+
+
+def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
+    """CIE 1976 L*, u*, v*.
+
+    Args:
+        xyz: (..., 3) relative; black gives 0, 0, 0.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) L* from 0 to 100, u* and v*, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: CIE 15:2018, 8.2.2.
+    """
+    x, y, z = parts(xyz)
+    lightness = 116 * _lightness(y / white[1]) - 16
+    # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
+    x_n, y_n, z_n = white
+    total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
+    scale = 13 * lightness * reciprocal(total * total_n)
+    u, v = 4 * (x * total_n - x_n * total), 9 * (y * total_n - y_n * total)
+    return joined(lightness, scale * u, scale * v)
+
+
+def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
+    """The inverse of `xyz_to_luv`.
+
+    Args:
+        luv: (..., 3) L* from 0 to 100, u* and v*, no unit.
+        white: (3,) relative XYZ of the white.
+
+    Returns:
+        (..., 3) relative XYZ.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    lightness, u, v = parts(luv)
+    share = reciprocal(13 * lightness)
+    x_n, y_n, z_n = white
+    sum_n = x_n + 15 * y_n + 3 * z_n
+    u_prime, v_prime = u * share + 4 * x_n / sum_n, v * share + 9 * y_n / sum_n
+    y = y_n * _from_lightness((lightness + 16) / 116)
+    scale = y * reciprocal(4 * v_prime)
+    return joined(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
+
+
+def to_lch(lab: Colours) -> Colours:
+    """Lab or Luv in polar form: lightness, chroma, hue.
+
+    Args:
+        lab: (..., 3) Lab or Luv, no unit.
+
+    Returns:
+        (..., 3) lightness and chroma, no unit, and hue in rad in [0, 2 pi), 0 for greys.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    lightness, a, b = parts(lab)
+    return joined(lightness, chroma_of(a, b), hue_angle(a, b))
+
+
+def from_lch(lch: Colours) -> Colours:
+    """The inverse of `to_lch`.
+
+    Args:
+        lch: (..., 3) lightness and chroma, no unit, and hue in rad.
+
+    Returns:
+        (..., 3) Lab or Luv, no unit.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    lightness, chroma, hue = parts(lch)
+    return joined(lightness, chroma * jnp.cos(hue), chroma * jnp.sin(hue))

@@ -1,0 +1,103 @@
+"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit."""
+
+import jax.numpy as jnp
+
+from .._types import Scalars
+from ._components import Colours, joined, parts, reciprocal, vanishes, within
+
+
+def rgb_to_hsv(rgb: Colours) -> Colours:
+    """Hue, saturation and value of RGB, usually encoded.
+
+    Args:
+        rgb: (..., 3) relative.
+
+    Returns:
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black, and value, relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+
+    Source: Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978.
+    """
+    hue, least, most = _hexagon(rgb)
+    return joined(hue, (most - least) * reciprocal(most), most)
+
+
+def hsv_to_rgb(hsv: Colours) -> Colours:
+    """The inverse of `rgb_to_hsv`.
+
+    Args:
+        hsv: (..., 3) hue in turns, taken modulo 1; saturation and value, relative.
+
+    Returns:
+        (..., 3) relative RGB.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    hue, saturation, value = parts(hsv)
+
+    def channel(n: int) -> Scalars:
+        k = jnp.mod(n + 6 * hue, 6)
+        return value - value * saturation * _trapezium(k, 4 - k, 0)
+
+    return joined(channel(5), channel(3), channel(1))
+
+
+def rgb_to_hsl(rgb: Colours) -> Colours:
+    """Hue, saturation and lightness of RGB, usually encoded.
+
+    Args:
+        rgb: (..., 3) relative.
+
+    Returns:
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black and white, and
+        lightness, relative.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    hue, least, most = _hexagon(rgb)
+    # 1 - |2 lightness - 1|, which keeps its digits near black
+    room = jnp.minimum(most + least, 2 - (most + least))
+    return joined(hue, (most - least) * reciprocal(room), (most + least) / 2)
+
+
+def hsl_to_rgb(hsl: Colours) -> Colours:
+    """The inverse of `rgb_to_hsl`.
+
+    Args:
+        hsl: (..., 3) hue in turns, taken modulo 1; saturation and lightness, relative.
+
+    Returns:
+        (..., 3) relative RGB.
+
+    Raises:
+        ValueError: for a last axis other than 3, and for integer codes.
+    """
+    hue, saturation, lightness = parts(hsl)
+    reach = saturation * jnp.minimum(lightness, 1 - lightness)
+
+    def channel(n: int) -> Scalars:
+        k = jnp.mod(n + 12 * hue, 12)
+        return lightness - reach * _trapezium(k - 3, 9 - k, -1)
+
+    return joined(channel(0), channel(8), channel(4))
+
+
+def _trapezium(rising: Scalars, falling: Scalars, floor: int) -> Scalars:
+    """max(floor, min(rising, falling, 1))"""
+    return jnp.maximum(jnp.minimum(jnp.minimum(rising, falling), 1), floor)
+
+
+def _hexagon(rgb: Colours) -> tuple[Scalars, Scalars, Scalars]:
+    """(hue in turns, smallest, largest component)."""
+    r, g, b = parts(rgb)
+    most, least = jnp.maximum(jnp.maximum(r, g), b), jnp.minimum(jnp.minimum(r, g), b)
+    share = reciprocal(most - least)
+    sextant = jnp.where(
+        most == r, (g - b) * share, jnp.where(most == g, 2 + (b - r) * share, 4 + (r - g) * share)
+    )
+    turn = jnp.where(sextant < 0, sextant + 6, sextant) / 6
+    return jnp.where(vanishes(most - least), 0, within(turn, 1.0)), least, most

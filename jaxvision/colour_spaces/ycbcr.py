@@ -1,0 +1,70 @@
+"""Luma and colour differences, Y'CbCr, of encoded R'G'B'; relative."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._types import check_choice, check_count
+from ..colour_data import luma_weights
+from ._components import Colours, by_constant, checked
+
+
+def rgb_to_ycbcr(
+    rgb: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
+) -> Colours:
+    """Luma and colour differences Y', Cb, Cr of encoded R'G'B'.
+
+    Args:
+        rgb: (..., 3) encoded, relative.
+        standard: "ITU-R BT.601", "ITU-R BT.709" or "ITU-R BT.2020" (non-constant luminance).
+        levels: "full" gives Y' in [0, 1] and Cb, Cr in [-0.5, 0.5]. "legal" gives the studio codes
+            over the largest code: at 8 bits Y' in [16, 235] / 255 and Cb, Cr in [16, 240] / 255.
+        bits: of the studio codes, at least 8.
+
+    Returns:
+        (..., 3) relative.
+
+    Raises:
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
+            codes.
+    """
+    matrix, zero = _ycbcr(standard, levels, bits)
+    centred = by_constant(rgb, matrix)
+    return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
+
+
+def ycbcr_to_rgb(
+    ycbcr: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
+) -> Colours:
+    """The inverse of `rgb_to_ycbcr`.
+
+    Args:
+        ycbcr: (..., 3) relative.
+        standard: as for `rgb_to_ycbcr`.
+        levels: "full" or "legal".
+        bits: of the studio codes, at least 8.
+
+    Returns:
+        (..., 3) encoded R'G'B', relative.
+
+    Raises:
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
+            codes.
+    """
+    matrix, zero = _ycbcr(standard, levels, bits)
+    ycbcr = checked(ycbcr)
+    centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
+    return by_constant(centred, np.linalg.inv(matrix))
+
+
+def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix from R'G'B' and the offset added to its result."""
+    check_choice("levels", levels, ("full", "legal"))
+    check_count("bits", bits, 8)
+    luma = np.asarray(luma_weights(standard))
+    red, _, blue = np.eye(3)
+    rows = [luma, (blue - luma) / (2 - 2 * luma[2]), (red - luma) / (2 - 2 * luma[0])]
+    if levels == "full":
+        return np.stack(rows), np.zeros(3)
+    step = 2 ** (bits - 8) / (2**bits - 1)
+    scale = np.array([219, 224, 224]) * step
+    return scale[:, None] * np.stack(rows), np.array([16, 128, 128]) * step

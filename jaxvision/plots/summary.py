@@ -1,0 +1,92 @@
+"""The channels of an image in numbers: DN (integer images) or relative (floating images)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ._pixels import checked, white_level
+
+
+@dataclass(frozen=True)
+class BandSummary:
+    """One channel in numbers, over its finite values; the moments are NaN where there are none.
+
+    Attributes:
+        name: of the channel.
+        minimum: DN or relative, as all values here.
+        maximum: likewise.
+        mean: likewise.
+        standard_deviation: likewise.
+        median: likewise.
+        black: number of values <= 0.
+        saturated: number of values >= white.
+        nan: number of NaN.
+        infinite: number of infinite values.
+    """
+
+    name: str
+    minimum: float
+    maximum: float
+    mean: float
+    standard_deviation: float
+    median: float
+    black: int
+    saturated: int
+    nan: int
+    infinite: int
+
+
+def band_names(bands: int) -> tuple[str, ...]:
+    """The names of an image's channels.
+
+    Args:
+        bands: their number.
+
+    Returns:
+        grey; grey, alpha; red, green, blue; red, green, blue, alpha; for any other number band 0,
+        band 1, ...
+    """
+    known = {
+        1: ("grey",),
+        2: ("grey", "alpha"),
+        3: ("red", "green", "blue"),
+        4: ("red", "green", "blue", "alpha"),
+    }
+    return known.get(bands) or tuple(f"band {i}" for i in range(bands))
+
+
+def summarise(image: np.ndarray, *, white: float | None = None) -> tuple[BandSummary, ...]:
+    """Range, moments and the counts of black, saturated and undefined values of each channel.
+
+    Args:
+        image: (h, w) or (h, w, bands), DN or relative.
+        white: the value from which a pixel counts as saturated, in the image's unit. None takes the
+            largest code of the integer type, or 1 for floating images.
+
+    Returns:
+        One summary a channel.
+
+    Raises:
+        InputError: for an array that is no image.
+    """
+    pixels = checked(image)
+    limit = white_level(pixels, white)
+    names = band_names(pixels.shape[-1])
+    return tuple(_summary(name, pixels[..., i], limit) for i, name in enumerate(names))
+
+
+def _summary(name: str, band: np.ndarray, white: float) -> BandSummary:
+    finite = band[np.isfinite(band)].astype(float)
+    known = finite if finite.size else np.array([np.nan])
+    return BandSummary(
+        name=name,
+        minimum=float(known.min()),
+        maximum=float(known.max()),
+        mean=float(known.mean()),
+        standard_deviation=float(known.std()),
+        median=float(np.median(known)),
+        black=int((band <= 0).sum()),
+        saturated=int((band >= white).sum()),
+        nan=int(np.isnan(band).sum()),
+        infinite=int(np.isinf(band).sum()),
+    )

@@ -1,0 +1,118 @@
+"""Gains that differ across a picture: a graded filter and vignetting. Relative values."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics import divide, smallest_divisor
+from .._types import Image, Scalar, as_relative
+
+_LN_10 = 2.302585092994046
+
+
+def graded_filter(
+    image: Image,
+    density: Scalar | float,
+    angle: Scalar | float,
+    centre: Scalar | float,
+    width: Scalar | float,
+) -> Image:
+    """A graded neutral density filter before the lens: linear light times 10^(-density s).
+
+    s rises smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        density: () optical density of the dark side, no unit; 0.3 is one stop.
+        angle: () rad, the direction in which it darkens: 0 to the right, pi/2 up.
+        centre: () where half the density is reached, relative to the picture's height, from its
+            centre.
+        width: () over which it rises, relative to the picture's height; 0 or less is a step.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
+    """
+    image, rows, columns = _sized(image)
+    right, up = _from_centre(rows, columns, image.dtype, unit=rows)
+    along = jnp.cos(angle) * right + jnp.sin(angle) * up
+    t = jnp.clip((along - centre) / jnp.maximum(width, smallest_divisor(image.dtype)) + 0.5, 0, 1)
+    return image * _per_pixel(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
+
+
+def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
+    """Linear light times the falloff 1 + k_1 r^2 + k_2 r^4 + ...
+
+    r is the distance from the centre of the picture relative to that of its corner. The cos^4 law
+    of an ideal lens belongs to `optics`.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        coefficients: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
+
+    Source: the "pa" model of lens tables.
+    """
+    image, rows, columns = _sized(image)
+    return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
+
+
+def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Image:
+    """The inverse of `vignette`; pixels that received no light at all stay 0.
+
+    Args:
+        image: (..., h, w, bands) relative, linear.
+        coefficients: (terms,) k_1, k_2, ..., no unit, as for `vignette`.
+
+    Returns:
+        (..., h, w, bands) relative.
+
+    Raises:
+        ValueError: for fewer than three axes.
+    """
+    image, rows, columns = _sized(image)
+    falloff = _falloff(rows, columns, image.dtype, coefficients)
+    inverse = divide(1, falloff, falloff > smallest_divisor(image.dtype))
+    return image * _per_pixel(inverse, image)
+
+
+def _falloff(
+    rows: int, columns: int, dtype: np.dtype, coefficients: Float[Array, " terms"]
+) -> Float[Array, "h w"]:
+    half_diagonal = ((rows - 1) ** 2 + (columns - 1) ** 2) ** 0.5 / 2
+    right, up = _from_centre(rows, columns, dtype, unit=half_diagonal or 1)
+    r2 = right * right + up * up
+    total = jnp.zeros_like(r2)
+    for k in coefficients[::-1]:
+        total = (total + k) * r2
+    return jnp.maximum(1 + total, 0)
+
+
+def _sized(image: Image) -> tuple[Image, int, int]:
+    """The picture, its rows and its columns."""
+    image = as_relative(image)
+    if image.ndim < 3:
+        raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
+    rows, columns = image.shape[-3:-1]
+    return image, rows, columns
+
+
+def _from_centre(
+    rows: int, columns: int, dtype: np.dtype, *, unit: float | int
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """(right, up) of each pixel's centre from that of the picture, in `unit`s of pixels."""
+    right = (jnp.arange(columns, dtype=dtype) - (columns - 1) / 2) / unit
+    up = ((rows - 1) / 2 - jnp.arange(rows, dtype=dtype)) / unit
+    return jnp.broadcast_to(right, (rows, columns)), jnp.broadcast_to(up[:, None], (rows, columns))
+
+
+def _per_pixel(values: Float[Array, "h w"], image: Image) -> Float[Array, "... h w 1"]:
+    """A map of the picture, with the axes of a batch of images."""
+    return values.reshape((1,) * (image.ndim - 3) + values.shape + (1,))

@@ -1,0 +1,97 @@
+"""Point operators that are linear in the light: gain, exposure, blending. Relative values."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalars, as_relative
+
+
+def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scalars:
+    """gain x + bias.
+
+    Args:
+        x: (...) relative.
+        gain: no unit; a map (h, w, 1) makes it vary over the picture.
+        bias: in the unit of the result; a map likewise.
+
+    Returns:
+        (...) relative.
+
+    Source: Szeliski, Computer Vision, section 3.1.1.
+    """
+    return gain * as_relative(x) + bias
+
+
+def contrast_brightness(
+    x: Scalars,
+    contrast: Scalars | float,
+    brightness: Scalars | float,
+    *,
+    pivot: Scalars | float = 0.5,
+) -> Scalars:
+    """contrast (x - pivot) + pivot + brightness: the contrast changes about the grey `pivot`.
+
+    Args:
+        x: (...) relative.
+        contrast: no unit; 1 changes nothing.
+        brightness: relative, added.
+        pivot: relative, the grey that a change of contrast keeps.
+
+    Returns:
+        (...) relative.
+    """
+    return contrast * (as_relative(x) - pivot) + (pivot + brightness)
+
+
+def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
+    """2^stops x: linear light as `stops` more of exposure would have recorded it.
+
+    Args:
+        x: (...) relative, linear.
+        stops: no unit; may be negative.
+
+    Returns:
+        (...) relative.
+    """
+    return jnp.exp2(stops) * as_relative(x)
+
+
+def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:
+    """(1 - fraction) first + fraction second, the linear blend.
+
+    Args:
+        first: (...) relative.
+        second: (...) relative.
+        fraction: no unit; outside [0, 1] it extrapolates.
+
+    Returns:
+        (...) relative.
+
+    Source: Szeliski, Computer Vision, section 3.1.
+    """
+    return (1 - fraction) * as_relative(first) + fraction * as_relative(second)
+
+
+def cross_dissolve(
+    first: Float[Array, "frames ..."], second: Float[Array, "..."]
+) -> Float[Array, "frames ..."]:
+    """Two sequences blended frame by frame: `first` alone at the first frame, `second` at the last.
+
+    Args:
+        first: (frames, ...) relative, at least two frames.
+        second: the same shape, relative.
+
+    Returns:
+        (frames, ...) relative.
+
+    Raises:
+        ValueError: for unequal shapes or fewer than two frames.
+    """
+    if first.shape != second.shape or first.shape[0] < 2:
+        raise ValueError(
+            "cross_dissolve needs two sequences of one shape and at least two frames, got "
+            f"{first.shape} and {second.shape}."
+        )
+    first, second = as_relative(first), as_relative(second)
+    fraction = jnp.linspace(0, 1, first.shape[0], dtype=first.dtype)
+    return blend(first, second, fraction.reshape((-1,) + (1,) * (first.ndim - 1)))

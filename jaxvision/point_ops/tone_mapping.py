@@ -1,0 +1,105 @@
+"""Tone mapping: relative light of any range to [0, 1]."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._numerics import divide, safe_log, smallest_divisor
+from .._types import Scalars, as_relative
+
+
+def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
+    """Reinhard's tone curve: x / (1 + x), or with a white x (1 + x / white^2) / (1 + x).
+
+    Below 0 it is x itself, which continues value and slope.
+
+    Args:
+        x: (...) relative scaled luminance, as `scaled_to_key` gives it.
+        white: relative, the smallest x that maps to 1; None for a curve that only tends to 1.
+
+    Returns:
+        (...) relative.
+
+    Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
+    equations 3 and 4.
+    """
+    x = as_relative(x)
+    positive = jnp.maximum(x, 0)
+    lifted = positive if white is None else positive * (1 + positive / (white * white))
+    return jnp.where(x > 0, lifted / (1 + positive), x)
+
+
+def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
+    """Luminance times key / log-average, which moves the picture's middle grey to the key.
+
+    The log-average clamps black at 1e-6 of the mean and leaves out values that are not finite.
+
+    Args:
+        luminance: (h, w) relative.
+        key_value: relative, the wanted middle grey.
+
+    Returns:
+        (h, w) relative.
+
+    Source: Reinhard et al. 2002, equations 1 and 2.
+    """
+    luminance = as_relative(luminance)
+    known = jnp.isfinite(luminance)
+    mean = jnp.mean(luminance, where=known)
+    floor = 1e-6 * jnp.maximum(mean, smallest_divisor(luminance.dtype))
+    average = jnp.exp(jnp.mean(safe_log(jnp.maximum(luminance, floor)), where=known))
+    return luminance * (key_value / average)
+
+
+def filmic(x: Scalars) -> Scalars:
+    """The ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
+
+    Unclipped it ends a little above 1, at 1.033.
+
+    Args:
+        x: (...) relative; below 0 counts as 0.
+
+    Returns:
+        (...) relative, in [0, 1].
+
+    Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve" (2016).
+    """
+    positive = jnp.maximum(as_relative(x), 0)
+    # both sides over x^2 where x is large, so that nothing overflows
+    small = jnp.minimum(positive, 1)
+    large = 1 / jnp.maximum(positive, 1)
+    low = small * (2.51 * small + 0.03) / (small * (2.43 * small + 0.59) + 0.14)
+    high = (2.51 + 0.03 * large) / (2.43 + large * (0.59 + 0.14 * large))
+    return jnp.minimum(jnp.where(positive < 1, low, high), 1)
+
+
+def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
+    """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
+
+    Args:
+        x: (...) relative; below 0 counts as 0.
+        strength: no unit, above 0; the larger, the steeper at the dark end.
+
+    Returns:
+        (...) relative.
+
+    Source: the mu-law of ITU-T G.711.
+    """
+    return jnp.log1p(strength * jnp.maximum(as_relative(x), 0)) / jnp.log1p(strength)
+
+
+def with_luminance(
+    image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
+) -> Float[Array, "... channels"]:
+    """image times wanted / luminance, pixel by pixel: applies a curve and keeps the chromaticity.
+
+    Args:
+        image: (..., channels) relative.
+        luminance: (...) of the image, relative or in any unit; black stays black.
+        wanted: (...) in the unit of `luminance`.
+
+    Returns:
+        (..., channels) relative.
+    """
+    image, luminance = as_relative(image), as_relative(luminance)
+    gain = divide(wanted, luminance, ~(luminance <= smallest_divisor(luminance.dtype)))
+    return image * gain[..., None]
