@@ -66,24 +66,24 @@ def exact_cross(u: Vec3, v: Vec3) -> Vec:
     """
     a, b = as_vec(u), as_vec(v)
     return Vec(
-        _difference_of_products(a.y, b.z, a.z, b.y),
-        _difference_of_products(a.z, b.x, a.x, b.z),
-        _difference_of_products(a.x, b.y, a.y, b.x),
+        difference_of_products(a.y, b.z, a.z, b.y),
+        difference_of_products(a.z, b.x, a.x, b.z),
+        difference_of_products(a.x, b.y, a.y, b.x),
     )
 
 
 @jax.custom_jvp
-def _difference_of_products(a: Scalars, b: Scalars, c: Scalars, d: Scalars) -> Scalars:
+def difference_of_products(a: Scalars, b: Scalars, c: Scalars, d: Scalars) -> Scalars:
     """a b - c d."""
     (ah, al), (bh, bl), (ch, cl), (dh, dl) = map(_halves, (a, b, c, d))
     middle = (ah * bl - ch * dl) + (al * bh - cl * dh)
     return (ah * bh - ch * dh) + (middle + (al * bl - cl * dl))
 
 
-@_difference_of_products.defjvp
+@difference_of_products.defjvp
 def _difference_of_products_jvp(primals, tangents):
     (a, b, c, d), (da, db, dc, dd) = primals, tangents
-    return _difference_of_products(a, b, c, d), (da * b + a * db) - (dc * d + c * dd)
+    return difference_of_products(a, b, c, d), (da * b + a * db) - (dc * d + c * dd)
 
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
@@ -107,8 +107,8 @@ def safe_sqrt(x: Scalars) -> Scalars:
         >>> float(jax.grad(jv.safe_sqrt)(0.0))
         0.0
     """
-    positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
+    zero = x <= 0
+    return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, 1, x)))
 
 
 def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
@@ -117,20 +117,19 @@ def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
     By default `floor` is the smallest normal number of the dtype of x.
     """
     smallest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, x.dtype)
-    above = x > smallest
-    return jnp.log(jnp.where(above, x, smallest))
+    return jnp.log(jnp.where(x <= smallest, smallest, x))
 
 
 def reciprocal(x: Scalars) -> Scalars:
     """1 / x, in the inverse of its unit; value and gradient are 0 at and below x = 0."""
-    positive = x > 0
-    return jnp.where(positive, 1 / jnp.where(positive, x, 1), 0)
+    zero = x <= 0
+    return jnp.where(zero, 0, 1 / jnp.where(zero, 1, x))
 
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
-    """b, in its unit, where the condition holds (default: b > 0); elsewhere 1, with gradient 0,
-    for a quotient that its caller masks."""
-    return jnp.where(b > 0 if where is None else where, b, 1)
+    """b, in its unit, where the condition holds (default: b > 0 or NaN); elsewhere 1, with gradient
+    0, for a quotient that its caller masks."""
+    return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
 def divide(
@@ -139,9 +138,9 @@ def divide(
     where: Bool[Array, "..."] | None = None,
     otherwise: Scalars | float | int = 0,
 ) -> Scalars:
-    """a / b, in the quotient of their units, where the condition holds (default: b > 0); elsewhere
-    `otherwise`, with gradient 0 in a and b."""
-    safe = b > 0 if where is None else where
+    """a / b, in the quotient of their units, where the condition holds (default: b > 0 or NaN);
+    elsewhere `otherwise`, with gradient 0 in a and b."""
+    safe = ~(b <= 0) if where is None else where
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
@@ -185,7 +184,7 @@ def normalize(v: Vec3) -> Vec3:
     """
     sized, _ = _to_unit_size(v)
     square = dot(sized, sized)
-    return scaled(sized, 1 / jnp.sqrt(jnp.where(square > 0, square, 1)))
+    return scaled(sized, 1 / jnp.sqrt(jnp.where(square == 0, 1, square)))
 
 
 # Rational approximation of (arctan(t) - t) / t^3 in t^2 for |t| <= 0.66, good to 1e-16: Moshier,
@@ -240,7 +239,7 @@ def _arctan2_jvp(primals, tangents):
     _, scale = _to_unit_size(Vec(x, y, jnp.zeros_like(x)))
     sine, cosine = y / scale, x / scale
     square = sine * sine + cosine * cosine
-    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0) / scale
+    inverse = reciprocal(square) / scale
     return arctan2(y, x), (cosine * dy - sine * dx) * inverse
 
 
@@ -321,8 +320,8 @@ def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
         1.0
     """
     apart, together = norm(u - v), norm(u + v)
-    defined = jnp.maximum(apart, together) > smallest_divisor(apart.dtype)
-    return 2 * arctan2(jnp.where(defined, apart, 0), jnp.where(defined, together, 1))
+    zero = jnp.maximum(apart, together) <= smallest_divisor(apart.dtype)
+    return 2 * arctan2(jnp.where(zero, 0, apart), jnp.where(zero, 1, together))
 
 
 def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
@@ -341,10 +340,10 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     """
     chord, cosine = u - v, dot(u, v)
     deficit = dot(chord, chord) / 2
-    near, front = deficit < 0.5, cosine > 0
+    near, behind = deficit < 0.5, cosine <= 0
     less = jnp.where(near, -deficit, 0)
-    logarithm = _log_of_sum(jnp.where(near, 1 + less, jnp.where(front, cosine, 1)), less)
-    return jnp.where(front, logarithm, log_of_zero(deficit.dtype))
+    logarithm = _log_of_sum(jnp.where(near, 1 + less, jnp.where(behind, 1, cosine)), less)
+    return jnp.where(behind, log_of_zero(deficit.dtype), logarithm)
 
 
 @jax.custom_jvp
@@ -370,8 +369,8 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
 
     A negative base counts as 0.
     """
-    positive = base > 0
-    return jnp.where(positive, jnp.power(jnp.where(positive, base, 1), exponent), 0)
+    zero = base <= 0
+    return jnp.where(zero, 0, jnp.power(jnp.where(zero, 1, base), exponent))
 
 
 @jax.custom_jvp

@@ -19,7 +19,7 @@ FLOORS = [
     {"errors", "_types", "_staging"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics"},
-    {"spectra", "hemisphere", "padding"},
+    {"spectra", "hemisphere", "padding", "_powers"},
     {"geometry", "colour_data"},
     {"lights", "brdf", "filters"},
     {"shadows"},

@@ -10,14 +10,19 @@ from ._components import Colours, chroma_of, hue_angle, joined, parts, reciproca
 _BREAK = 6 / 29
 
 
-def _lightness(t: Scalars) -> Scalars:
-    """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line below."""
+def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
+    """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line t / (3 (6/29)^2) + 4/29
+    below. In two parts, of which f(t) - 4/29 is the sum: the line's constant never meets a dark
+    colour's digits, nor that of two cube roots those of their difference."""
     curved = t > _BREAK**3
-    return jnp.where(curved, jnp.cbrt(jnp.where(curved, t, 1)), t * (1 / (3 * _BREAK**2)) + 4 / 29)
+    root = jnp.cbrt(jnp.where(curved, t, 1))
+    return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)
 
 
-def _from_lightness(f: Scalars) -> Scalars:
-    return jnp.where(f > _BREAK, f * f * f, 3 * _BREAK**2 * (f - 4 / 29))
+def _from_lightness(above: Scalars) -> Scalars:
+    """The inverse: t of f(t) - 4/29."""
+    root = above + 4 / 29
+    return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
 
 
 def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
@@ -35,8 +40,10 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
     Source: CIE 15:2018, 8.2.1.
     """
-    fx, fy, fz = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
-    return joined(116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz))
+    thirds = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
+    (fx, x_0), (fy, y_0), (fz, z_0) = thirds
+    a, b = (fx - fy) + (x_0 - y_0), (fy - fz) + (y_0 - z_0)
+    return joined(116 * (fy + y_0), 500 * a, 200 * b)
 
 
 def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
@@ -53,8 +60,8 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
         ValueError: for a last axis other than 3, and for integer codes.
     """
     lightness, a, b = parts(lab)
-    fy = (lightness + 16) / 116
-    thirds = (fy + a / 500, fy, fy - b / 200)
+    above = lightness / 116
+    thirds = (above + a / 500, above, above - b / 200)
     return joined(*(white[i] * _from_lightness(f) for i, f in enumerate(thirds)))
 
 
@@ -74,7 +81,8 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     Source: CIE 15:2018, 8.2.2.
     """
     x, y, z = parts(xyz)
-    lightness = 116 * _lightness(y / white[1]) - 16
+    fy, y_0 = _lightness(y / white[1])
+    lightness = 116 * (fy + y_0)
     # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
     x_n, y_n, z_n = white
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
@@ -101,7 +109,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     x_n, y_n, z_n = white
     sum_n = x_n + 15 * y_n + 3 * z_n
     u_prime, v_prime = u * share + 4 * x_n / sum_n, v * share + 9 * y_n / sum_n
-    y = y_n * _from_lightness((lightness + 16) / 116)
+    y = y_n * _from_lightness(lightness / 116)
     scale = y * reciprocal(4 * v_prime)
     return joined(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
 

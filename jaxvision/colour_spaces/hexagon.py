@@ -37,9 +37,10 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
         ValueError: for a last axis other than 3, and for integer codes.
     """
     hue, saturation, value = parts(hsv)
+    sextants = 6 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = jnp.mod(n + 6 * hue, 6)
+        k = within(n + sextants, 6)
         return value - value * saturation * _trapezium(k, 4 - k, 0)
 
     return joined(channel(5), channel(3), channel(1))
@@ -78,9 +79,10 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
     """
     hue, saturation, lightness = parts(hsl)
     reach = saturation * jnp.minimum(lightness, 1 - lightness)
+    twelfths = 12 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = jnp.mod(n + 12 * hue, 12)
+        k = within(n + twelfths, 12)
         return lightness - reach * _trapezium(k - 3, 9 - k, -1)
 
     return joined(channel(0), channel(8), channel(4))

@@ -79,7 +79,7 @@ def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Im
     """
     image, rows, columns = _sized(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
-    inverse = divide(1, falloff, falloff > smallest_divisor(image.dtype))
+    inverse = divide(1, falloff, ~(falloff <= smallest_divisor(image.dtype)))
     return image * _per_pixel(inverse, image)
 
 

@@ -1,8 +1,10 @@
 """Point operators that are linear in the light: gain, exposure, blending. Relative values."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._powers import exp2
 from .._types import Scalars, as_relative
 
 
@@ -53,7 +55,8 @@ def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
     Returns:
         (...) relative.
     """
-    return jnp.exp2(stops) * as_relative(x)
+    x = as_relative(x)
+    return exp2(stops if isinstance(stops, jax.Array) else jnp.asarray(stops, x.dtype)) * x
 
 
 def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:

@@ -1,5 +1,6 @@
 """Tone mapping: relative light of any range to [0, 1]."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -24,8 +25,23 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     """
     x = as_relative(x)
     positive = jnp.maximum(x, 0)
-    lifted = positive if white is None else positive * (1 + positive / (white * white))
-    return jnp.where(x > 0, lifted / (1 + positive), x)
+    mapped = _saturating(positive)
+    if white is not None:
+        mapped = mapped * (1 + positive / white / white)
+    return jnp.where(x > 0, mapped, x)
+
+
+@jax.custom_jvp
+def _saturating(x: Scalars) -> Scalars:
+    """x / (1 + x), whose slope 1 / (1 + x)^2 is no difference."""
+    return x / (1 + x)
+
+
+@_saturating.defjvp
+def _saturating_jvp(primals, tangents):
+    (x,), (change,) = primals, tangents
+    inverse = 1 / (1 + x)
+    return _saturating(x), inverse * inverse * change
 
 
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:

@@ -1,0 +1,123 @@
+"""Powers right to the last place or two, of exponents and bases that are no numbers of the dtype.
+
+An exponent such as 1 / 2.4 rounded to float32 moves x^p by |log x| / 2 units of the last place.
+Here it is a sum of two numbers, p = nearest + rest, of which
+
+    x^p = x^nearest (1 + rest log x)
+
+needs the logarithm to one digit only: the bits of x, read as a whole number, give it.
+"""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from ._numerics import difference_of_products, power
+from ._types import Scalars
+
+_LN_2 = float(np.log(2))
+Exponent = tuple[Scalars, Scalars | float]  # the nearest number of the dtype, and what it leaves
+
+
+def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
+    """A number, no unit, as the sum of two of the dtype; an array is its own nearest."""
+    known = _fraction(value)
+    if known is None:
+        return jnp.asarray(value), 0.0
+    nearest = np.asarray(float(known), dtype)
+    return jnp.asarray(nearest), float(known - Fraction(float(nearest)))
+
+
+def exact_inverse(value: Scalars | float, dtype: DTypeLike) -> Exponent:
+    """1 / value as the sum of two numbers."""
+    known = _fraction(value)
+    if known:
+        return exact(1 / known, dtype)
+    value = jnp.asarray(value)
+    inverse, one = 1 / value, jnp.ones_like(value)
+    missing = difference_of_products(one, one, value, inverse)
+    return inverse, jax.lax.stop_gradient(missing * inverse)
+
+
+def _fraction(value: Scalars | Fraction | float) -> Fraction | None:
+    """The value of a finite Python number."""
+    if isinstance(value, int | float | Fraction) and np.isfinite(float(value)):
+        return Fraction(value)
+    return None
+
+
+def power_in_parts(base: Scalars, exponent: Exponent) -> tuple[Scalars, Scalars]:
+    """base^exponent as the sum of the power to the nearest exponent and what that leaves, which is
+    finite. A base below 0 counts as 0."""
+    nearest, rest = exponent
+    raised = power(base, nearest)
+    return raised, _finite(raised) * (rest * _logarithm(base))
+
+
+def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
+    """base^exponent, to two units in the last place; a base below 0 counts as 0."""
+    nearest, rest = exponent
+    raised = power(base, nearest)
+    known = isinstance(rest, float) and rest == 0
+    return raised if known else raised * (1 + rest * _logarithm(base))
+
+
+def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fraction) -> Scalars:
+    """factor (x + shift)^exponent: what the rounding of the sum loses is put behind the power,
+
+        (s + e)^p = s^p (1 + p e / s).
+
+    The error of the sum in six operations: Knuth, The Art of Computer Programming 2, section 4.2.2.
+    """
+    shifted, shift_rest = exact(shift, x.dtype)
+    total = x + shifted
+    held = total - x
+    lost = (x - (total - held)) + (shifted - held) + shift_rest
+    lost = jnp.where(jnp.isinf(total), 0, lost)
+    (nearest, rest), (scale, scale_rest) = (exact(part, x.dtype) for part in (exponent, factor))
+    value = scale * power(total, nearest)
+    relative = nearest * (lost / jnp.where(total <= 0, 1, total)) + rest * _logarithm(total)
+    return value + _finite(value) * jax.lax.stop_gradient(relative + scale_rest / scale)
+
+
+def _finite(x: Scalars) -> Scalars:
+    return jnp.minimum(x, jnp.finfo(x.dtype).max)
+
+
+def _logarithm(x: Scalars) -> Scalars:
+    """log x of a positive number to 0.03, a constant to gradients: its exponent is the whole part
+    of the binary logarithm, and its mantissa nearly the fraction."""
+    whole, bias, digits = _format(x)
+    bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole).astype(x.dtype)
+    return _LN_2 * (bits * 2.0**-digits - (bias - 0.043))
+
+
+def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
+    """(integers of the same size, bias of the exponent, binary digits of the mantissa)."""
+    return (jnp.int64, 1023, 52) if x.dtype == jnp.float64 else (jnp.int32, 127, 23)
+
+
+@jax.custom_jvp
+def exp2(x: Scalars) -> Scalars:
+    """2^x to the last place, exact at whole x, where XLA's own is off by |x| / 2 units of it.
+
+    Infinite above the range of the dtype and 0 below it.
+    """
+    whole, bias, digits = _format(x)
+    limited = jnp.clip(x, -2 * bias, 2 * bias)
+    steps = jnp.round(limited)
+    value = jnp.exp2(limited - steps)
+    first = jnp.clip(steps, 1 - bias, bias)
+    for step in (first, jnp.clip(steps - first, 1 - bias, bias)):
+        bits = (step.astype(whole) + bias) << digits
+        value = value * jax.lax.bitcast_convert_type(bits, x.dtype)
+    return value
+
+
+@exp2.defjvp
+def _exp2_jvp(primals, tangents):
+    value = exp2(*primals)
+    return value, _LN_2 * value * tangents[0]
