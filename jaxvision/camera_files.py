@@ -208,7 +208,10 @@ def _number(place: str, where: str, value: Any) -> Any:
     numbers = array.ravel().tolist()
     if any(isinstance(x, bool) or not isinstance(x, int | float) for x in numbers):
         raise InputError(f"{place}: {where} = {value!r} must be a number or numbers; correct it.")
-    return value
+    try:
+        return np.reshape([float(x) for x in numbers], array.shape)
+    except OverflowError as error:
+        raise InputError(f"{place}: {where} is out of the range of numbers; correct it.") from error
 
 
 def _static(place: str, where: str, value: Any) -> Any:

@@ -38,6 +38,9 @@ def nanometres(values: Any) -> Float[Array, "..."]:
     return as_float(np.asarray(values, np.float64) * 1e-9)
 
 
+MOST_BANDS = 100_000  # wavelengths of a grid: picometres of the visible range
+
+
 def wavelength_grid(
     *, first: float = 380e-9, last: float = 780e-9, step: float = 5e-9
 ) -> Float[Array, " bands"]:
@@ -52,13 +55,19 @@ def wavelength_grid(
         (bands,) m.
 
     Raises:
-        InputError: `last` is not a whole number of steps above `first`.
+        InputError: `last` is not a whole number of steps above `first`, or there are more than
+            100,000 wavelengths.
 
     Example:
         >>> jv.colour_data.wavelength_grid().shape
         (81,)
     """
     steps = (last - first) / step if step > 0 else -1
+    if steps >= MOST_BANDS:
+        raise InputError(
+            f"A grid from {first:g} m to {last:g} m in steps of {step:g} m has {steps + 1:.3g} "
+            f"wavelengths, more than {MOST_BANDS:,}; take longer steps."
+        )
     if not (steps > 0 and abs(steps - round(steps)) < 1e-6):
         raise InputError(
             f"A grid from {first:g} m to {last:g} m is not a whole number of steps of {step:g} m; "

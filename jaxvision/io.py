@@ -10,6 +10,8 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +107,7 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     source = oiio.ImageInput.open(str(file), as_stored)
     if source is None:
         raise InputError(
-            f"{file}: not readable as an image ({_one_line(oiio.geterror())}); "
+            f"{file}: not readable as an image ({_reason(oiio)}); "
             "export it again as PNG, TIFF, EXR or HDR."
         )
     try:
@@ -118,7 +120,7 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
         pixels = source.read_image(0, 0, 0, spec.nchannels, "float" if sample == "half" else sample)
         if pixels is None:
             raise InputError(
-                f"{file}: the file is damaged or cut short ({_one_line(source.geterror())}); "
+                f"{file}: the file is damaged or cut short ({_reason(source)}); "
                 "copy it again from its source."
             )
     finally:
@@ -269,7 +271,7 @@ def _write(
     for name, value in attributes.items():
         spec.attribute(name, value)
     if sink is None or not sink.open(str(file), spec):
-        raise InputError(f"{file}: cannot be written ({_one_line(oiio.geterror())}).")
+        raise InputError(f"{file}: cannot be written ({_reason(oiio)}).")
     written, row = True, 0
     for block in blocks:
         pixels = np.ascontiguousarray(block, dtype)
@@ -279,9 +281,9 @@ def _write(
         row += len(pixels)
     if row != height:
         raise ValueError(f"the blocks hold {row} rows where the picture has {height}.")
-    message = sink.geterror()
+    message = _reason(sink)
     if not (sink.close() and written):
-        raise InputError(f"{file}: cannot be written ({_one_line(message)}).")
+        raise InputError(f"{file}: cannot be written ({message}).")
 
 
 def _same_pixels(read: np.ndarray, written: np.ndarray) -> bool:
@@ -291,8 +293,16 @@ def _same_pixels(read: np.ndarray, written: np.ndarray) -> bool:
 def _read_npy(file: Path) -> np.ndarray:
     try:
         return np.load(file, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, MemoryError, TokenError) as error:
         raise InputError(f"{file}: not a NumPy array file ({_one_line(str(error))}).") from error
+
+
+def _reason(teller: Any) -> str:
+    """The last error of OpenImageIO, or of one of its files, on one line."""
+    try:
+        return _one_line(teller.geterror())
+    except UnicodeDecodeError:  # it quotes the file
+        return "it holds bytes that are not text where its format has text"
 
 
 def _one_line(message: str) -> str:

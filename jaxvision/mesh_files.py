@@ -110,6 +110,8 @@ def _load(file: Path):
     except Exception as error:  # each format's reader fails in its own way
         reason = _in_plain_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
+    if np.shape(mesh.vertices)[1:] != (3,):
+        raise InputError(f"{file}: its points do not have three coordinates; export it again.")
     if len(mesh.faces) == 0:
         raise InputError(f"{file}: holds no triangles; export it again as a mesh.")
     return mesh

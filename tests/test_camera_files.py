@@ -124,6 +124,7 @@ MISTAKES = {
     "no kind": ('kind = "Pinhole"', "", r"view\.kind is missing; use one of Orthographic, Pinhole"),
     "missing": ("focal_length = 8e-3", "", r"view\.focal_length is missing; add it"),
     "value": ("gain = 0.5", "gain = -1", r"Sensor\.gain must be finite, above 0, got -1"),
+    "out of range": ("gain = 0.5", f"gain = 1{400 * '0'}", r"sensor\.gain is out of the range"),
     "word": ("gain = 0.5", 'gain = "high"', r"sensor\.gain = 'high' must be a number"),
     "toml": ("gain = 0.5", "gain 0.5", r"not a TOML file"),
     "pattern": ('"GRBG"', '"GRRB"', r"pattern: phase must be one of RGGB"),
@@ -166,6 +167,12 @@ MISTAKES = {
         '[development.compression]\nquality = 50\nsubsampling = "4:2:1"\n[sensor]',
         r"JPEG\.subsampling must be one of 4:4:4, 4:2:0, got '4:2:1'",
     ),
+    "too many bands": (
+        "transmission = [[1.0], [0.5], [0.2]]",
+        'sensitivities = "Nikon 5100 (NPL)"\npeak = 0.5\n[bands]\nfirst = 4e-7\nlast = 7e-7\n'
+        "step = 1e-28\n[sensor.photon_conversion]\nx = 1",
+        r"bands: A grid .* has 3e\+21 wavelengths, more than 100,000; take longer steps",
+    ),
     "conversion": (
         "transmission = [[1.0], [0.5], [0.2]]",
         'sensitivities = "Nikon 5100 (NPL)"\npeak = 0.5\n[bands]\nfirst = 4e-7\nlast = 7e-7\n'
@@ -173,6 +180,12 @@ MISTAKES = {
         r"sensor\.photon_conversion\.x is not a key",
     ),
 }
+
+
+def test_a_whole_number_may_be_larger_than_an_integer_of_jax(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(GOOD.replace("gain = 0.5", f"gain = {10**20}"))
+    assert float(read_camera(file).sensor.gain) == 1e20
 
 
 @pytest.mark.parametrize("case", MISTAKES)

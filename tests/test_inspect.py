@@ -142,6 +142,10 @@ def test_what_the_picture_cannot_show_is_said():
         (lambda: plots.inspect(CODES, row=20), "row 20 is outside.*0 to 19"),
         (lambda: plots.inspect(CODES, at=(3, 30)), r"\(3, 30\) is outside.*columns 0 to 29"),
         (lambda: plots.inspect(np.zeros(5)), r"got \(5,\)"),
+        *(
+            (lambda white=white: plots.summarise(CODES, white=white), f"white = {white:g} must be")
+            for white in (np.nan, 0.0, -1.0, np.inf)
+        ),
         (lambda: plots.summarise(np.zeros((0, 2))), r"got \(0, 2\)"),
         (lambda: plots.summarise(np.array([["a"]])), "<U1"),
     ],

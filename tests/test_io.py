@@ -186,3 +186,18 @@ def test_exr_is_written_row_by_row(tmp_path):
     with pytest.raises(ValueError, match="does not fit at row 0"):
         write_exr(tmp_path / "b.exr", [picture[:, :3]], shape=picture.shape)
     assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_every_damage_of_a_header_is_a_sentence(tmp_path):
+    """A byte that is no text, which the library's own message would quote, and a cut tuple."""
+    write_image(tmp_path / "a.exr", np.ones((2, 2), np.float32))
+    damaged = bytearray((tmp_path / "a.exr").read_bytes())
+    damaged[16] = 0xFF
+    (tmp_path / "a.exr").write_bytes(damaged)
+    with pytest.raises(InputError, match=r"a\.exr: (not readable|the file is damaged)"):
+        read_image(tmp_path / "a.exr")
+    np.save(tmp_path / "a.npy", np.ones((2, 2)))
+    header = (tmp_path / "a.npy").read_bytes().replace(b"(2, 2)", b"(2, 2 ")
+    (tmp_path / "a.npy").write_bytes(header)
+    with pytest.raises(InputError, match=r"a\.npy: not a NumPy array file"):
+        read_image(tmp_path / "a.npy")

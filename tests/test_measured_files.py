@@ -335,3 +335,11 @@ def test_rgl_numbers_that_cannot_be_are_named(tmp_path, new, words):
     fields[name] = np.full_like(fields[name], value)
     path = write(tmp_path, "x.bsdf", oracle.tensor_bytes(fields))
     refused(files.read_rgl, path, *words)
+
+
+def test_what_the_dtype_cannot_hold_is_refused(tmp_path):
+    """1e39 is a number in float64 and infinite in float32, in which it would arrive."""
+    path = write(tmp_path, "huge.brdf", "1\n500\n0.1 0 0.1 0 1e39\n")
+    assert files.read_cornell(path).values[0, 0] == 1e39
+    with jax.enable_x64(False):
+        refused(files.read_cornell, path, "line 3", "not a finite number")

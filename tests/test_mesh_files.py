@@ -147,3 +147,10 @@ def test_without_trimesh_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(InputError, match=r"install it with `pip install jaxvision\[mesh\]`"):
         read_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_points_have_three_coordinates(tmp_path, smooth):
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 1 1\nf 1 2 3\n")
+    with pytest.raises(InputError, match=r"flat\.obj: its points do not have three coordinates"):
+        read_mesh(tmp_path / "flat.obj", smooth=smooth)

@@ -184,6 +184,7 @@ def test_sums_and_moments_say_the_same(tmp_path):
         ({"tail": ("9,9000,1,2",)}, "row 9 has 4 cells"),
         ({"tail": ("9,9000,x,2,3,4,10000",)}, "'x' in row 9 of column mean_bright_DN"),
         ({"tail": ("9,9000,nan,2,3,4,10000",)}, "row 9 of column mean_bright_DN is not finite"),
+        ({"tail": ("9,9e33,900,2,3,4,10000",)}, "photons_per_pixel reaches 9e.33.*the unit"),
         ({"tail": ("9,9000,1500,400,20,6,20000",)}, "all need the same number"),
         ({"row": ROW.replace("20.0,6.0", "20.0,-6.0")}, "negative variance"),
         ({"row": ROW.replace("{0}", "0")}, "no positive exposure"),

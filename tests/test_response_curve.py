@@ -143,6 +143,13 @@ def test_images_without_information_are_refused(level):
         fit_response_curve(codes, TIMES, bits=8)
 
 
+def test_copies_of_one_image_are_refused():
+    """They would need a response without slope."""
+    codes = np.tile(np.random.default_rng(8).integers(5, 250, 5000).astype(np.uint16), (9, 1))
+    with pytest.raises(InputError, match="the images determine no curve; check that each"):
+        fit_response_curve(codes, TIMES, bits=8)
+
+
 def test_exposures_that_share_no_pixels_are_refused():
     rng = np.random.default_rng(8)
     codes = np.zeros((4, 4000), np.uint16)

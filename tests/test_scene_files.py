@@ -355,6 +355,14 @@ REFUSED = {
     "no field": (SCENE.replace("field_of_view = 60", ""), "camera: give either field_of_view"),
     "up": (SCENE.replace("target", "up = [0, 1, 0]\ntarget"), "camera: up lies along the line"),
     "eye": (SCENE.replace("target = [0, 0, 0]", "target = [0, -4, 0]"), "camera: .* one point"),
+    "countless": (
+        SCENE + f"[render]\nsamples = 1{22 * '0'}\n",
+        r"render\.samples = 1000.*2147483648",
+    ),
+    "fine grid": (
+        "wavelengths = {first = 400, last = 700, step = 1e-20}\n" + SCENE,
+        r"wavelengths: 3e\+22 wavelengths are more than 100,000",
+    ),
     "grid": (
         "wavelengths = {first = 400, last = 500, step = 33}\n" + SCENE,
         "wavelengths: last must lie a whole number of steps",

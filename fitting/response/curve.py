@@ -256,7 +256,13 @@ def _solve(
         normal = matrix.copy()
         normal[curve, curve] += smoothness * prior
         normal[errors, errors] += np.eye(free) / shutter_error**2
-        covariance = cho_solve(cho_factor(normal, lower=True), np.eye(size + free))
+        try:
+            covariance = cho_solve(cho_factor(normal, lower=True), np.eye(size + free))
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                "the images determine no curve; check that each is an exposure of its own, as "
+                "different from the others as its time."
+            ) from error
         mean = covariance @ right
         g, d = mean[curve], mean[errors]
         determined = max(size - 2 - smoothness * np.sum(prior * covariance[curve, curve]), 1.0)

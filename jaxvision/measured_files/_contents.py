@@ -1,12 +1,22 @@
 """Shared by the readers: the bytes of a file, and the units that files use."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
 
 from ..errors import InputError
 
 NANOMETRE = 1e-9
 TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
+
+
+def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:
+    """Which values, in any unit, are finite in JAX's default dtype, which a record takes."""
+    with np.errstate(over="ignore"):
+        return np.isfinite(np.asarray(values).astype(jnp.result_type(float)))
 
 
 def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:

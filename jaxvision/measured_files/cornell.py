@@ -17,7 +17,7 @@ import numpy as np
 from ..brdf.measured import BRDFSamples
 from ..errors import InputError
 from ..io import replaced_on_success
-from ._contents import NANOMETRE, TURN, contents_of
+from ._contents import NANOMETRE, TURN, contents_of, representable
 
 Row = tuple[int, list[float]]  # the number of its line, and its numbers
 
@@ -62,7 +62,7 @@ def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
                 f"{file}, line {number}: {' '.join(words)[:40]!r} is not a row of numbers; correct "
                 "it or start it with #."
             ) from None
-        if not np.isfinite(numbers).all():
+        if not representable(numbers).all():
             raise InputError(
                 f"{file}, line {number}: a value is not a finite number; remove the row."
             )

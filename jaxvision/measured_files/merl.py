@@ -20,7 +20,7 @@ import numpy as np
 from ..brdf.half_difference import HalfDifferenceTable
 from ..errors import InputError
 from ..io import replaced_on_success
-from ._contents import contents_of
+from ._contents import contents_of, representable
 
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
@@ -78,9 +78,9 @@ def read_merl(
             "file is cut short or damaged, copy it again from its source."
         )
     stored = np.frombuffer(data, "<f8", offset=12).reshape(3, *shape)
-    if not np.isfinite(stored).all():
+    if not (finite := representable(stored)).all():
         raise InputError(
-            f"{file}: {np.count_nonzero(~np.isfinite(stored))} values are not finite numbers; the "
+            f"{file}: {np.count_nonzero(~finite)} values are not finite numbers; the "
             "file is damaged, copy it again from its source."
         )
     valid = np.asarray((stored >= 0).all(axis=0))

@@ -17,7 +17,7 @@ import numpy as np
 from ..brdf.rgl import RGL, rgl_material
 from ..errors import InputError
 from ..io import replaced_on_success
-from ._contents import NANOMETRE, TURN, contents_of
+from ._contents import NANOMETRE, TURN, contents_of, representable
 from ._tensor_file import fields_in, tensor_file
 
 
@@ -56,7 +56,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
                 f"{file}: field {name!r} has shape {shape}, which does not fit {nodes[0]} azimuths "
                 f"and {nodes[1]} elevations of {bands} bands; copy the file again."
             )
-        if not np.isfinite(fields[name]).all():
+        if not representable(fields[name]).all():
             raise InputError(
                 f"{file}: field {name!r} holds values that are not finite; copy the file again."
             )

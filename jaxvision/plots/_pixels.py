@@ -20,6 +20,8 @@ def checked(image: np.ndarray) -> np.ndarray:
 def white_level(pixels: np.ndarray, white: float | None) -> float:
     """The value from which a pixel counts as saturated."""
     if white is not None:
+        if not 0 < white < np.inf:
+            raise InputError(f"white = {white:g} must be a finite number above 0; correct it.")
         return float(white)
     return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
 

@@ -62,7 +62,7 @@ class RenderEntry(Entry):
     order: Count = 8
     shadows: bool = True
     patches: Count = 1000
-    gather: Annotated[int, Field(strict=True, ge=0)] = 0
+    gather: Annotated[int, Field(strict=True, ge=0, lt=2**31)] = 0
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
     tile: Count = 65536
     dtype: Literal["float32", "float64"] = "float32"

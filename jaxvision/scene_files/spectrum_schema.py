@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from ..colour_data import MOST_BANDS
 from ..toml_files import Entry
 
 # strict: strings and booleans are not numbers
@@ -13,7 +14,7 @@ Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Axes = tuple[Vector, Vector, Vector]
-Count = Annotated[int, Field(strict=True, ge=1)]
+Count = Annotated[int, Field(strict=True, ge=1, lt=2**31)]
 
 
 class Tabulated(Entry):
@@ -82,6 +83,8 @@ class Grid(Entry):
         steps = (self.last - self.first) / self.step
         if steps < 1 or abs(steps - round(steps)) > 1e-6:
             raise ValueError("last must lie a whole number of steps above first")
+        if steps >= MOST_BANDS:
+            raise ValueError(f"{steps + 1:.3g} wavelengths are more than {MOST_BANDS:,}")
         return self
 
 
