@@ -11,6 +11,9 @@ from .fits.solve import (
 from .inference.emcee_run import (
     SamplingOptions as SamplingOptions,
 )
+from .inference.estimates import (
+    Estimate as Estimate,
+)
 from .inference.likelihoods import (
     Censored as Censored,
     Clustered as Clustered,
@@ -33,6 +36,9 @@ from .inference.priors import (
 from .inference.problem import (
     Problem as Problem,
     Tied as Tied,
+)
+from .inference.statement import (
+    InputError as InputError,
 )
 from .sensor_likelihoods import (
     SensorCounts as SensorCounts,

@@ -17,10 +17,11 @@ from jaxtyping import Array, Float
 from scipy.special import ndtri
 
 from jaxvision import Sensor
+from jaxvision.errors import InputError
 from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
 from jaxvision.sensor.adc import largest_number
 
-from .inference.likelihoods import Censored
+from .inference.likelihoods import Censored, is_concrete
 
 FAR = 40.0  # standard deviations: no probability is left beyond
 ROUNDING = 0.5  # DN between a code and the ends of its interval
@@ -45,16 +46,8 @@ class SensorNoise(eqx.Module):
     """
 
     sensor: Sensor | str
-
-    @property
-    def least_squares(self) -> bool:
-        """No: the variance depends on the light."""
-        return False
-
-    @property
-    def surrogate(self) -> None:
-        """None: Newton's method searches it."""
-        return None
+    least_squares = False  # the variance depends on the light
+    surrogate = None
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's; at an end of the range, ln of the probability beyond.
@@ -66,24 +59,24 @@ class SensorNoise(eqx.Module):
         Returns:
             (..., bands).
         """
-        return self._signal(prediction).log_density(self.expected(prediction), data)
+        return self._signal(prediction).log_density(self._mean(prediction), data)
 
     def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> np.ndarray:
         """Normal deviates of the data."""
-        return self._signal(prediction).residuals(self.expected(prediction), data, chance)
-
-    def expected(self, prediction: Array) -> Array:
-        """Mean signal before it is clipped, DN."""
-        return expected_signal(_record(self.sensor), jnp.asarray(prediction))
+        return self._signal(prediction).residuals(self._mean(prediction), data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, rounded and clipped where there is an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
         analogue = eqx.tree_at(lambda s: s.bits, sensor, None, is_leaf=lambda x: x is None)
         deviation = jnp.sqrt(signal_variance(analogue, prediction))  # rounding brings its own
-        signal = Censored(deviation).draw(key, self.expected(prediction))
+        signal = Censored(deviation).draw(key, self._mean(prediction))
         bits = sensor.bits
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
+
+    def _mean(self, prediction: Array) -> Array:
+        """Signal before it is clipped, DN."""
+        return expected_signal(_record(self.sensor), jnp.asarray(prediction))
 
     def _deviation(self, prediction: Array) -> Array:
         return jnp.sqrt(signal_variance(_record(self.sensor), jnp.asarray(prediction)))
@@ -114,16 +107,12 @@ class SensorCounts(eqx.Module):
 
     sensor: Sensor | str
     reach: int = eqx.field(static=True)
+    least_squares = False
+    surrogate = None
 
-    @property
-    def least_squares(self) -> bool:
-        """No: -2 ln p is no sum of squares."""
-        return False
-
-    @property
-    def surrogate(self) -> None:
-        """None: Newton's method searches it."""
-        return None
+    def __check_init__(self) -> None:
+        if not isinstance(self.sensor, str):
+            _check_counts(self.sensor, self.reach)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """ln P of each code.
@@ -135,6 +124,7 @@ class SensorCounts(eqx.Module):
         Returns:
             (..., bands).
         """
+        _check_counts(_record(self.sensor), self.reach)
         mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(data, counts)
         masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
@@ -159,10 +149,6 @@ class SensorCounts(eqx.Module):
         below, upto = (np.asarray(part, np.float64) for part in (below, upto))
         return ndtri(below + chance * (upto - below))
 
-    def expected(self, prediction: Array) -> Array:
-        """Mean signal before it is rounded and clipped, DN."""
-        return expected_signal(_record(self.sensor), prediction)
-
     def draw(self, key: Array, prediction: Array) -> Array:
         """Codes as they might have been."""
         counted, read = jax.random.split(key)
@@ -173,8 +159,7 @@ class SensorCounts(eqx.Module):
         return jnp.clip(codes, *self._range())
 
     def _gain(self) -> Array:
-        gain = _record(self.sensor).gain
-        return jnp.ones(()) if gain is None else gain
+        return cast(Array, _record(self.sensor).gain)
 
     def _offset(self) -> Array:
         offset = _record(self.sensor).offset
@@ -215,6 +200,23 @@ class SensorCounts(eqx.Module):
         low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
         high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
         return low, high
+
+
+def _check_counts(sensor: Sensor, reach: int) -> None:
+    """Refuses a sensor that does not count, and a sum that ends too near to each code."""
+    for name in ("shot_noise", "read_noise", "gain"):
+        if getattr(sensor, name) is None:
+            raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
+    if not is_concrete(sensor):
+        return
+    gain = jnp.asarray(sensor.gain)
+    noise = np.sqrt(np.asarray(read_out_variance(sensor, dtype=gain.dtype)))
+    needed = np.max(8 * noise + ROUNDING / np.asarray(gain))
+    if reach < needed:
+        raise InputError(
+            f"SensorCounts: reach = {reach} electrons cuts off probability: at least "
+            f"{int(np.ceil(needed))} are needed for this read noise and gain."
+        )
 
 
 def _record(sensor: Sensor | str) -> Sensor:

@@ -20,6 +20,7 @@ from fitting import (
 from fitting.inference.likelihoods import Likelihood, with_values
 from fitting.inference.misfit import judge
 from jaxvision import PoissonShotNoise, Sensor
+from jaxvision.errors import InputError
 
 PREDICTION = jnp.array([0.0, 1.0, 5.0, -2.0])
 DATA = jnp.array([0.3, -4.0, 5.0, -1.0])
@@ -73,6 +74,14 @@ def test_a_name_in_place_of_a_number():
     np.testing.assert_allclose(
         named.log_density(PREDICTION, DATA), StudentT(SD, 4.0).log_density(PREDICTION, DATA)
     )
+
+
+@pytest.mark.parametrize(
+    "wrong", [lambda: Gaussian(-0.1), lambda: StudentT(0.0), lambda: Censored(-1)]
+)
+def test_a_width_that_is_none_is_refused(wrong):
+    with pytest.raises(InputError, match="must be positive"):
+        wrong()
 
 
 def test_chi_square_and_neighbours():
@@ -175,6 +184,20 @@ def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
         plain = (inside.cdf(high) - inside.cdf(low)) @ stats.poisson.pmf(n, light)
         np.testing.assert_allclose(np.exp(ours)[:, 0], plain, rtol=1e-7, atol=1e-12)
         np.testing.assert_allclose(np.exp(ours).sum(), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "reach", "expected"),
+    [
+        ({"read_noise": 3.0}, 40, "needs a sensor with gain"),
+        ({"gain": 0.5}, 40, "needs a sensor with read_noise"),
+        ({"gain": 0.5, "read_noise": 3.0}, 20, "at least 25 are needed"),
+    ],
+)
+def test_a_sensor_that_cannot_be_counted_is_refused(options, reach, expected):
+    with pytest.raises(InputError, match=expected):
+        SensorCounts(sensor(**options), reach)
+    SensorCounts(sensor(gain=0.5, read_noise=3.0), 25)
 
 
 @pytest.mark.parametrize(

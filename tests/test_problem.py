@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from scipy import stats
 
-from fitting import Clustered, Gaussian, Normal, Parameter, Problem, Tied, fit
+from fitting import Gaussian, Normal, Parameter, Problem, Tied, fit
 from fitting.inference.problem import log_density, prediction, values_at
 from fitting.inference.search import spread_starts
 from jaxvision import Lambert, Phong, PointLight, Scene, Sphere, Surface
@@ -219,6 +219,17 @@ def test_a_wrong_path_is_told_what_is_there(name, expected):
         ({"data": np.zeros(4)}, r"predict gives an array of shape \(3,\), the data have \(4,\)"),
         ({"likelihood": Gaussian(sd="s")}, "The likelihood names 's': no such parameter"),
         ({"parameters": {"values": Parameter()}}, "'values' is taken"),
+        ({"data": np.array([0.0, np.inf, 1.0])}, "1 of the data are infinite"),
+        ({"predict": lambda *a: a[0]}, r"predict takes \*a"),
+        ({"likelihood": object()}, "object is no likelihood: it lacks least_squares, surrogate"),
+        (
+            {"parameters": {"a": Parameter(), "b": Tied(lambda values: values["aa"])}},
+            "The tie of b asks for 'aa': no such parameter; the nearest is 'a'",
+        ),
+        (
+            {"parameters": {"a": Parameter(shape=(3,), lower=(0, 1))}},
+            "bounds and priors do not fit a value of shape",
+        ),
     ],
 )
 def test_a_problem_that_cannot_be_is_refused(change, expected):
@@ -358,20 +369,6 @@ def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
             np.zeros(3),
             records=record,
         )
-
-
-def test_groups_excuse_a_misfit_only_where_they_share_errors():
-    """A straight line through a parabola, in three groups."""
-    x = np.linspace(-1.0, 1.0, 30)
-
-    def fitted(labels):
-        line = {"a": Parameter(start=0.0), "b": Parameter(start=0.0)}
-        likelihood = Clustered(Gaussian(sd=0.01), labels)
-        return fit(Problem(line, lambda a, b: a + b * x, likelihood, x**2))
-
-    few = fitted(np.repeat(np.arange(3), 10))
-    assert not few.converged
-    assert "Too few groups" in " ".join(few.findings)
 
 
 def test_a_misfit_widens_what_the_data_say_and_not_the_prior():

@@ -1,35 +1,31 @@
 """`fit`: a problem to its posterior, with a verdict."""
 
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxvision.errors import InputError
 
-from ..inference.clustering import cluster_robust, curvature_stretch
-from ..inference.diagnostics import identifiability
+from ..inference.clustering import curvature_stretch
+from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.emcee_run import SamplingOptions
 from ..inference.likelihoods import Clustered
-from ..inference.misfit import Misfit, judge
+from ..inference.misfit import judge
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
+from ..inference.parameters import log_prior
 from ..inference.posterior import Posterior, laplace, sample
-from ..inference.problem import (
-    Problem,
-    Vector,
-    likelihood_at,
-    log_density,
-    log_likelihood_terms,
-    prediction,
-    values_at,
-)
+from ..inference.problem import Problem, Vector, log_density, log_likelihood
 from ..inference.search import Optimum, search, spread_starts, start_at
 from .result import Fit
+from .widening import Widening, residuals_at, widening
 from .words import about_posterior, about_search, verdict
 
+SINGLE_ROUNDING = 1e-6  # of a scaled eigenvalue computed with 7 digits
 Options = SamplingOptions | NutsOptions
 
 
@@ -42,6 +38,7 @@ def fit(
     misfit: Literal["fail", "inflate"] = "fail",
     sampling: Options | None = None,
     seed: int = 0,
+    after: Fit | None = None,
 ) -> Fit:
     """Fits a problem: the best of many searches, its posterior, and whether to believe it.
 
@@ -60,17 +57,21 @@ def fit(
             `nuts` extra).
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
             or `inflate` the intervals by the square root of chi-square per degree of freedom
-            (Birge's factor), which takes the model for a sufficient approximation.
+            (Birge's factor), which takes the model for a sufficient approximation. The intervals
+            of `Clustered` are wider by themselves; `inflate` then accepts also a misfit that is
+            more than an offset and a gain of each group.
         sampling: how long to sample: `SamplingOptions` of emcee, `NutsOptions` of NUTS; None for
             their defaults.
         seed: of starts and draws.
+        after: a fit of the same problem and seed whose chains go on, with more steps or draws in
+            `sampling`: they end bit-identical to chains that never stopped.
 
     Returns:
         The fit.
 
     Raises:
         InputError: for a start that names no parameter, a model that is finite nowhere, data that
-            leave a direction open, and NUTS without blackjax.
+            leave a direction open, chains to go on from that are others, and NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -90,25 +91,79 @@ def fit(
         True
     """
     options = _options(posterior, sampling)
-    if start is None:
-        begin = spread_starts(problem, starts, seed=seed)
+    if misfit not in ("fail", "inflate"):
+        raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
+    if after is None:
+        begin = _given(problem, start)[None] if start else spread_starts(problem, starts, seed=seed)
+        optimum = _determined(problem, search(problem, begin))
     else:
-        begin = _given(problem, start)[None]
-    optimum = search(problem, begin)
+        optimum = _searched_before(after, options)
+    covariance = _inverse(optimum.curvature)
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
-    judged = identifiability(problem.space, optimum.information)
-    if not judged.determined:
-        raise InputError(" ".join(judged.sentences))
-    covariance = _inverse(optimum)
-    residuals = _residuals(problem, vector)
-    determined = float(np.trace(optimum.data_information @ covariance))
-    checks = judge(residuals, determined)
-    widened, words, explained = _widened(problem, vector, optimum, covariance, checks, misfit)
-    drawn = _draw(problem, vector, optimum, widened, options, seed)
-    failures = verdict(optimum, checks, words if explained else ())
-    failures += about_search(optimum)
-    findings = (*words, *checks.remarks, *about_posterior(problem, optimum, drawn))
-    return Fit(problem, optimum, drawn, checks, residuals, tuple(failures), findings)
+    residuals = residuals_at(problem, vector, seed=seed)
+    checks = judge(residuals, float(np.trace(optimum.data_information @ covariance)))
+    wide = widening(
+        *(problem, optimum, covariance, residuals, checks), inflate=misfit == "inflate", seed=seed
+    )
+    before = None if after is None else after.posterior
+    drawn = _draw(problem, vector, optimum, wide, options, seed, before)
+    failures = verdict(optimum, checks, wide.explained) + about_search(optimum, drawn)
+    findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
+    settings = {
+        "starts": len(optimum.costs),
+        "posterior": posterior,
+        "misfit": misfit,
+        "likelihood": type(problem.likelihood).__name__,
+        **_numbers(options),
+    }
+    return Fit(
+        *(problem, optimum, drawn, checks, residuals, tuple(failures), findings),
+        noise=wide.noise,
+        settings=settings,
+    )
+
+
+def _numbers(options: Options | None) -> dict[str, Any]:
+    """What a report repeats of a sampler's options."""
+    if options is None:
+        return {}
+    return {
+        field.name: getattr(options, field.name)
+        for field in fields(options)
+        if isinstance(getattr(options, field.name), int | float)
+    }
+
+
+def _searched_before(after: Fit, options: Options | None) -> Optimum:
+    """The optimum of a fit whose chain goes on."""
+    if options is None or not after.posterior.blocks:
+        raise InputError(
+            "after: only chains go on; give a fit by posterior='emcee' or 'nuts', and the same one."
+        )
+    return after.optimum
+
+
+def _determined(problem: Problem, optimum: Optimum) -> Optimum:
+    """The optimum, refused where some direction is open; a saddle comes with its own curvature."""
+    precise = problem.data.dtype == jnp.float64
+    rounding = UNDETERMINED if precise else SINGLE_ROUNDING
+    judged = identifiability(problem.space, optimum.curvature, rounding=rounding)
+    if judged.determined:
+        return optimum
+    vector = jnp.asarray(optimum.vector, problem.data.dtype)
+    exact = replace(optimum, information=np.asarray(_hessian(vector, problem), np.float64))
+    if (
+        exact.saddle
+        and identifiability(problem.space, exact.curvature, rounding=rounding).determined
+    ):
+        return replace(exact, stationary=False)
+    hint = () if precise else ("jax.config.update('jax_enable_x64', True) may tell, by 16 digits.",)
+    raise InputError(" ".join((*judged.sentences, *hint)))
+
+
+@eqx.filter_jit
+def _hessian(vector: Vector, problem: Problem) -> Array:
+    return -jax.hessian(log_density)(vector, problem)
 
 
 def _options(posterior: str, sampling: Options | None) -> Options | None:
@@ -143,93 +198,45 @@ def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
     return start_at(problem.space, np.concatenate(parts))
 
 
-def _inverse(optimum: Optimum) -> np.ndarray:
-    """Covariance from the information, its saddle directions taken positive: a search that did not
-    end at a maximum says so in words, not by a matrix that cannot be drawn from."""
-    scale = np.sqrt(np.abs(np.diagonal(optimum.information)))
-    values, axes = np.linalg.eigh(optimum.information / np.outer(scale, scale))
-    half = axes / np.sqrt(np.abs(values)) / scale[:, None]
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """By the eigenvalues of the scaled matrix, positive to the last digit."""
+    scale = np.sqrt(np.diagonal(information))
+    values, axes = np.linalg.eigh(information / np.outer(scale, scale))
+    half = axes / np.sqrt(values) / scale[:, None]
     return half @ half.T
 
 
-@eqx.filter_jit
-def _at_mode(vector: Vector, problem: Problem) -> tuple[Array, Any]:
-    values = values_at(problem, vector)
-    return prediction(problem, values), likelihood_at(problem, values)
-
-
-def _residuals(problem: Problem, vector: Array) -> Float[np.ndarray, "..."]:
-    """Standardised residuals, NaN where a datum is missing."""
-    predicted, likelihood = _at_mode(vector, problem)
-    chance = np.random.default_rng(0).uniform(size=problem.data.shape)
-    found = np.asarray(
-        likelihood.residuals(np.asarray(predicted), np.asarray(problem.data), chance), np.float64
-    )
-    return found if problem.present is None else np.where(problem.present, found, np.nan)
-
-
-@eqx.filter_jit
-def _scores(vector: Vector, problem: Problem) -> Array:
-    """(P, data) gradient of every datum's log density."""
-    terms = jax.jacfwd(lambda v: log_likelihood_terms(v, problem).ravel())(vector)
-    return terms.T
-
-
-def _widened(
-    problem: Problem,
-    vector: Array,
-    optimum: Optimum,
-    covariance: np.ndarray,
-    checks: Misfit,
-    misfit: str,
-) -> tuple[np.ndarray, tuple[str, ...], bool]:
-    """The covariance that allows for what the model misses, why, in words, and whether a misfit is
-    explained by it: groups explain one only where they share errors."""
-    if isinstance(problem.likelihood, Clustered):
-        labels = np.unique(np.asarray(problem.likelihood.labels).ravel(), return_inverse=True)[1]
-        scores = np.asarray(_scores(vector, problem), np.float64)
-        prior = optimum.information - optimum.data_information
-        robust = cluster_robust(scores, optimum.information, labels, None, prior=prior)
-        words = f"Residuals share errors within the {labels.max() + 1} groups"
-        if np.isnan(robust.by_light):
-            words = "Too few groups to see errors that they share"
-        elif robust.design_effect == 1:
-            words = "The groups' residuals show no shared errors"
-        sentence = (
-            f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
-        )
-        return robust.gaussian_covariance, (sentence,), robust.design_effect > 1
-    if misfit == "inflate" and checks.dof > 0 and checks.chi_square > checks.dof:
-        factor = checks.chi_square / checks.dof
-        prior = optimum.information - optimum.data_information
-        widened = np.linalg.inv(optimum.data_information / factor + prior)
-        sentence = (
-            f"Chi-square per degree of freedom is {factor:.4g}; what the data say is widened by "
-            f"{np.sqrt(factor):.3g}, as if their noise were that much larger."
-        )
-        return widened, (sentence,), True
-    return covariance, (), False
-
-
 def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
-    """The posterior, stretched about its mode to a wider covariance."""
+    """The posterior, prior and all, stretched about its mode to a wider covariance."""
     problem, mode, stretch = args
     return log_density(mode + stretch @ (vector - mode), problem)
+
+
+def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
+    """The posterior of data whose every error is larger by a factor; the prior as it is."""
+    problem, factor = args
+    return log_likelihood(vector, problem) / factor**2 + log_prior(problem.space, vector)
 
 
 def _draw(
     problem: Problem,
     vector: Array,
     optimum: Optimum,
-    covariance: np.ndarray,
+    wide: Widening,
     options: Options | None,
     seed: int,
+    after: Posterior | None,
 ) -> Posterior:
-    space = problem.space
+    space, covariance = problem.space, wide.covariance
     if options is None:
         return laplace(log_density, space, vector, problem, covariance=covariance, seed=seed)
-    stretch = jnp.asarray(curvature_stretch(optimum.information, covariance), vector.dtype)
-    exact = (_stretched_log_density, space, vector, covariance, (problem, vector, stretch))
+    density: tuple[Any, Any] = (log_density, problem)
+    if wide.noise > 1:
+        density = (_tempered_log_density, (problem, jnp.asarray(wide.noise, vector.dtype)))
+    elif isinstance(problem.likelihood, Clustered):
+        stretch = jnp.asarray(curvature_stretch(optimum.curvature, covariance), vector.dtype)
+        density = (_stretched_log_density, (problem, vector, stretch))
+    run = (density[0], space, vector, covariance, density[1])
     if isinstance(options, NutsOptions):
-        return nuts(*exact, options=options, seed=seed)
-    return sample(*exact, options=options, seed=seed)
+        return nuts(*run, options=options, seed=seed, after=after)
+    return sample(*run, options=options, seed=seed, after=after)

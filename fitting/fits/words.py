@@ -5,7 +5,14 @@ import numpy as np
 
 from ..inference.diagnostics import identifiability, listed
 from ..inference.misfit import Misfit
-from ..inference.parameters import ParameterSpace, ends, names, prior_values
+from ..inference.parameters import (
+    Parameter,
+    ParameterSpace,
+    ends,
+    prior_values,
+    scaled_ends,
+    to_natural,
+)
 from ..inference.posterior import Posterior, convergence_in_words
 from ..inference.problem import Problem
 from ..inference.search import SAME_PLACE, Optimum
@@ -13,27 +20,35 @@ from ..inference.search import SAME_PLACE, Optimum
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
 APART = 5.0  # standard deviations between two optima
-AT_END = 0.01  # share of a range that is its end
+NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need not agree
+# Standard deviations from a bound to the median: .7 for a density that falls off from the bound,
+# 1.1 for half a Gaussian, 1.7 for a flat one.
+AT_END = 1.25
 
 
-def verdict(optimum: Optimum, checks: Misfit, explanation: tuple[str, ...]) -> list[str]:
+def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
     """Why the end of a search is no fit; empty if it is one.
 
     Args:
         optimum: the end.
         checks: of its residuals.
-        explanation: of a misfit, where one is allowed for.
+        explained: whether a misfit is allowed for.
 
     Returns:
         Sentences.
     """
     failures = []
-    if not optimum.stationary:
+    if optimum.saddle:
+        failures.append(
+            "The search ended at a saddle, from which the density rises to both sides: try more "
+            "starts."
+        )
+    elif not optimum.stationary:
         failures.append(
             "The search stopped before a maximum: another step promises "
             f"{optimum.decrement:.2g} in log density; try more starts, or narrower bounds."
         )
-    if not explanation:
+    if not explained:
         failures += checks.faults
     elif checks.faults and agreeing(optimum) < 2:
         failures.append(
@@ -48,12 +63,24 @@ def agreeing(optimum: Optimum) -> int:
     return int(np.sum(optimum.costs < SAME_PLACE))
 
 
-def about_search(optimum: Optimum) -> list[str]:
-    """Another place that fits as well, where the searches found one."""
-    values, axes = np.linalg.eigh(optimum.information)
-    root = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
-    distance = np.linalg.norm((optimum.ends - optimum.vector) @ root.T, axis=-1)
-    limit = APART * np.sqrt(len(optimum.vector))
+def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
+    """Another place that fits as well, where the searches found one.
+
+    Args:
+        optimum: where they ended.
+        posterior: of the best of them, which says what is far.
+
+    Returns:
+        Sentences.
+    """
+    ends = np.asarray(to_natural(posterior.space, jnp.asarray(optimum.ends)), np.float64)
+    spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
+    size = np.sqrt(np.diagonal(spread))
+    size = np.where(size > 0, size, 1)
+    values, axes = np.linalg.eigh(spread / np.outer(size, size))
+    apart = (ends - ends[np.argmin(optimum.costs)]) / size @ axes
+    distance = np.linalg.norm(apart / np.sqrt(np.maximum(values, NARROWEST)), axis=-1)
+    limit = APART * np.sqrt(len(size))
     others = int(np.sum((optimum.costs < SAME_PLACE) & (distance > limit)))
     if not others:
         return []
@@ -74,12 +101,18 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
     Returns:
         Sentences.
     """
-    found = [*identifiability(problem.space, optimum.data_information).sentences]
+    found = []
+    if not optimum.saddle:
+        found += identifiability(problem.space, optimum.data_information).sentences
     found += _prior_alone(problem.space, posterior)
     found += _at_ends(problem.space, posterior)
     if posterior.method == "Laplace":
         spread = np.sqrt(np.diagonal(posterior.covariance))
-        skew = [name for name, sd in zip(names(problem.space), spread, strict=True) if sd > SKEWED]
+        skew = [
+            parameter.name
+            for parameter, sd in zip(problem.space, spread, strict=True)
+            if sd > SKEWED and not _own_scale(parameter)
+        ]
         if skew:
             found.append(
                 f"The intervals of {listed(skew)} are wide, so that a Gaussian may misjudge them: "
@@ -119,17 +152,23 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
     ]
 
 
+def _own_scale(parameter: Parameter) -> bool:
+    """Whether a number is searched as it is, so that a Gaussian in it has no skew."""
+    return parameter.transform == "identity" and not np.isfinite(ends(parameter)).any()
+
+
 def _at_ends(space: ParameterSpace, posterior: Posterior) -> list[str]:
+    """Bounds within the reach of the posterior, on the scale on which a number is at home."""
     found = []
-    for parameter, value in zip(space, posterior.mode, strict=True):
-        low, high = ends(parameter)
-        width = high - low
-        if not np.isfinite(width):
-            continue
-        for end, distance in (("lower", value - low), ("upper", high - value)):
-            if distance < AT_END * width and parameter.transform == "identity":
+    _, share = prior_share(space, posterior)
+    for parameter, draws, known in zip(space, posterior.samples.T, share, strict=True):
+        draws = draws if parameter.transform == "identity" else np.log(draws)
+        low, high = scaled_ends(parameter)
+        middle, sd = np.median(draws), np.std(draws)
+        for end, distance in (("lower", middle - low), ("upper", high - middle)):
+            if distance < AT_END * sd and known <= PRIOR_ALONE:
                 found.append(
-                    f"{parameter.name} lies at the {end} end of its range: the data may want it "
-                    "beyond."
+                    f"{parameter.name} lies {distance / sd:.1f} standard deviations from the {end} "
+                    "end of its range: the data may want it beyond."
                 )
     return found

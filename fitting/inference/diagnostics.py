@@ -35,13 +35,17 @@ class Identifiability:
 
 
 def identifiability(
-    space: ParameterSpace, information: Float[np.ndarray, "parameters parameters"]
+    space: ParameterSpace,
+    information: Float[np.ndarray, "parameters parameters"],
+    *,
+    rounding: float = UNDETERMINED,
 ) -> Identifiability:
     """Judges an information matrix.
 
     Args:
         space: the P parameters.
         information: (P, P) on the unconstrained scale.
+        rounding: scaled eigenvalue up to which a direction counts as open.
 
     Returns:
         Variance inflation, and sentences.
@@ -60,7 +64,7 @@ def identifiability(
         return Identifiability(np.where(blind, np.inf, 1.0), False, (sentence,))
     size = np.sqrt(diagonal)
     eigenvalues, directions = np.linalg.eigh(information / np.outer(size, size))
-    open_ = eigenvalues <= UNDETERMINED
+    open_ = eigenvalues <= rounding
     if open_.any():
         touched = (np.abs(directions[:, open_]) > 1e-3).any(axis=1)
         inflation = np.where(touched, np.inf, 1.0)

@@ -4,7 +4,6 @@ Each is a record with
 
     log_density(prediction, data)       ln p of every datum, (data)
     residuals(prediction, data, chance) standard normal for every datum if the model holds, (data)
-    expected(prediction)                mean of the data, (data)
     draw(key, prediction)               data as they might have been, (data)
 
 `least_squares`, whether ln p is -residual^2 / 2 but for constants, so that a fit may use Levenberg
@@ -18,15 +17,19 @@ of the probability below a datum. Where a datum covers an interval, a clipped on
 """
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.scipy.special import gammaln, log_ndtr
 from jaxtyping import Array, Float
 from scipy.special import ndtr, ndtri, stdtr
+
+from jaxvision.errors import InputError
 
 from .priors import HALF_LOG_2PI
 
@@ -44,8 +47,35 @@ class Likelihood(Protocol):
     def surrogate(self) -> "Likelihood | None": ...
     def log_density(self, prediction: Array, data: Array) -> Array: ...
     def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers: ...
-    def expected(self, prediction: Array) -> Array: ...
     def draw(self, key: Array, prediction: Array) -> Array: ...
+
+
+def is_concrete(tree: Any) -> bool:
+    """Whether all numbers of a tree are known, outside of any transformation.
+
+    Args:
+        tree: a PyTree.
+
+    Returns:
+        False while JAX traces it.
+    """
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def require_positive(what: str, value: Any) -> None:
+    """Refuses what can be no width; a name, or a value not known yet, passes.
+
+    Args:
+        what: is judged, in words.
+        value: number, array, or the name of a parameter.
+
+    Raises:
+        InputError: where it is 0 or less.
+    """
+    if isinstance(value, str) or not is_concrete(value):
+        return
+    if (np.asarray(value) <= 0).any():
+        raise InputError(f"{what} must be positive, got {np.min(np.asarray(value)):g}.")
 
 
 def _scale(value: Any) -> Any:
@@ -70,16 +100,15 @@ class Gaussian(eqx.Module):
     """
 
     sd: Scale = eqx.field(converter=_scale)
+    surrogate = None  # the log density is as curved far from the best fit
+
+    def __check_init__(self) -> None:
+        require_positive("Gaussian: sd", self.sd)
 
     @property
     def least_squares(self) -> bool:
         """Whether the standard deviation is known."""
         return not isinstance(self.sd, str)
-
-    @property
-    def surrogate(self) -> None:
-        """None: far from the best fit the log density is as curved as near it."""
-        return None
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """-((data - prediction) / sd)^2 / 2 - ln(sqrt(2 pi) sd)."""
@@ -91,10 +120,6 @@ class Gaussian(eqx.Module):
         del chance
         return (data - prediction) / self.sd
 
-    def expected(self, prediction: Array) -> Array:
-        """The prediction."""
-        return prediction
-
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been."""
         noise = jax.random.normal(key, prediction.shape, prediction.dtype)
@@ -102,53 +127,49 @@ class Gaussian(eqx.Module):
 
 
 class StudentT(eqx.Module):
-    """data = prediction + sd * t, with Student's t: outliers count for little.
+    """data = prediction + scale * t, with Student's t: outliers count for little.
 
     Far from the best fit all data are outliers, and a search finds hardly a slope. It therefore
     begins with least squares, unless the scale is unknown, which then grows until data count again.
 
     Attributes:
-        sd: scale in the unit of the data, a little below the standard deviation: a number, an array
-            of the data's shape, or the name of a parameter.
+        scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
+            a number, an array of the data's shape, or the name of a parameter.
         dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian.
 
     Source:
         Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989.
     """
 
-    sd: Scale = eqx.field(converter=_scale)
+    scale: Scale = eqx.field(converter=_scale)
     dof: Scale = eqx.field(converter=_scale, default=4.0)
+    least_squares = False
 
-    @property
-    def least_squares(self) -> bool:
-        """No: -2 ln p is no sum of squares."""
-        return False
+    def __check_init__(self) -> None:
+        require_positive("StudentT: scale", self.scale)
+        require_positive("StudentT: dof", self.dof)
 
     @property
     def surrogate(self) -> Gaussian | None:
         """The Gaussian of the same scale, if it is known."""
-        return None if isinstance(self.sd, str) else Gaussian(self.sd)
+        return None if isinstance(self.scale, str) else Gaussian(self.scale)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / sd, normalised."""
-        z, dof = (data - prediction) / self.sd, jnp.asarray(self.dof)
+        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / scale, normalised."""
+        z, dof = (data - prediction) / self.scale, jnp.asarray(self.dof)
         norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - jnp.log(dof * jnp.pi) / 2
-        return norm - jnp.log(self.sd) - (dof + 1) / 2 * jnp.log1p(z**2 / dof)
+        return norm - jnp.log(self.scale) - (dof + 1) / 2 * jnp.log1p(z**2 / dof)
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> np.ndarray:
         """Normal deviates of the probabilities under Student's t."""
         del chance
-        z = (np.asarray(data) - np.asarray(prediction)) / np.asarray(self.sd)
+        z = (np.asarray(data) - np.asarray(prediction)) / np.asarray(self.scale)
         return np.copysign(ndtri(stdtr(np.asarray(self.dof), -np.abs(z))), z)
-
-    def expected(self, prediction: Array) -> Array:
-        """The prediction."""
-        return prediction
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been."""
         noise = jax.random.t(key, self.dof, prediction.shape, prediction.dtype)
-        return prediction + self.sd * noise
+        return prediction + self.scale * noise
 
 
 class Censored(eqx.Module):
@@ -167,16 +188,11 @@ class Censored(eqx.Module):
     sd: Scale = eqx.field(converter=_scale)
     low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
     high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    least_squares = False
+    surrogate = None  # data beyond an end pull the harder, the farther it is
 
-    @property
-    def least_squares(self) -> bool:
-        """No: -2 ln p is no sum of squares."""
-        return False
-
-    @property
-    def surrogate(self) -> None:
-        """None: data beyond an end pull the harder, the farther the prediction is."""
-        return None
+    def __check_init__(self) -> None:
+        require_positive("Censored: sd", self.sd)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's between the ends; ln of the probability beyond, at an end."""
@@ -201,10 +217,6 @@ class Censored(eqx.Module):
             z = np.where(data >= self.high, above, z)
         return z
 
-    def expected(self, prediction: Array) -> Array:
-        """The prediction: the mean of the signal before it is clipped."""
-        return prediction
-
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, clipped."""
         return jnp.clip(Gaussian(self.sd).draw(key, prediction), self.low, self.high)
@@ -214,7 +226,7 @@ class Clustered(eqx.Module):
     """Groups of data share an error, which the likelihood does not know.
 
     The best fit is that of `likelihood`; its errors are widened by what the groups' residuals show
-    (a sandwich covariance, `clustering`).
+    (a sandwich covariance, `clustering`). `draw` leaves out the shared error, of unknown form.
 
     Attributes:
         likelihood: of each datum by itself.
@@ -245,13 +257,29 @@ class Clustered(eqx.Module):
         """Of each datum by itself."""
         return self.likelihood.residuals(prediction, data, chance)
 
-    def expected(self, prediction: Array) -> Array:
-        """That of the likelihood inside."""
-        return self.likelihood.expected(prediction)
-
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, without the shared error."""
         return self.likelihood.draw(key, prediction)
+
+
+def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
+    """A likelihood whose noise is larger than stated.
+
+    Args:
+        likelihood: any.
+        factor: on the width of the noise.
+
+    Returns:
+        The likelihood; None for one whose width does not stand in a field `sd` or `scale` (that of
+        a sensor follows from its light).
+    """
+    if isinstance(likelihood, Clustered):
+        inside = with_noise_scaled(likelihood.likelihood, factor)
+        return None if inside is None else Clustered(inside, likelihood.labels)
+    for name in ("sd", "scale"):
+        if hasattr(likelihood, name):
+            return eqx.tree_at(attrgetter(name), likelihood, factor * getattr(likelihood, name))
+    return None
 
 
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:

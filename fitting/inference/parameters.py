@@ -29,6 +29,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.errors import InputError
+
 from .priors import Prior, support
 
 Vector = Float[Array, "... parameters"]
@@ -57,7 +59,8 @@ class Parameter(eqx.Module):
             errors: `identity` (its own) or `log` (its logarithm; the value is positive).
         lower: bound of the value, in its unit; for an array one for all or a tuple, one each.
         upper: the other bound.
-        prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); None for flat.
+        prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); for an array one
+            for all or a tuple, one each; None for flat.
         shape: of the value; None for that of its start, () if there is none.
         start: where a search begins, in its unit; None leaves it to the bounds or the prior.
 
@@ -75,7 +78,7 @@ class Parameter(eqx.Module):
     transform: Transform = eqx.field(static=True, kw_only=True, default="identity")
     lower: Bound = eqx.field(static=True, kw_only=True, default=-np.inf, converter=_frozen)
     upper: Bound = eqx.field(static=True, kw_only=True, default=np.inf, converter=_frozen)
-    prior: Prior | None = eqx.field(static=True, kw_only=True, default=None)
+    prior: Any = eqx.field(static=True, kw_only=True, default=None)
     shape: tuple[int, ...] | None = eqx.field(static=True, kw_only=True, default=None)
     start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_frozen)
 
@@ -85,13 +88,24 @@ class Parameter(eqx.Module):
             raise ValueError(f"{self.name}: lower {self.lower} is not below upper {self.upper}.")
         if self.transform == "log" and not (upper > 0).all():
             raise ValueError(f"{self.name}: a log parameter is positive, upper is {self.upper}.")
-        if self.prior is not None:
-            low, high = support(self.prior)
+        for prior in _objects(self.prior).ravel():
+            if not (prior is None or isinstance(prior, Prior)):
+                raise ValueError(f"{self.name}: {prior!r} is no prior: use Normal(...) or another.")
+            low, high = (-np.inf, np.inf) if prior is None else support(prior)
             if not ((lower < high) & (upper > low)).all():
-                raise ValueError(f"{self.name}: {self.prior} leaves nothing within the bounds.")
+                raise ValueError(f"{self.name}: {prior} leaves nothing within the bounds.")
 
 
 ParameterSpace = tuple[Parameter, ...]
+
+
+def _objects(priors: Any) -> np.ndarray:
+    """A prior, or nested tuples of them, as an array of objects."""
+    if not isinstance(priors, tuple):
+        one = np.empty((), object)
+        one[()] = priors
+        return one
+    return np.stack([_objects(prior) for prior in priors])
 
 
 def names(space: ParameterSpace) -> tuple[str, ...]:
@@ -108,9 +122,19 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 
     Returns:
         One parameter each; `position` of three becomes `position[0]` and so on.
+
+    Raises:
+        InputError: for bounds or priors of another shape.
     """
     short = parameter.symbol or parameter.name.rpartition(".")[2]
-    lower, upper = (np.broadcast_to(end, shape) for end in (parameter.lower, parameter.upper))
+    each = parameter.lower, parameter.upper, _objects(parameter.prior)
+    try:
+        lower, upper, priors = (np.broadcast_to(part, shape) for part in each)
+    except ValueError as error:
+        raise InputError(
+            f"{parameter.name}: its bounds and priors do not fit a value of shape {shape}: give "
+            "one for all, or one each."
+        ) from error
     found = []
     for index in np.ndindex(shape):
         tail = f"[{','.join(map(str, index))}]" if index else ""
@@ -121,6 +145,7 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
                 symbol=short + tail,
                 lower=float(lower[index]),
                 upper=float(upper[index]),
+                prior=priors[index],
                 shape=(),
                 start=None,
             )
@@ -144,8 +169,15 @@ def ends(parameter: Parameter) -> tuple[float, float]:
     return (max(lower, 0.0) if parameter.transform == "log" else lower), upper
 
 
-def _scaled_ends(parameter: Parameter) -> tuple[float, float]:
-    """a and b, the bounds of v."""
+def scaled_ends(parameter: Parameter) -> tuple[float, float]:
+    """Bounds of a scalar parameter on the scale on which it is at home.
+
+    Args:
+        parameter: a scalar.
+
+    Returns:
+        a and b, infinite where there is none.
+    """
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -212,7 +244,7 @@ def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
     """
 
     def columns(parameter: Parameter, u: Array) -> Array:
-        return _natural(parameter, _into_bounds(u, *_scaled_ends(parameter)))
+        return _natural(parameter, _into_bounds(u, *scaled_ends(parameter)))
 
     return _by_kind(space, unconstrained, columns)
 
@@ -231,7 +263,7 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
 
     def columns(parameter: Parameter, x: Array) -> Array:
         v = x if parameter.transform == "identity" else jnp.log(x)
-        return _out_of_bounds(v, *_scaled_ends(parameter))
+        return _out_of_bounds(v, *scaled_ends(parameter))
 
     return _by_kind(space, natural, columns)
 
@@ -249,7 +281,7 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
     total = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         u = unconstrained[..., np.array(index)]
-        a, b = _scaled_ends(parameter)
+        a, b = scaled_ends(parameter)
         terms = [] if (slope := _log_slope(u, a, b)) is None else [slope]
         if parameter.prior is not None:
             v = _into_bounds(u, a, b)
@@ -292,7 +324,7 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
         fine = parameter.prior.quantile((np.arange(20_000) + 0.5) / 20_000)
         inside = fine[(fine > lower) & (fine < upper)]
         return None if len(inside) < 2 else np.quantile(inside, FLAT_QUANTILES)
-    a, b = _scaled_ends(parameter)
+    a, b = scaled_ends(parameter)
     if not np.isfinite([a, b]).all():
         return None
     v = a + (b - a) * FLAT_QUANTILES

@@ -9,24 +9,22 @@ by name), `inputs`, a record (a scene with the unknown numbers in place), or one
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxvision.errors import InputError, nearest
 
-from .likelihoods import Likelihood, names_within, with_values
+from .likelihoods import Likelihood, with_values
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
-from .records import is_path, reach, read, replaced
+from .records import is_path, reach, replaced
+from .statement import argument_names, as_arrays, check_names, finite_data, placed
 
 Values = dict[str, Array]
 Vector = Float[Array, " parameters"]
-GIVEN = ("values", "inputs")
 
 
 class Tied(eqx.Module):
@@ -99,9 +97,9 @@ class Problem(eqx.Module):
             inputs: what else `predict` needs, in arrays (times, angles, other scenes).
         """
         self.records = dict(records or {})
-        self.inputs = _as_arrays(inputs)
+        self.inputs = as_arrays(inputs)
         self.free = tuple(
-            _placed(name, entry, self.records)
+            placed(name, entry, self.records)
             for name, entry in parameters.items()
             if isinstance(entry, Parameter)
         )
@@ -116,9 +114,9 @@ class Problem(eqx.Module):
         )
         self.likelihood = likelihood
         self.predict = predict
-        self.asks = tuple(inspect.signature(predict).parameters)
-        _check_names(self, parameters)
-        data = np.asarray(data, jnp.result_type(float))
+        self.asks = argument_names(predict)
+        check_names(self, parameters)
+        data = finite_data(data)
         missing = np.isnan(data)
         self.data = jnp.asarray(np.where(missing, 0, data))
         self.present = jnp.asarray(~missing) if missing.any() else None
@@ -145,63 +143,8 @@ class Problem(eqx.Module):
         )
 
 
-def _as_arrays(tree: Any) -> Any:
-    """Floating-point leaves as arrays: data, which are no part of a compile key."""
-    return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, tree)
-
-
-def _placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """A parameter with its name, and the shape and start of what it replaces."""
-    known = None
-    if is_path(name):
-        known = np.asarray(read(records, name))
-        if parameter.shape is not None and parameter.shape != known.shape:
-            raise InputError(
-                f"{name}: shape {parameter.shape} does not fit, the record's is {known.shape}."
-            )
-    start = parameter.start if parameter.start is not None else known
-    if known is not None:
-        if start is not None:
-            start = np.broadcast_to(start, known.shape)
-        return replace(parameter, name=name, shape=known.shape, start=start)
-    shape = parameter.shape
-    if shape is None:
-        shape = np.shape(start) if start is not None else np.shape(parameter.lower)
-    return replace(parameter, name=name, shape=tuple(shape), start=start)
-
-
 def _shape(parameter: Parameter) -> tuple[int, ...]:
     return parameter.shape or ()
-
-
-def _check_names(problem: Problem, parameters: Mapping[str, Any]) -> None:
-    if not problem.free:
-        raise InputError("Nothing to fit: give at least one Parameter.")
-    for name in (*problem.fixed, *problem.tied):
-        if is_path(name):
-            read(problem.records, name)
-    paths = [name for name in parameters if is_path(name)]
-    for outer in paths:
-        for inner in paths:
-            if inner.startswith((f"{outer}.", f"{outer}[")):
-                raise InputError(f"{inner} is part of {outer}, a parameter too: name one of them.")
-    clash = {*GIVEN} & {*parameters, *problem.records} or problem.records.keys() & parameters.keys()
-    if clash:
-        raise InputError(f"{sorted(clash)[0]!r} is taken: choose another name.")
-    known = {*GIVEN, *problem.records, *(name for name in parameters if not is_path(name))}
-    for argument in problem.asks:
-        if argument not in known:
-            raise InputError(
-                f"predict asks for {argument!r}: its arguments are named after what they are "
-                f"given, {', '.join(sorted(known))}."
-            )
-    for name in names_within(problem.likelihood) - parameters.keys():
-        if is_path(name) or name in problem.records:
-            reach(problem.records, name)
-            continue
-        raise InputError(
-            f"The likelihood names {name!r}: no such parameter; {nearest(name, parameters)}."
-        )
 
 
 def _check_shapes(problem: Problem) -> None:
@@ -214,6 +157,8 @@ def _check_shapes(problem: Problem) -> None:
     origin = jnp.zeros(len(problem.space))
     try:
         shape = eqx.filter_eval_shape(log_likelihood_terms, origin, problem).shape
+    except InputError:
+        raise
     except (TypeError, ValueError) as error:  # JAX's own words on shapes that do not go together
         shape, cause = None, error
     else:
@@ -262,7 +207,13 @@ def values_from(problem: Problem, natural: Vector) -> Values:
         begin += size
     values |= problem.fixed
     for name, tie in problem.tied.items():
-        values[name] = jnp.asarray(tie.of(values))
+        try:
+            values[name] = jnp.asarray(tie.of(values))
+        except KeyError as error:
+            word = str(error.args[0])
+            raise InputError(
+                f"The tie of {name} asks for {word!r}: no such parameter; {nearest(word, values)}."
+            ) from error
     return values
 
 
@@ -279,7 +230,11 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
         Its result.
     """
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
-    return function(*(known[name] for name in inspect.signature(function).parameters))
+    asked = inspect.signature(function).parameters.values()
+    for unknown in {argument.name for argument in asked} - known.keys():
+        raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
+    named = {a.name: known[a.name] for a in asked if a.kind is a.KEYWORD_ONLY}
+    return function(*(known[a.name] for a in asked if a.kind is not a.KEYWORD_ONLY), **named)
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:

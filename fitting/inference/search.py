@@ -36,7 +36,7 @@ from scipy.special import ndtri
 
 from jaxvision.errors import InputError
 
-from .diagnostics import listed
+from .diagnostics import UNDETERMINED, listed
 from .least_squares import minimise_residuals
 from .newton import NewtonSolution, minimise
 from .parameters import (
@@ -86,6 +86,30 @@ class Optimum:
         """(P, P) what the data alone say."""
         return self.information - self.prior_information
 
+    @property
+    def saddle(self) -> bool:
+        """Whether the density rises to both sides in some direction."""
+        return bool(_scaled(self.information)[0][0] < -UNDETERMINED)
+
+    @property
+    def curvature(self) -> Float[np.ndarray, "parameters parameters"]:
+        """(P, P) the information, saddle directions taken positive: a search that did not end at a
+        maximum says so in words, not by a matrix that cannot be drawn from."""
+        if not self.saddle:
+            return self.information
+        values, axes, size = _scaled(self.information)
+        half = size[:, None] * axes * np.sqrt(np.abs(values))
+        return half @ half.T
+
+
+def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues (ascending) and axes of a matrix whose rows are scaled alike, and the scales."""
+    information = np.nan_to_num(information)
+    size = np.sqrt(np.linalg.norm(information, axis=1))
+    size = np.where(size > 0, size, 1)
+    values, axes = np.linalg.eigh(information / np.outer(size, size))
+    return values, axes, size
+
 
 def spread_starts(
     problem: Problem, count: int, *, seed: int
@@ -129,8 +153,7 @@ def spread_starts(
     spread = _unconstrained(problem.space, np.stack(columns, axis=-1))
     about = given + ndtri(np.clip(shares, 0.01, 0.99))
     spread = np.where(np.isnan(spread), about, spread)
-    if not np.isnan(given).any():
-        spread[0] = given
+    spread[0] = np.where(np.isnan(given), spread[0], given)
     return spread
 
 

@@ -1,3 +1,7 @@
 # What `fitting.reflectance` offers, each name where it is defined.
 
-from .from_images.from_memory import from_photographs as from_photographs
+from .from_images.from_memory import (
+    Camera as Camera,
+    SphereGeometry as SphereGeometry,
+    from_photographs as from_photographs,
+)

@@ -1,0 +1,213 @@
+"""Intervals that allow for what a model misses: errors that groups of data share, or more noise."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.clustering import cluster_robust
+from ..inference.likelihoods import Clustered, with_noise_scaled
+from ..inference.misfit import Misfit, judge
+from ..inference.problem import (
+    Problem,
+    Vector,
+    likelihood_at,
+    log_likelihood_terms,
+    prediction,
+    values_at,
+)
+from ..inference.search import Optimum
+
+SMALL = 1e-4  # share of a prediction's spread by which a residual's slope is found
+
+
+@dataclass(frozen=True)
+class Widening:
+    """A covariance, and why it is wider than that of the likelihood.
+
+    Attributes:
+        covariance: (P, P) on the unconstrained scale.
+        noise: factor on the width of the noise that it stands for; 1 for none.
+        words: why, in sentences.
+        explained: whether a misfit is allowed for.
+    """
+
+    covariance: Float[np.ndarray, "parameters parameters"]
+    noise: float = 1.0
+    words: tuple[str, ...] = ()
+    explained: bool = False
+
+
+def widening(
+    problem: Problem,
+    optimum: Optimum,
+    covariance: Float[np.ndarray, "parameters parameters"],
+    residuals: Float[np.ndarray, "..."],
+    checks: Misfit,
+    *,
+    inflate: bool,
+    seed: int,
+) -> Widening:
+    """The covariance that allows for what the model misses.
+
+    Groups explain a misfit where they share errors and what is left within them, once an offset and
+    a gain of each are taken away, is noise as stated; with `inflate`, whatever is left.
+
+    Args:
+        problem: that was fitted.
+        optimum: its best fit.
+        covariance: (P, P) of the likelihood as it is stated.
+        residuals: standardised, NaN where a datum is missing.
+        checks: of the residuals.
+        inflate: whether to take a misfit for more noise.
+        seed: of the residuals.
+
+    Returns:
+        The covariance and what it stands for.
+    """
+    if isinstance(problem.likelihood, Clustered):
+        labels = np.asarray(problem.likelihood.labels)
+        return _of_groups(problem, optimum, labels, residuals, inflate=inflate, seed=seed)
+    if not inflate or checks.dof <= 0 or checks.chi_square <= checks.dof:
+        return Widening(covariance)
+    factor = checks.chi_square / checks.dof
+    prior = optimum.curvature - optimum.data_information
+    words = [
+        f"Chi-square per degree of freedom is {factor:.4g}; what the data say is widened by "
+        f"{np.sqrt(factor):.3g}, as if their noise were that much larger."
+    ]
+    if with_noise_scaled(problem.likelihood, 1.0) is None:
+        words.append("Bands of new data keep the noise as stated.")
+    widened = np.linalg.inv(optimum.data_information / factor + prior)
+    return Widening(widened, float(np.sqrt(factor)), tuple(words), True)
+
+
+def _of_groups(
+    problem: Problem,
+    optimum: Optimum,
+    every: np.ndarray,
+    residuals: np.ndarray,
+    *,
+    inflate: bool,
+    seed: int,
+) -> Widening:
+    if every.shape != residuals.shape:
+        raise InputError(
+            f"Clustered: labels of shape {every.shape} do not fit data of shape {residuals.shape}."
+        )
+    labels = np.unique(every.ravel(), return_inverse=True)[1]
+    vector = jnp.asarray(optimum.vector, problem.data.dtype)
+    scores = np.asarray(_scores(vector, problem), np.float64)
+    prior = optimum.curvature - optimum.data_information
+    robust = cluster_robust(scores, optimum.curvature, labels, None, prior=prior)
+    shared = robust.design_effect > 1
+    words = f"Residuals share errors within the {labels.max() + 1} groups"
+    if np.isnan(robust.by_light):
+        words = "Too few groups to see errors that they share"
+    elif not shared:
+        words = "The groups' residuals show no shared errors"
+    sentences = [
+        f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
+    ]
+    slope, predicted = _slopes(problem, vector, seed)
+    determined = float(np.trace(optimum.data_information @ robust.covariance))
+    left = without_shared(residuals, labels, (slope, slope * predicted))
+    lost = 2 * (labels.max() + 1) + min(determined, len(optimum.vector))
+    beyond = judge(left, lost)
+    if shared:
+        sentences.append("Bands of new data leave out the error that a group shares.")
+        if beyond.faults:
+            sentences.append(
+                "An offset and a gain of each group explain only part of the misfit: chi-square "
+                f"per degree of freedom is {beyond.chi_square / beyond.dof:.4g} without them."
+            )
+    explained = shared and (inflate or not beyond.faults)
+    return Widening(robust.gaussian_covariance, 1.0, tuple(sentences), explained)
+
+
+def without_shared(
+    residuals: Float[np.ndarray, "..."],
+    labels: np.ndarray,
+    shapes: tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]],
+) -> Float[np.ndarray, "..."]:
+    """Residuals less the best multiple of two shapes in each group, by least squares.
+
+    Args:
+        residuals: NaN where a datum is missing.
+        labels: (data) in a row, whole numbers from 0.
+        shapes: of the residuals' shape, what an error shared by a group may look like.
+
+    Returns:
+        Of the residuals' shape.
+    """
+    there = np.isfinite(residuals).ravel()
+    r = np.where(there, residuals.ravel(), 0)
+    first, second = (np.where(there, shape.ravel(), 0) for shape in shapes)
+    across = second - first * _multiple(second, first, labels)[labels]
+    for shape in (first, across):
+        r = r - shape * _multiple(r, shape, labels)[labels]
+    return np.where(there, r, np.nan).reshape(residuals.shape)
+
+
+def _multiple(values: np.ndarray, shape: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """(groups,) of a shape that is nearest to the values."""
+    size = np.bincount(labels, shape**2)
+    return np.bincount(labels, values * shape) / np.where(size > 0, size, 1)
+
+
+@eqx.filter_jit
+def _scores(vector: Vector, problem: Problem) -> Array:
+    """(P, data) gradient of every datum's log density."""
+    terms = jax.jacfwd(lambda v: log_likelihood_terms(v, problem).ravel())(vector)
+    return terms.T
+
+
+@eqx.filter_jit
+def predicted_at(vector: Vector, problem: Problem) -> tuple[Array, Any]:
+    """Prediction and likelihood at a point.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: to predict for.
+
+    Returns:
+        Of the data's shape; and the likelihood with its values in place.
+    """
+    values = values_at(problem, vector)
+    return prediction(problem, values), likelihood_at(problem, values)
+
+
+def residuals_at(
+    problem: Problem, vector: Array, *, seed: int, shift: float = 0.0
+) -> Float[np.ndarray, "..."]:
+    """Standardised residuals.
+
+    Args:
+        problem: whose data they are of.
+        vector: (P,) unconstrained.
+        seed: of the places of data that cover an interval.
+        shift: of the prediction, in its unit.
+
+    Returns:
+        Of the data's shape, NaN where a datum is missing.
+    """
+    predicted, likelihood = predicted_at(vector, problem)
+    chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
+    place = np.asarray(predicted) + shift
+    found = likelihood.residuals(place, np.asarray(problem.data), chance)
+    found = np.asarray(found, np.float64)
+    return found if problem.present is None else np.where(problem.present, found, np.nan)
+
+
+def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each residual by its prediction, by a difference; and the prediction."""
+    predicted = np.asarray(predicted_at(vector, problem)[0], np.float64)
+    step = SMALL * float(np.std(predicted) or np.abs(predicted).max() or 1.0)
+    ends = (residuals_at(problem, vector, seed=seed, shift=s) for s in (step, -step))
+    return np.subtract(*ends) / (2 * step), predicted

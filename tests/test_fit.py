@@ -1,0 +1,262 @@
+"""What a fit says of itself: groups, misfits, ends of ranges, saddles; bands; chains that go on."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import (
+    Clustered,
+    Gaussian,
+    HalfNormal,
+    Normal,
+    NutsOptions,
+    Parameter,
+    Problem,
+    SamplingOptions,
+    StudentT,
+    fit,
+)
+from fitting.inference.search import given_start, spread_starts
+from jaxvision import Orthographic, Phong, PointLight, Scene, Sphere, Surface, render
+from jaxvision.errors import InputError
+
+COUNT = 60
+ONES = jnp.ones(COUNT)
+NOISE = stats.norm.ppf((np.random.default_rng(3).permutation(COUNT) + 0.5) / COUNT)
+
+
+NOISY, FREE = Gaussian(sd=0.1), Parameter(start=0.0)
+
+
+def constant(a, inputs):
+    return a * inputs
+
+
+def level(data, likelihood=NOISY, parameter=FREE):
+    return Problem({"a": parameter}, constant, likelihood, data, inputs=ONES)
+
+
+def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_draws():
+    """Noise three times as stated: a new datum scatters by sd sqrt(1 + 1 / n), inflated."""
+    found = fit(level(2 + 0.3 * NOISE), misfit="inflate")
+    assert found.converged
+    bands = found.predictive(draws=4000)
+    sd = np.std(0.3 * NOISE, ddof=1) * np.sqrt(1 + 1 / COUNT)
+    np.testing.assert_allclose(bands.sd.mean(), sd, rtol=0.01)
+    np.testing.assert_allclose(np.diff(bands.interval_95, axis=0).mean(), 3.92 * sd, rtol=0.02)
+    np.testing.assert_array_equal(bands.mean, bands.draws.mean(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("likelihood", "sampling"),
+    [("emcee", SamplingOptions(walkers=32, steps=1500, block=500))],
+)
+def test_a_sampler_tempers_the_data_and_not_the_prior(likelihood, sampling):
+    """Normal prior 1.5 +- .02; data 2, whose mean is known to .1 / sqrt(60), tempered."""
+    prior = Normal(1.5, 0.02)
+    found = fit(
+        level(2 + 0.3 * NOISE, parameter=Parameter(prior=prior)),
+        posterior=likelihood,
+        sampling=sampling,
+        misfit="inflate",
+    )
+    weight = COUNT / (0.1 * found.noise) ** 2
+    sd = 1 / np.sqrt(weight + prior.sd**-2)
+    mean = sd**2 * (weight * np.mean(2 + 0.3 * NOISE) + prior.mean * prior.sd**-2)
+    drawn = found.draws["a"].ravel()
+    np.testing.assert_allclose(drawn.std(), sd, rtol=0.1)
+    assert abs(drawn.mean() - mean) < 0.1 * sd
+
+
+def test_starts_that_are_given_are_kept_beside_ones_that_are_not():
+    problem = Problem(
+        {"a": Parameter(start=0.3), "b": Parameter(lower=0, upper=1)},
+        lambda a, b: jnp.stack([a, b]),
+        Gaussian(sd=1.0),
+        np.zeros(2),
+    )
+    starts = spread_starts(problem, 4, seed=0)
+    assert starts[0, 0] == given_start(problem)[0]
+    assert np.isfinite(starts).all()
+
+
+def test_one_prior_for_each_number_of_an_array():
+    priors = (Normal(0.0, 1.0), None, HalfNormal(2.0))
+    parameter = Parameter(shape=(3,), prior=priors, start=(0.0, 0.0, 1.0))
+    problem = Problem({"a": parameter}, lambda a: a, Gaussian(sd=1.0), np.zeros(3))
+    assert tuple(number.prior for number in problem.space) == priors
+
+
+END = "of its range"
+WIDE = 0.1 * np.sqrt(COUNT)  # the mean of all data is known to .1
+
+
+@pytest.mark.parametrize(
+    ("parameter", "middle", "expected"),
+    [
+        (Parameter(lower=0, upper=100), 0.9, ()),  # 9 of its own deviations above 0
+        (Parameter(lower=0, upper=100), 0.0, ("lower",)),
+        pytest.param(Parameter(lower=0, start=1.0), -0.1, ("lower",), marks=pytest.mark.slow),
+        pytest.param(Parameter(upper=3, start=1.0), 3.1, ("upper",), marks=pytest.mark.slow),
+    ],
+)
+def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
+    found = fit(level(middle + WIDE * NOISE, Gaussian(WIDE), parameter))
+    told = [s for s in found.findings if END in s]
+    assert len(told) == len(expected)
+    assert all(f"the {end} end" in s for end, s in zip(expected, told, strict=True))
+
+
+@pytest.mark.slow
+def test_searches_that_run_against_one_bound_ended_at_one_place():
+    """Levenberg and Marquardt's ends lie anywhere below u = -10, which is one place in x."""
+    found = fit(level(-1.0 + NOISE, Gaussian(1.0), Parameter(lower=0.0, start=1.0)), starts=16)
+    assert not any("ended elsewhere" in s for s in found.failures)
+
+
+@pytest.mark.slow
+def test_a_wide_parameter_on_its_own_scale_is_not_called_skewed():
+    """A mean of 2000 +- 1: Gaussian in its own unit, whatever that is."""
+    found = fit(level(2000 + np.sqrt(COUNT) * NOISE, Gaussian(np.sqrt(COUNT))))
+    assert not any("Gaussian may misjudge" in s for s in found.findings)
+
+
+@pytest.mark.slow
+def test_a_saddle_is_a_failure_in_words():
+    problem = Problem(
+        {"a": Parameter(start=0.0)}, lambda a: a**2 * ONES, Gaussian(0.1), np.ones(COUNT)
+    )
+    found = fit(problem, start={"a": 0.0})
+    assert not found.converged
+    assert "saddle" in found.failures[0]
+
+
+@pytest.mark.slow
+def test_directions_that_seven_digits_cannot_tell_name_sixteen():
+    """Two levels that differ by 1e-4 of a slope: told apart in float64, not in float32."""
+    place = np.linspace(-1, 1, COUNT)
+
+    def fitted():
+        free = {"a": Parameter(start=0.0), "b": Parameter(start=0.0)}
+        model = partial(lambda a, b, inputs: a + b * (1 + 1e-4 * inputs))
+        data = 2 + 0.1 * NOISE
+        return fit(Problem(free, model, Gaussian(0.1), data, inputs=place), starts=1)
+
+    fitted()
+    with jax.enable_x64(False), pytest.raises(InputError, match="jax_enable_x64"):
+        fitted()
+
+
+def grouped(data, labels, *, slope=True, **options):
+    line = {"a": Parameter(start=0.0), "b": Parameter(start=0.0) if slope else 0.0}
+    place = np.linspace(-1.0, 1.0, len(data))
+    likelihood = Clustered(Gaussian(sd=0.01), labels)
+    return fit(Problem(line, lambda a, b: a + b * place, likelihood, data), starts=2, **options)
+
+
+@pytest.mark.slow
+def test_groups_excuse_a_misfit_where_its_errors_are_theirs():
+    """Offsets of 30 groups, a hundred times the noise; then data whose own noise is as large."""
+    labels = np.repeat(np.arange(30), 8)
+    rng = np.random.default_rng(4)
+    noise, offsets = rng.standard_normal(240), rng.standard_normal(30)[labels]
+    of_groups = grouped(offsets + 0.01 * noise, labels)
+    assert of_groups.converged
+    assert of_groups.misfit.chi_square > 1e3 * of_groups.misfit.dof
+    of_data = grouped(offsets + noise, labels)
+    assert not of_data.converged
+    assert "only part of the misfit" in " ".join(of_data.findings)
+    assert grouped(offsets + noise, labels, misfit="inflate").converged
+
+
+def test_too_few_groups_excuse_nothing():
+    x = np.linspace(-1.0, 1.0, 30)
+    few = grouped(x**2, np.repeat(np.arange(3), 10))
+    assert not few.converged
+    assert "Too few groups" in " ".join(few.findings)
+
+
+def test_labels_of_another_shape_are_refused():
+    with pytest.raises(InputError, match="labels of shape"):
+        grouped(np.zeros(30), np.arange(29))
+
+
+@pytest.mark.parametrize(
+    ("posterior", "short", "long"),
+    [
+        ("emcee", SamplingOptions(8, steps=100), SamplingOptions(8, steps=300)),
+        pytest.param(
+            *("nuts", NutsOptions(100, chains=2), NutsOptions(200, chains=2)),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["emcee", "nuts"],
+)
+def test_a_chain_goes_on_as_if_it_had_never_stopped(posterior, short, long):
+    problem = level(2 + 0.1 * NOISE)
+    run = partial(fit, problem, posterior=posterior, starts=2)
+    begun = run(sampling=short)
+    continued, whole = run(sampling=long, after=begun), run(sampling=long)
+    np.testing.assert_array_equal(continued.draws["a"], whole.draws["a"])
+    with pytest.raises(InputError, match="another run"):
+        run(sampling=long, after=begun, seed=3)
+    with pytest.raises(InputError, match="only chains go on"):
+        fit(problem, after=begun)
+
+
+@pytest.mark.slow
+def test_nan_in_the_inputs_of_a_robust_fit_is_told():
+    holes = jnp.where(jnp.arange(COUNT) == 7, jnp.nan, ONES)
+    problem = Problem(
+        {"a": Parameter(start=0.0)}, constant, StudentT(0.1), 2 + 0.1 * NOISE, inputs=holes
+    )
+    with pytest.raises(InputError, match="finite at none of the 2 starts"):
+        fit(problem, starts=2)
+
+
+def test_a_report_says_how_the_fit_was_made(tmp_path):
+    fit(level(2 + 0.1 * NOISE), starts=2).write(tmp_path)
+    written = (tmp_path / "results.json").read_text()
+    assert '"starts": 2' in written
+    assert '"likelihood": "Gaussian"' in written
+
+
+VIEW = Orthographic(
+    (0.0, 0.0, 5.0),
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    2.2 / 20,
+    resolution=(20, 20),
+)
+
+
+def ball(lamp, exponent, diffuse):
+    material = Phong((diffuse,), (0.4,), exponent=exponent)
+    return Scene([Surface(Sphere((0.0, 0.0, 0.0), 1.0), material)], [PointLight(lamp, (300.0,))])
+
+
+@pytest.mark.slow
+def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
+    """README's ball with outliers: without least squares first, half of the searches get lost."""
+    truth = ball((1.0, 1.5, 3.0), 25.0, 0.3)
+    picture = np.asarray(render(truth, VIEW)[..., 0])
+    problem = Problem(
+        {
+            "scene.lights[0].position": Parameter(unit="m", lower=(-5, -5, 1.2), upper=5),
+            "scene.surfaces[0].material.exponent": Parameter(lower=1, upper=1000, transform="log"),
+            "scene.surfaces[0].material.diffuse": Parameter(lower=0, upper=1),
+        },
+        lambda scene: render(scene, VIEW)[..., 0],
+        StudentT(0.1),
+        picture + 0.1 * np.random.default_rng(1).standard_t(4, picture.shape),
+        records={"scene": ball((0.0, 0.0, 2.0), 10.0, 0.5)},
+    )
+    for seed in range(3):
+        found = fit(problem, seed=seed)
+        assert found.converged
+        exponent = found.draws["scene.surfaces[0].material.exponent"]
+        assert abs(exponent.mean() - 25) < 4 * exponent.std() < 8
