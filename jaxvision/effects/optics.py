@@ -1,0 +1,394 @@
+"""The stage of the lens: what its parts do to irradiance, and how far they move things.
+
+Radiance becomes irradiance by a gain for each pixel, the picture of a scene of radiance 1: its
+`brightness`. Parts that change this gain (rim, distortion) are bounded by the change of the
+brightness over the whole grid of pixels, times the largest radiance. Parts that move light
+(distortion, defocus, sampling inside a pixel) are bounded by the largest displacement in pixels:
+the irradiance of a pixel is then a mean of what stands within it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..optics import airy_kernel, aperture_area, chief_slope, sensor_irradiance, sensor_vergence
+from ..scene import Orthographic, Pinhole, ThinLens, View
+from .certificate import IRRADIANCE, Effect
+from .pixel import INF, clean, corners, refuse_tracers
+from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
+
+# Fields of the views that say where the camera stands and how much light there is: nothing can be
+# left out of them. Those of a lens's opening go with `view.defocus`.
+GEOMETRY = {
+    "position": "where the camera stands",
+    "rotation": "where it looks",
+    "pixel_pitch": "how finely it looks",
+    "resolution": "how much it sees",
+    "focal_length": "how much it sees",
+    "f_number": "how bright the picture is; the blur goes with view.defocus",
+    "focus_distance": "goes with view.defocus",
+    "aperture": "goes with view.defocus",
+}
+_PARTS = ("rim", "distortion", "diffraction")
+_MIDDLE = math.sqrt(0.5)  # from a pixel's middle to its corner, pixels
+_COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sqrt 5
+
+
+def optics_stage(
+    view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
+) -> tuple[tuple[Row, ...], OnSensor]:
+    """The rows of a view, and the light that reaches the sensor.
+
+    Args:
+        view: at both ends of what may change.
+        arriving: radiance and depths of what is in the picture.
+        samples: `PixelSamples` of the picture, or None.
+        oversampling: of `Sensor.pixel_aperture`: diffraction acts on the finer grid.
+
+    Returns:
+        A row for each part that is present, and irradiance and opening at most.
+
+    Raises:
+        ValueError: for a view with traced numbers.
+    """
+    refuse_tracers("view", view)
+    radiance = np.asarray(arriving.radiance, float)
+    grids = _Grids(view)
+    opening = grids.opening
+    with np.errstate(invalid="ignore"):
+        irradiance = np.nan_to_num(radiance * opening, nan=INF, posinf=INF)
+    rows = []
+    if getattr(view.high, "rim", None) is not None:
+        rows.append(_row("rim", *rim(grids, radiance)))
+    if getattr(view.high, "distortion", None) is not None:
+        rows.append(_row("distortion", *distortion(grids, radiance)))
+    if getattr(view.high, "diffraction", None) is not None:
+        rows.append(_row("diffraction", *diffraction(view, irradiance, oversampling)))
+    if isinstance(view.high, ThinLens):
+        rows.append(_defocus_row(view, grids, arriving, radiance, samples))
+    if samples is not None:
+        rows.append(_samples_row(view, radiance))
+    if oversampling > 1:
+        rows.append(_oversampling_row(view, opening, radiance, oversampling))
+    return tuple(rows), OnSensor(irradiance, opening)
+
+
+class _Grids:
+    """Pictures of a scene of radiance 1, with and without the parts of a lens, each made once."""
+
+    def __init__(self, view: Ends[View]) -> None:
+        self.view = view
+        self.brightness = cache(self._brightness)
+        self.slopes = cache(self._slopes)
+
+    def without(self, *parts: str) -> View:
+        """The view without some of its parts."""
+        view = self.view.high
+        there = {part: None for part in parts if getattr(view, part, None) is not None}
+        return replace(view, **there) if there else view
+
+    def has(self, part: str) -> bool:
+        """Whether the view holds a part."""
+        return getattr(self.view.high, part, None) is not None
+
+    @property
+    def fixed(self) -> bool:
+        """Whether nothing that pictures depend on may change."""
+        view = self.view
+        same = {"position", "rotation", "resolution"}
+        names = set(vars(view.high)) - same
+        return all(_equal(getattr(view.low, name), getattr(view.high, name)) for name in names)
+
+    @property
+    def opening(self) -> float:
+        """W m^-2 per W m^-2 sr^-1: the largest gain of any pixel, whichever parts have gone."""
+        most = max(opening_of(view) for view in corners(self.view))
+        if not self.has("distortion"):
+            return most
+        if not self.fixed:
+            return INF
+        variants = [(), ("rim",)] if self.has("rim") else [()]
+        return max(most, *(float(np.max(self.brightness(*parts))) for parts in variants))
+
+    def _brightness(self, *gone: str) -> np.ndarray:
+        """(h, w) W m^-2 per W m^-2 sr^-1 without some parts, and without diffraction."""
+        view = self.without("diffraction", *gone)
+        ones = jnp.ones((*view.resolution, 1), view.pixel_pitch.dtype)
+        return np.asarray(jax.jit(sensor_irradiance)(view, ones), float)[..., 0]
+
+    def _slopes(self, *gone: str) -> np.ndarray:
+        """(2, h + 2, w + 2) slopes of the chief rays, from edge to edge of the picture."""
+        view = self.without(*gone)
+
+        def along(size: int) -> jax.Array:
+            middles = np.arange(size)
+            return jnp.asarray([-0.5, *middles, size - 0.5], view.pixel_pitch.dtype)
+
+        def slope(row: jax.Array, column: jax.Array) -> tuple[jax.Array, jax.Array]:
+            assert not isinstance(view, Orthographic)
+            return chief_slope(view, row, column)
+
+        over = jax.jit(jax.vmap(jax.vmap(slope, in_axes=(None, 0)), in_axes=(0, None)))
+        rows, columns = view.resolution
+        return np.stack([np.asarray(x, float) for x in over(along(rows), along(columns))])
+
+
+def opening_of(view: View) -> float:
+    """W m^-2 per W m^-2 sr^-1 on the axis: pi / (4 N^2), or the aperture's area over the square of
+    the distance to the sensor; 1 for a view that passes radiance on.
+
+    Args:
+        view: its rim, distortion and diffraction are not looked at.
+    """
+    if isinstance(view, ThinLens):
+        area = float(aperture_area(view.aperture, view.focal_length / view.f_number))
+        return area * float(sensor_vergence(view)) ** 2
+    return 1.0 if view.f_number is None else math.pi / (4 * float(view.f_number) ** 2)
+
+
+def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
+    """What the rim cuts off in the darkest corner: sup of the brightness without it less with it.
+
+    It is exactly nothing where the whole aperture is seen through the rim from every pixel. Holds
+    with the distortion that the lens has, and without.
+    """
+    if not grids.fixed:
+        return np.full_like(radiance, INF), 0.0, "the lens may change"
+    kept = [(), ("distortion",)] if grids.has("distortion") else [()]
+    if all(_passes(grids, *parts) for parts in kept):
+        return np.zeros_like(radiance), 0.0, "the rim cuts nothing off"
+    lost = [grids.brightness(*parts, "rim") - grids.brightness(*parts) for parts in kept]
+    most = max(float(x.max()) for x in lost) + _rounding(grids)
+    clear = min(float(np.min(grids.brightness(*parts))) for parts in kept)
+    return _times(radiance, most), 0.0, f"the darkest pixel keeps {clear / grids.opening:.3g}"
+
+
+def _passes(grids: _Grids, *gone: str) -> bool:
+    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R."""
+    view = grids.view.high
+    assert isinstance(view, ThinLens)
+    assert view.rim is not None
+    steepest = float(np.hypot(*grids.slopes(*gone)).max())
+    ahead = float(view.rim.distance)
+    focus = 0.0 if view.focus_distance is None else 1 / float(view.focus_distance)
+    radius = float(view.focal_length) / float(view.f_number) / 2 * abs(1 - ahead * focus)
+    return (radius + ahead * steepest) * (1 + 1e-6) <= float(view.rim.diameter) / 2
+
+
+def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
+    """The largest displacement over the grid, and the largest change of the brightness, with the
+    rim that the lens has and without."""
+    lens = [end.distortion for end in grids.view if not isinstance(end, Orthographic)]
+    if all(_is_zero(coefficients) for coefficients in lens):
+        return np.zeros_like(radiance), 0.0, "all coefficients are 0"
+    if not grids.fixed:
+        return np.full_like(radiance, INF), INF, "the lens may change"
+    view = grids.view.high
+    assert not isinstance(view, Orthographic)
+    moved = np.hypot(*(grids.slopes() - grids.slopes("distortion")))
+    pixels = float(moved.max()) / (float(view.pixel_pitch) * float(sensor_vergence(view)))
+    kept = [(), ("rim",)] if grids.has("rim") else [()]
+    change = [grids.brightness(*p) - grids.brightness(*p, "distortion") for p in kept]
+    most = max(float(np.abs(x).max()) for x in change) + _rounding(grids)
+    why = f"light moves by {pixels:.3g} pixels and changes by {most / grids.opening:.3g} of it"
+    return _times(radiance, most), clean(pixels), why
+
+
+def diffraction(
+    view: Ends[View], irradiance: np.ndarray, oversampling: int
+) -> tuple[np.ndarray, float, str]:
+    """(1 - k_0) sup E: the library's kernel is positive, of sum 1, and keeps k_0 in its middle."""
+    middles = []
+    for lens in corners(view):
+        if not (isinstance(lens, ThinLens) and lens.diffraction is not None):
+            continue
+        f_number = (
+            lens.f_number if math.isfinite(float(lens.f_number)) else jnp.ones_like(lens.f_number)
+        )
+        working = f_number / (sensor_vergence(lens) * lens.focal_length)
+        kernel = np.asarray(
+            airy_kernel(
+                lens.diffraction.wavelength,
+                working,
+                lens.pixel_pitch / oversampling,
+                size=lens.diffraction.size,
+            ),
+            float,
+        )
+        middles.append(kernel[kernel.shape[0] // 2, kernel.shape[1] // 2])
+    least = np.min(middles, axis=0)
+    why = f"the middle pixel keeps {float(np.min(least)):.3g}"
+    with np.errstate(invalid="ignore"):
+        return irradiance * np.maximum(1 - least, 0), 0.0, why
+
+
+def defocus(view: Ends[View], near: float, far: float, *, stretch: float = 1.0) -> float:
+    """Half the largest circle of confusion, pixels: d z_i |1 / z - 1 / z_f| / 2 over the pitch.
+
+    It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so that the
+    ends of what is in view and of what may change hold the largest.
+
+    Args:
+        view: thin lenses.
+        near: m along the axis, the least depth in the picture.
+        far: m, the largest; inf is allowed.
+        stretch: by which distortion magnifies small distances at most.
+
+    Returns:
+        Pixels; inf where things touch the lens.
+
+    Source:
+        Szeliski, Computer Vision, section 2.2.3.
+    """
+    widest = 0.0
+    for lens in corners(view):
+        assert isinstance(lens, ThinLens)
+        focus = 0.0 if lens.focus_distance is None else 1 / float(lens.focus_distance)
+        radius = float(lens.focal_length) / float(lens.f_number) / 2
+        image = 1 / float(sensor_vergence(lens))
+        for depth in (near, far):
+            if depth <= 0:
+                return INF if radius > 0 else 0.0
+            away = abs((0.0 if math.isinf(depth) else 1 / depth) - focus)
+            widest = max(widest, radius * image * away / float(lens.pixel_pitch))
+    return clean(widest * stretch)
+
+
+def _stretch(grids: _Grids) -> float:
+    """By how much distortion magnifies small distances on the sensor at most: the norm of its
+    derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r."""
+    view = grids.view.high
+    if isinstance(view, Orthographic) or view.distortion is None:
+        return 1.0
+    if not grids.fixed:
+        return INF
+    steepest = float(np.hypot(*grids.slopes()).max())
+    radial = np.abs(np.asarray(view.distortion.radial, float))
+    order = np.arange(1, radial.size + 1)
+    grown = 1 + float(((2 * order + 1) * radial * steepest ** (2 * order)).sum())
+    tangential = view.distortion.tangential
+    if tangential is None:
+        return grown
+    return grown + 6 * float(np.abs(np.asarray(tangential, float)).sum()) * steepest
+
+
+def _defocus_row(
+    view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray, samples: Any
+) -> Row:
+    """A pinhole at the lens, with the sensor at its distance and as bright a picture."""
+    lens = view.high
+    assert isinstance(lens, ThinLens)
+    if samples is None:
+        moved, why = 0.0, "the aperture is closed: nothing is blurred"
+    else:
+        moved = defocus(view, arriving.near, arriving.far, stretch=_stretch(grids))
+        why = f"blurred by {2 * moved:.3g} pixels at most, of {arriving.near:.3g} m and beyond"
+    if math.isinf(moved):
+        why = "things may touch the lens: their blur is not bounded"
+    parts = frozenset(f"view.{part}" for part in ("rim", "diffraction") if grids.has(part))
+    rank = "exact" if moved == 0 else "bound"
+    effect = Effect("view.defocus", True, why, 0.0, moved, IRRADIANCE, rank)
+    drop = None if math.isinf(moved) or opening_of(lens) == 0 else _to_pinhole
+    return Row(effect, np.zeros_like(radiance), drop, saves=0.1, needs=parts)
+
+
+def _to_pinhole(draft: Draft) -> Draft:
+    lens = draft.camera.view
+    assert isinstance(lens, ThinLens)
+    hole = Pinhole(
+        lens.position,
+        lens.rotation,
+        1 / sensor_vergence(lens),
+        lens.pixel_pitch,
+        resolution=lens.resolution,
+        f_number=jnp.sqrt(jnp.pi / (4 * jnp.asarray(opening_of(lens), lens.pixel_pitch.dtype))),
+        distortion=lens.distortion,
+    )
+    return replace(draft, camera=replace(draft.camera, view=hole))
+
+
+def _samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
+    """Rays inside a pixel stand for places up to its corners; its middle takes their place."""
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, samples=None)
+
+    lens = isinstance(view.high, ThinLens)
+    why = "a pixel's rays reach its corners"
+    effect = Effect("samples", True, why, 0.0, _MIDDLE, IRRADIANCE)
+    needs = frozenset({"view.defocus"}) if lens else frozenset()
+    return Row(effect, np.zeros_like(radiance), drop, saves=0.5, needs=needs)
+
+
+def _oversampling_row(
+    view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
+) -> Row:
+    """One sample in a pixel's middle for all: none is farther away than those in the corners, and
+    the fall-off by cos^4 changes by 1.04 of the slope at most."""
+
+    def drop(draft: Draft) -> Draft:
+        sensor = draft.camera.sensor
+        assert sensor.pixel_aperture is not None
+        once = replace(sensor, pixel_aperture=replace(sensor.pixel_aperture, oversampling=1))
+        return replace(draft, camera=replace(draft.camera, sensor=once))
+
+    reach = _MIDDLE * (1 - 1 / oversampling)
+    amount = np.zeros_like(radiance)
+    if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
+        steps = [float(v.pixel_pitch) * float(sensor_vergence(v)) for v in corners(view)]
+        amount = _times(radiance, opening * _COS4_SLOPE * reach * max(steps))
+    parts = frozenset(f"view.{p}" for p in _PARTS if getattr(view.high, p, None) is not None)
+    why = f"{oversampling} samples along each side reach {reach:.2g} pixels from the middle"
+    name = "sensor.pixel_aperture.oversampling"
+    effect = Effect(name, True, why, clean(np.max(amount)), reach, IRRADIANCE)
+    return Row(effect, amount, drop, saves=0.5, needs=parts)
+
+
+def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
+    """The row of a part of the lens, which goes by becoming None."""
+    amount = np.maximum(np.nan_to_num(amount, nan=INF, posinf=INF), 0)
+
+    def drop(draft: Draft) -> Draft:
+        view = draft.camera.view
+        left = replace(view, **{name: None}) if getattr(view, name, None) is not None else view
+        return replace(draft, camera=replace(draft.camera, view=left))
+
+    bound = clean(np.max(amount))
+    rank = "exact" if bound == 0 and place == 0 else "bound"
+    effect = Effect(f"view.{name}", True, why, bound, place, IRRADIANCE, rank)
+    droppable: Drop | None = drop if math.isfinite(bound + place) else None
+    return Row(effect, amount, droppable, saves=0.3)
+
+
+def _times(radiance: np.ndarray, gain: float) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return radiance * gain
+
+
+def _rounding(grids: _Grids) -> float:
+    """Of a brightness in the view's dtype."""
+    dtype = grids.view.high.pixel_pitch.dtype
+    return 0.0 if dtype == np.float64 else 16 * float(jnp.finfo(dtype).eps) * grids.opening
+
+
+def _equal(low: Any, high: Any) -> bool:
+    """Whether two fields hold the same numbers."""
+    a, tree = jax.tree.flatten(low)
+    b, other = jax.tree.flatten(high)
+    return tree == other and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def _is_zero(coefficients: Any) -> bool:
+    return all(not np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(coefficients))
+
+
+# The functions that bound each part, by the name of its field.
+BOUNDS: dict[str, Callable[..., Any]] = {
+    function.__name__: function for function in (rim, distortion, diffraction, defocus)
+}

@@ -1,0 +1,127 @@
+"""By how much a random charge exceeds a level: bounds from its moment-generating function.
+
+For every theta > 0 and x >= 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2
+exp(theta x). With x = (N - w)+ this gives (Chernoff)
+
+    E (N - w)+    <=  E exp(theta (N - w)) / (e theta),
+    E (N - w)+^2  <=  E exp(theta (N - w)) (2 / (e theta))^2,
+
+and the least over a grid of theta is taken. Given its mean m, a charge has E exp(theta N) = exp(m
+u):
+
+    u = theta                 not counted
+    u = exp(theta) - 1        counted, Poisson
+    u = theta + theta^2 / 2   counted, Gaussian
+
+and m is itself random: light max(1 + p g, 0) + dark + the excess of a hot pixel, with g Gaussian
+and the excess exponential.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+_SLOPES = np.geomspace(1e-7, 30.0, 600)  # per electron
+
+
+class Excess(NamedTuple):
+    """Bounds on the mean and the root mean square of what exceeds a level, electrons."""
+
+    mean: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Charge:
+    """A random charge in electrons.
+
+    Attributes:
+        light: expected electrons of light.
+        dark: expected electrons besides.
+        prnu: relative rms of the pixels' sensitivities.
+        hot: electrons that a hot pixel has more on average; 0: no pixel is hot.
+        counting: "none": a charge is its expectation.
+    """
+
+    light: float
+    dark: float
+    prnu: float
+    hot: float
+    counting: Literal["none", "poisson", "gaussian"]
+
+
+def excess(charge: Charge, level: float) -> Excess:
+    """By how much a charge exceeds a level.
+
+    Beside Chernoff's bounds stand those of the variance: E (N - w)+^2 <= var + (mean - w)+^2.
+
+    Args:
+        charge: the random charge.
+        level: w, electrons; inf is never exceeded.
+
+    Returns:
+        Bounds on mean and rms of (N - w)+.
+    """
+    if math.isinf(level):
+        return Excess(0.0, 0.0)
+    mean = charge.light + charge.dark + charge.hot
+    if not math.isfinite(mean):
+        return Excess(math.inf, math.inf)
+    variance = (charge.prnu * charge.light) ** 2 + charge.hot**2
+    variance += mean if charge.counting != "none" else 0.0
+    above = max(mean - level, 0.0)
+    if variance == 0:
+        return Excess(above, above)
+    log_tail = _log_tail(charge, level)
+    first = np.exp(np.min(log_tail - 1 - np.log(_SLOPES)))
+    second = np.exp(np.min(log_tail / 2 + np.log(2 / (math.e * _SLOPES))))
+    clipped_bias = charge.light * _tail_mean(charge.prnu)
+    rms = min(math.hypot(math.sqrt(variance), above + clipped_bias), float(second))
+    return Excess(min(rms, float(first)), rms)
+
+
+def _log_tail(charge: Charge, level: float) -> np.ndarray:
+    """ln E exp(theta (N - w)) at each theta; inf where it is not finite."""
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        match charge.counting:
+            case "none":
+                u = _SLOPES
+            case "poisson":
+                u = np.expm1(_SLOPES)
+            case "gaussian":
+                u = _SLOPES + _SLOPES**2 / 2
+        log = u * (charge.light + charge.dark) + (u * charge.light * charge.prnu) ** 2 / 2
+        if charge.prnu > 0:  # a sensitivity below 0 counts as 0
+            log = np.logaddexp(log, u * charge.dark + math.log(_below(charge.prnu) + 1e-300))
+        if charge.hot > 0:
+            room = 1 - u * charge.hot
+            log = log - np.log(np.where(room > 0, room, 0))
+        tail = log - _SLOPES * level
+    return np.where(np.isnan(tail), np.inf, tail)
+
+
+def _below(rms: float) -> float:
+    """P(1 + rms g < 0)."""
+    return math.erfc(1 / rms / math.sqrt(2)) / 2
+
+
+def _tail_mean(rms: float) -> float:
+    """E max(1 + rms g, 0) - 1: what cutting sensitivities at 0 adds to their mean."""
+    if rms == 0:
+        return 0.0
+    z = 1 / rms
+    return rms * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - _below(rms)
+
+
+def sensitivity_bias(prnu: float) -> float:
+    """What cutting the pixels' sensitivities at 0 adds to their mean.
+
+    Args:
+        prnu: their relative rms before.
+
+    Returns:
+        Relative to the mean sensitivity, no unit.
+    """
+    return max(_tail_mean(prnu), 0.0)

@@ -1,0 +1,360 @@
+"""The law of a pixel: its mean and rms in electrons, and how far a change can move both.
+
+Of two laws with means m and rms s the distance is
+
+    D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2,
+
+the 2-Wasserstein distance of Gaussians, and for any laws a lower bound of it (Gelbrich, "On a
+formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). It is the distance of
+two points of a plane, so bounds of successive changes add; and the rms of independent parts is the
+length of the vector of their rms, so it moves by no more than that vector does.
+
+A pixel's electrons are read as
+
+    charge      light r + dark,  counted          r: 1 + PRNU
+    converted   charge (1 + c)                    c: rms of the conversion gains
+    read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
+    DN          K read + offset
+
+A change of the charge by D moves the numbers by at most K sqrt((1 + c^2)(1 + q^2)) D. The more
+noise there is, the less a change of its variance shows; all pixels hold at least that of the dark.
+
+All quantities are NumPy float64, electrons unless said otherwise. What lowers a bound is taken at
+the end of its range that lowers it least.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from ..scene import (
+    ArrheniusDarkCurrent,
+    DoublingDarkCurrent,
+    GaussianShotNoise,
+    HeavyTailedReadNoise,
+    PixelAperture,
+    Sensor,
+)
+from ..sensor.dark import BOLTZMANN, ELEMENTARY_CHARGE
+from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
+from .certificate import Rank
+from .overflow import Charge, Excess, excess
+from .stages import Ends, Gone
+
+INF = math.inf
+
+
+class Bound(NamedTuple):
+    """What leaving an effect out changes at most.
+
+    Attributes:
+        dn: DN, the distance at the top of this module; 0: it changes nothing; inf: not bounded.
+        why: what the bound rests on, or why there is none.
+        rank: "bound", or "estimate" for what was tabulated instead of proved.
+        rare: expected number of pixels that it changes, if it spares the others; 0: all.
+    """
+
+    dn: float
+    why: str
+    rank: Rank = "bound"
+    rare: float = 0.0
+
+
+def clean(x: Any) -> float:
+    """A bound: not below 0, and inf where it is not a number."""
+    number = float(x)
+    return INF if math.isnan(number) else max(number, 0.0)
+
+
+def refuse_tracers(name: str, *records: Any) -> None:
+    """Raises `ValueError` for a record whose numbers are not known yet."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(records)):
+        raise ValueError(
+            f"{name} must hold known numbers, got traced ones: bound effects outside of jit."
+        )
+
+
+def growth(before: float, by: float) -> float:
+    """sqrt(before + by) - sqrt(before), with all digits."""
+    if by == 0:
+        return 0.0
+    return by / (math.sqrt(before + by) + math.sqrt(before))
+
+
+def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
+    """Electrons that an irradiance frees in the pixel that sees most of it.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
+
+    Returns:
+        Electrons per exposure.
+    """
+    electrons = np.asarray(irradiance, float)
+    conversion = sensor["photon_conversion"]
+    if conversion is not None:
+        per_joule = np.asarray(conversion.wavelength, float) / (PLANCK * SPEED_OF_LIGHT)
+        electrons = electrons * float(conversion.pixel_area) * per_joule
+    with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
+        for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
+            electrons = electrons if factor is None else electrons * np.asarray(factor, float)
+        if sensor["colour_filter"] is not None:
+            electrons = np.asarray(sensor["colour_filter"].transmission, float) @ electrons
+    if sensor["pixel_aperture"] is not None:
+        electrons = electrons * share_of_light(sensor["pixel_aperture"])
+    return clean(np.max(electrons)) * exposure(sensor)
+
+
+def share_of_light(aperture: PixelAperture) -> float:
+    """What a pixel's aperture gathers of the light on it."""
+    fill = float(aperture.fill_factor)
+    return fill if aperture.microlens is None else fill + float(aperture.microlens) * (1 - fill)
+
+
+def exposure(sensor: Mapping[str, Any]) -> float:
+    """s, or 1 where rates are counts already."""
+    return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
+
+
+def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
+    """Variance of each source of noise behind the conversion that every pixel has.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+
+    Returns:
+        electrons^2 by the name of the field; pattern and temporal noise alike.
+    """
+    found = {}
+    for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"):
+        if sensor[name] is not None:
+            found[name] = float(sensor[name]) ** 2
+    if sensor["reset_noise"] is not None:
+        reset = sensor["reset_noise"]
+        thermal = BOLTZMANN * float(reset.temperature) * float(reset.capacitance)
+        found["reset_noise"] = thermal / ELEMENTARY_CHARGE**2
+    match sensor["read_noise"]:
+        case None:
+            pass
+        case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
+            share = float(fraction)
+            found["read_noise"] = (1 - share) * float(rms) ** 2 + share * float(tail) ** 2
+        case rms:
+            found["read_noise"] = float(rms) ** 2
+    if sensor["banding"] is not None:
+        found["banding"] = float(sensor["banding"].amplitude) ** 2 / 2
+    return found
+
+
+@dataclass(frozen=True)
+class Pixel:
+    """A sensor without what is gone, and the most light that any of its pixels sees.
+
+    Attributes:
+        sensor: the fields of the sensor at both ends, by name, None where they are gone.
+        irradiance: (bands,) W m^-2, the supremum over all pixels.
+        shape: (rows, columns) of the sensor.
+    """
+
+    sensor: Ends[Mapping[str, Any]]
+    irradiance: np.ndarray
+    shape: tuple[int, int]
+
+    def high(self, name: str) -> float:
+        """The largest value of a number; 0 where it is None."""
+        value = self.sensor.high[name]
+        return 0.0 if value is None else float(value)
+
+    @cached_property
+    def gain(self) -> float:
+        """K: DN per electron."""
+        return 1.0 if self.sensor.high["gain"] is None else self.high("gain")
+
+    @cached_property
+    def gain_low(self) -> float:
+        """The least K."""
+        value = self.sensor.low["gain"]
+        return 1.0 if value is None else float(value)
+
+    @cached_property
+    def light(self) -> float:
+        """Electrons of light in the brightest pixel, smear included: m (1 + s (rows - 1))."""
+        return freed(self.sensor.high, self.irradiance) * self.smearing
+
+    @cached_property
+    def smearing(self) -> float:
+        """By how much smear raises the brightest pixel at most: all its column being as bright."""
+        return 1 + self.high("smear") * (self.shape[0] - 1)
+
+    @cached_property
+    def dark(self) -> float:
+        """Electrons of the dark current."""
+        return max(self._darks)
+
+    @cached_property
+    def _darks(self) -> list[float]:
+        """At each corner of what may change: every law is monotone in each of its numbers."""
+        dark = Ends(self.sensor.low["dark_current"], self.sensor.high["dark_current"])
+        if dark.low is None:
+            return [0.0]
+        times = {exposure(self.sensor.low), exposure(self.sensor.high)}
+        return [dark_rate(law) * time for law in corners(dark) for time in times]
+
+    @cached_property
+    def hot(self) -> float:
+        """Mean electrons that a hot pixel has more; 0 without hot pixels."""
+        hot = self.sensor.high["hot_pixels"]
+        return 0.0 if hot is None else float(hot.rate) * exposure(self.sensor.high)
+
+    @cached_property
+    def bright(self) -> float:
+        """Electrons of the brightest pixel; of a hot one the root mean square excess."""
+        return self.light + self.dark + math.sqrt(2) * self.hot
+
+    @property
+    def counted(self) -> bool:
+        """Whether electrons are counted, so that their variance is their mean."""
+        return self.sensor.high["shot_noise"] is not None
+
+    @cached_property
+    def variances(self) -> Ends[dict[str, float]]:
+        """`read_out_variances` at both ends."""
+        return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
+
+    def added(self, name: str = "") -> float:
+        """Variance added behind the conversion by all sources but one, at their low ends."""
+        return sum(v for key, v in self.variances.low.items() if key != name)
+
+    @cached_property
+    def counted_dark(self) -> float:
+        """Least variance of any charge: of dark electrons that are counted, less what charge
+        transfer leaves behind. A well that cuts a charge lowers its rms by the excess at most."""
+        if not self.counted:
+            return 0.0
+        return max(math.sqrt(min(self._darks) * self.read_share) - self.spilt.rms, 0.0) ** 2
+
+    @cached_property
+    def read_share(self) -> float:
+        """Least share of its charge that a pixel of an evenly lit sensor is read with."""
+        transfer = self.sensor.high["charge_transfer"]
+        if transfer is None:
+            return 1.0
+        serial = transfer.serial_inefficiency
+        lost = 1 - float(transfer.inefficiency)
+        return lost if serial is None else lost * (1 - float(serial))
+
+    @cached_property
+    def quiet(self) -> float:
+        """Least variance of a pixel, referred to its charge: that of the darkest."""
+        return self.counted_dark + self.added() / (1 + self.high("conversion_prnu") ** 2)
+
+    @cached_property
+    def behind_column(self) -> float:
+        """DN per electron added behind the conversion: K sqrt(1 + q^2)."""
+        return self.gain * math.hypot(1, self.high("column_prnu"))
+
+    @cached_property
+    def behind_charge(self) -> float:
+        """DN per electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
+        return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
+
+    @cached_property
+    def charge(self) -> Charge:
+        """The brightest charge before any well, of a hot pixel if there are any."""
+        gaussian = isinstance(self.sensor.high["shot_noise"], GaussianShotNoise)
+        return Charge(
+            self.light,
+            self.dark,
+            self.high("prnu"),
+            self.hot,
+            ("gaussian" if gaussian else "poisson") if self.counted else "none",
+        )
+
+    @cached_property
+    def spilt(self) -> Excess:
+        """What the brightest charge exceeds the full well by; 0 without one."""
+        well = self.sensor.low["full_well"]
+        return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
+
+    def moved(self, by: float, *, patterned: bool) -> float:
+        """DN by which charge that comes or goes moves a pixel's law.
+
+        The mean moves by d, the pattern of sensitivities by p d, and the variance of what is
+        counted by d, which shows most in the darkest pixel: sqrt(V + d) - sqrt(V).
+
+        Args:
+            by: d, electrons.
+            patterned: whether the charge is weighted by the pixels' sensitivities.
+        """
+        if not math.isfinite(by):
+            return INF
+        most_quiet, cut = self.at_the_well(by)
+        noise = growth(min(self.quiet, most_quiet), by) if self.counted else 0.0
+        mean = by * math.hypot(1, self.high("prnu")) if patterned else by
+        return self.behind_charge * (math.hypot(mean, noise) + cut)
+
+    def at_the_well(self, by: float) -> tuple[float, float]:
+        """What a full well changes in the distance of two charges, before and after a change of d.
+
+        Where it is hardly reached, cutting off either moves it by the excess at most. Otherwise,
+        laws that are cut come nearer to each other; but then the noise beside the change is that of
+        the light alone, at least a quarter of the well where that matters.
+
+        Args:
+            by: d, electrons.
+
+        Returns:
+            The largest V to be counted on, electrons^2, and electrons to be added.
+        """
+        if self.spilt.rms <= 1e-3 * by:
+            return INF, 2 * self.spilt.rms
+        return float(self.sensor.low["full_well"]) / 4, 0.0
+
+
+def pixel_of(
+    sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
+) -> Pixel:
+    """The sensor without what is gone.
+
+    Args:
+        sensor: at both ends of what may change.
+        irradiance: (bands,) W m^-2, the supremum over all pixels.
+        shape: (rows, columns).
+        gone: names of what was left out, such as "sensor.read_noise".
+    """
+
+    def left(of: Sensor) -> Mapping[str, Any]:
+        fields = vars(of).items()
+        return {name: None if f"sensor.{name}" in gone else value for name, value in fields}
+
+    return Pixel(Ends(left(sensor.low), left(sensor.high)), irradiance, shape)
+
+
+def dark_rate(law: Any) -> float:
+    """e- s^-1 of a dark current, a number or a law of temperature."""
+    match law:
+        case DoublingDarkCurrent():
+            warmer = float(law.temperature) - float(law.reference_temperature)
+            return float(law.rate) * 2 ** (warmer / float(law.doubling))
+        case ArrheniusDarkCurrent():
+            colder = 1 / float(law.reference_temperature) - 1 / float(law.temperature)
+            kelvin = float(law.activation_energy) * ELEMENTARY_CHARGE / BOLTZMANN
+            return float(law.rate) * math.exp(kelvin * colder)
+        case _:
+            return float(law)
+
+
+def corners(ends: Ends[Any]) -> list[Any]:
+    """The record with each of its numbers at either end, in all combinations."""
+    low, tree = jax.tree.flatten(ends.low)
+    high = jax.tree.leaves(ends.high)
+    choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]
+    return [jax.tree.unflatten(tree, leaves) for leaves in product(*choices)]

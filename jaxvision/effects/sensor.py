@@ -1,0 +1,198 @@
+"""The stage of the sensor: a row for each effect, and what a change of light becomes in DN.
+
+The bounds stand in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order of the
+light's path. Each is taken of the sensor without what is gone already: the less noise is left, the
+more the rest shows, and the bounds of successive drops add.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from ..scene import Sensor, ShotNoise
+from . import sensor_charge, sensor_light, sensor_reading
+from .certificate import DN, Effect
+from .pixel import Bound, Pixel, clean, pixel_of, refuse_tracers, share_of_light
+from .stages import Draft, Ends, Gone, Response, Row
+
+QUANTISATION = 1 / 12  # DN^2, variance of rounding
+
+BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
+    **sensor_light.BOUNDS,
+    **sensor_charge.BOUNDS,
+    **sensor_reading.BOUNDS,
+}
+# Fields whose row another stage gives.
+ELSEWHERE = {"shutter": "motion"}
+# Fields that say what the numbers mean, which nothing can leave out.
+SCALES = {"photon_conversion", "colour_filter", "exposure_time", "gain"}
+
+# Shares of the work of a picture that go with an effect: of 256 x 256 pixels under direct light.
+_SAVES = {
+    "charge_transfer": 0.2,
+    "shot_noise": 0.3,
+    "blooming": 0.05,
+    "read_noise": 0.08,
+    "reset_noise": 0.08,
+    "telegraph_noise": 0.1,
+    "dsnu": 0.08,
+    "prnu": 0.08,
+    "conversion_prnu": 0.08,
+    "dead_pixels": 0.08,
+    "hot_pixels": 0.1,
+}
+_ASSUMES = {
+    "full_well": "Numbers of electrons in different pixels are independent.",
+    "blooming": "Numbers of electrons in different pixels are independent.",
+}
+ASSUMED = (
+    "Distances in DN are those of mean and rms: 2-Wasserstein where laws are Gaussian, a lower "
+    "bound of it otherwise."
+)
+
+
+def sensor_stage(
+    sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
+) -> tuple[tuple[Row, ...], Response]:
+    """The rows of a sensor, and its response to a change of light.
+
+    Args:
+        sensor: at both ends of what may change.
+        irradiance: (bands,) W m^-2, the supremum over all pixels; inf if none is known.
+        shape: (rows, columns) of pixels.
+
+    Returns:
+        A row for each effect that is present, with bounds in DN; and the response.
+
+    Raises:
+        ValueError: for a sensor with traced numbers.
+    """
+    refuse_tracers("sensor", sensor)
+    light = np.asarray(irradiance, float)
+
+    @cache
+    def pixel(gone: Gone) -> Pixel:
+        return pixel_of(sensor, light, shape, frozenset(n for n in gone if n.startswith("sensor.")))
+
+    rows = [
+        _row(name, bound, sensor, pixel)
+        for name, bound in BOUNDS.items()
+        if getattr(sensor.high, name) is not None
+    ]
+    rows += [
+        _faster(name, bound, kind, pixel)
+        for name, kinds, bound, kind in sensor_charge.COUNTING
+        if isinstance(sensor.high.shot_noise, kinds)
+    ]
+
+    def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
+        return _response(pixel(gone), np.asarray(change, float))
+
+    return tuple(rows), Response(response, dark_noise(pixel(frozenset())))
+
+
+def dark_noise(pixel: Pixel) -> float:
+    """Noise of a pixel in the dark, temporal and pattern, with rounding.
+
+    Pixels with defects or traps are not counted in: they are noisier.
+
+    Args:
+        pixel: the sensor.
+
+    Returns:
+        DN rms.
+    """
+    conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
+    dark = pixel.counted_dark
+    read = (1 + conversion**2) * dark + (conversion * dark) ** 2 + pixel.added()
+    variance = pixel.gain_low**2 * (1 + column**2) * read
+    rounding = 0.0 if pixel.sensor.high["bits"] is None else QUANTISATION
+    return math.sqrt(variance + rounding)
+
+
+def _response(pixel: Pixel, change: np.ndarray) -> float:
+    """DN by which a change of irradiance, (bands,) W m^-2, moves the law of any pixel."""
+    if not np.any(change):
+        return 0.0
+    moved = replace(pixel, irradiance=np.abs(change)).light
+    return clean(pixel.moved(moved, patterned=True))
+
+
+def _row(
+    name: str,
+    bound: Callable[[Pixel], Bound],
+    sensor: Ends[Sensor],
+    pixel: Callable[[Gone], Pixel],
+) -> Row:
+    """The row of one field, which goes by becoming None."""
+    field = f"sensor.{name}"
+    identity = _is_identity(name, sensor)
+
+    def after(gone: Gone) -> float:
+        return 0.0 if identity else clean(bound(pixel(gone - {field})).dn)
+
+    def drop(draft: Draft) -> Draft:
+        left = replace(draft.camera.sensor, **{name: None})
+        return replace(draft, camera=replace(draft.camera, sensor=left))
+
+    first = bound(pixel(frozenset()))
+    dn = after(frozenset())
+    fixed = (name in SCALES or math.isinf(dn)) and not identity
+    why = "it is 1: nothing changes" if identity else first.why
+    needs = frozenset()
+    if name == "full_well" and sensor.high.blooming is not None:
+        needs = frozenset({"sensor.blooming"})
+    rank = "exact" if dn == 0 else first.rank
+    effect = Effect(field, True, why, dn, unit=DN, rank=rank, rare=first.rare)
+    return Row(
+        effect,
+        np.asarray(dn),
+        None if fixed else drop,
+        after,
+        _ASSUMES.get(name, ASSUMED),
+        _SAVES.get(name, 0.02),
+        needs=needs,
+    )
+
+
+def _faster(
+    name: str,
+    bound: Callable[[Pixel], Bound],
+    kind: type[ShotNoise],
+    pixel: Callable[[Gone], Pixel],
+) -> Row:
+    """The row of a faster way of counting."""
+    field = f"sensor.shot_noise.{name}"
+
+    def after(gone: Gone) -> float:
+        return clean(bound(pixel(gone)).dn)
+
+    def drop(draft: Draft) -> Draft:
+        left = replace(draft.camera.sensor, shot_noise=kind())
+        return replace(draft, camera=replace(draft.camera, sensor=left))
+
+    found = bound(pixel(frozenset()))
+    effect = Effect(field, True, found.why, clean(found.dn), unit=DN, rank=found.rank)
+    others = {"sensor.shot_noise", "sensor.shot_noise.exact", "sensor.shot_noise.whole"} - {field}
+    return Row(
+        effect,
+        np.asarray(effect.bound),
+        drop,
+        after,
+        ASSUMED,
+        0.25,
+        instead_of=frozenset(others),
+    )
+
+
+def _is_identity(name: str, sensor: Ends[Sensor]) -> bool:
+    """Whether a factor is 1, and leaving it out changes no number."""
+    if name in ("gain", "infrared_cut", "quantum_efficiency"):
+        return all(bool(np.all(np.asarray(getattr(end, name), float) == 1)) for end in sensor)
+    if name == "pixel_aperture":
+        apertures = [end.pixel_aperture for end in sensor if end.pixel_aperture is not None]
+        return all(a.oversampling == 1 and share_of_light(a) == 1 for a in apertures)
+    return False

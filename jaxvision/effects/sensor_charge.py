@@ -1,0 +1,136 @@
+"""What leaving out an effect on counted charge changes: counting, wells, and charge transfer.
+
+Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
+"""
+
+import math
+
+import numpy as np
+
+from ..scene import (
+    ChargeTransfer,
+    FastPoissonShotNoise,
+    GaussianShotNoise,
+    PoissonShotNoise,
+)
+from .pixel import INF, Bound, Pixel, growth
+
+# 2-Wasserstein distances from a Poisson law, e-. Of the Gaussian of the same moments, tabulated
+# over means: the largest, at 0.86 e-; at many it is sqrt(1/12 + 1/18), of wholeness and skewness.
+WHOLE = 0.4185
+# Of the draws by inversion: their distance in total variation, one electron each.
+INVERSION = math.sqrt(1.4e-4)
+
+
+def shot_noise(pixel: Pixel) -> Bound:
+    """sqrt(V + m) - sqrt(V) at the brightest m, V being all other noise of the darkest pixel."""
+    rest = pixel.quiet - pixel.counted_dark
+    counted = pixel.light + pixel.dark + pixel.hot
+    if not math.isfinite(counted):
+        return Bound(INF, "the light is not bounded")
+    moved = growth(rest, counted) + pixel.spilt.rms
+    return Bound(pixel.behind_charge * moved, f"sqrt of {counted:.4g} e- rms")
+
+
+def exact_counting(pixel: Pixel) -> Bound:
+    """Poisson draws by inversion instead of by rejection: `sensor.count` states their accuracy,
+    measured; here as an estimate."""
+    return Bound(pixel.behind_charge * INVERSION, "measured up to 1e5 e-", rank="estimate")
+
+
+def whole_electrons(pixel: Pixel) -> Bound:
+    """A Gaussian of the same moments instead of whole numbers of electrons: mean and rms do not
+    move; the laws themselves differ by 0.42 e- at most, tabulated over means."""
+    return Bound(pixel.behind_charge * WHOLE, "tabulated over means", rank="estimate")
+
+
+def full_well(pixel: Pixel) -> Bound:
+    """The root mean square of what the brightest charge exceeds the well by (`overflow`)."""
+    well = float(pixel.sensor.low["full_well"])
+    why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
+    return Bound(pixel.behind_charge * pixel.spilt.rms, why)
+
+
+def blooming(pixel: Pixel) -> Bound:
+    """What spills into a pixel: b / 2 of the excess of each of the other pixels of its column.
+
+        R = b / 2 sum X_i,   E R^2 <= (b / 2)^2 ((n E X)^2 + n E X^2),   R <= w
+
+    Excesses of different pixels are independent. What a full well passes on loses a share 1 - b
+    each time, which is ignored.
+    """
+    others = pixel.shape[0] - 1
+    half = pixel.high("blooming") / 2
+    mean, rms = pixel.spilt
+    well = float(pixel.sensor.high["full_well"])
+    if half == 0 or rms == 0 or others == 0:
+        return Bound(0.0, "no charge spills")
+    if not math.isfinite(rms):
+        return Bound(pixel.behind_charge * well, "at most a full well")
+    spilt = half * math.hypot(others * mean, math.sqrt(others) * rms)
+    received = min(spilt, math.sqrt(well * half * others * mean), well)
+    return Bound(pixel.behind_charge * received, f"{mean:.3g} e- over the well at most expected")
+
+
+def charge_transfer(pixel: Pixel) -> Bound:
+    """The larger of what a bright pixel loses and what a dark one gains.
+
+    Its pattern of sensitivities changes by no more than p times the length of what moves, and its
+    counted variance by the mean.
+    """
+    transfer = pixel.sensor.high["charge_transfer"]
+    own, all_shares = transfer_shares(transfer, pixel.shape)
+    lost, gained = float(np.max(1 - own)), float(np.max(all_shares - own))
+    if not math.isfinite(pixel.bright):
+        return Bound(INF, "the light is not bounded")
+    mean = max(lost, gained) * pixel.bright
+    pattern = pixel.high("prnu") * pixel.light * math.hypot(lost, gained)
+    noise = growth(pixel.quiet, mean) if pixel.counted else 0.0
+    moved = pixel.behind_charge * math.hypot(mean, noise + pattern)
+    return Bound(moved, f"{max(lost, gained):.3g} of a packet stays behind")
+
+
+def transfer_shares(
+    transfer: ChargeTransfer, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """For each pixel the share of its own packet that is read in its place, and the sum of all
+    shares that are.
+
+    The packet of row i is transferred i + 1 times and left behind k times with the binomial
+    probability C(i + k, k) (1 - e)^(i + 1) e^k; what is left `trail` times or more is read `trail`
+    rows behind.
+
+    Args:
+        transfer: the inefficiencies and the length of the trail.
+        shape: (rows, columns).
+
+    Returns:
+        Two arrays (rows, columns), no unit.
+    """
+    own_rows, all_rows = _along(float(transfer.inefficiency), shape[0], transfer.trail)
+    serial = transfer.serial_inefficiency
+    own, every = _along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
+    return np.outer(own_rows, own), np.outer(all_rows, every)
+
+
+def _along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
+    row = np.arange(size)
+    share = (1 - inefficiency) ** (row + 1)
+    own, received, left = share, np.zeros(size), 1 - share
+    for behind in range(1, min(trail, size - 1) + 1):
+        share = share * inefficiency * (row + behind) / behind
+        read = np.maximum(share, left) if behind == trail else share
+        received[behind:] += read[: size - behind]
+        left = left - share
+    return own, own + received
+
+
+BOUNDS = {
+    function.__name__: function for function in (shot_noise, full_well, blooming, charge_transfer)
+}
+# What can take the place of a way of counting: the name of the effect, the kinds that have it, its
+# bound, and the kind without it.
+COUNTING = (
+    ("exact", (PoissonShotNoise,), exact_counting, FastPoissonShotNoise),
+    ("whole", (PoissonShotNoise, FastPoissonShotNoise), whole_electrons, GaussianShotNoise),
+)

@@ -1,0 +1,136 @@
+"""What leaving out an effect between the light and the electrons changes: a function an effect.
+
+Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from .overflow import sensitivity_bias
+from .pixel import INF, Bound, Pixel, growth, share_of_light
+from .stages import Ends
+
+
+def photon_conversion(pixel: Pixel) -> Bound:
+    """Not an effect: without it light would be in other units."""
+    return Bound(INF, "converts W m^-2 to photons: nothing can be left out")
+
+
+def colour_filter(pixel: Pixel) -> Bound:
+    """Not an effect of some size: it says which bands a pixel measures."""
+    return Bound(INF, "says which bands a pixel measures")
+
+
+def exposure_time(pixel: Pixel) -> Bound:
+    """Not an effect: it scales light and dark current alike."""
+    return Bound(INF, "scales all charge: nothing can be left out")
+
+
+def infrared_cut(pixel: Pixel) -> Bound:
+    """The light that the filter takes away: (1 - transmission) of each band."""
+    least = np.asarray(pixel.sensor.low["infrared_cut"], float)
+    return _attenuator(pixel, "infrared_cut", least, "what the filter absorbs")
+
+
+def quantum_efficiency(pixel: Pixel) -> Bound:
+    """The photons that free no electron: (1 - efficiency) of each band."""
+    least = np.asarray(pixel.sensor.low["quantum_efficiency"], float)
+    return _attenuator(pixel, "quantum_efficiency", least, "photons that free no electron")
+
+
+def pixel_aperture(pixel: Pixel) -> Bound:
+    """The light beside the active area; inf where the aperture is sampled more than once, which no
+    bound on a value covers at an edge."""
+    low = pixel.sensor.low["pixel_aperture"]
+    if low.oversampling > 1:
+        return Bound(INF, f"light is sampled {low.oversampling} times along each side")
+    return _attenuator(pixel, "pixel_aperture", share_of_light(low), "light beside the active area")
+
+
+def crosstalk(pixel: Pixel) -> Bound:
+    """4 c m: what a dark pixel among bright ones gains, and a bright one among dark ones loses."""
+    share = 4 * pixel.high("crosstalk")
+    why = f"{share:.3g} of the brightest charge drifts"
+    return Bound(pixel.moved(share * pixel.light, patterned=True), why)
+
+
+def smear(pixel: Pixel) -> Bound:
+    """s (rows - 1) m: what a dark pixel gathers in a column that is bright throughout."""
+    share = pixel.high("smear") * (pixel.shape[0] - 1)
+    gathered = share * pixel.light / pixel.smearing
+    why = f"{share:.3g} of the brightest charge, gathered along its column"
+    return Bound(pixel.moved(gathered, patterned=True), why)
+
+
+def prnu(pixel: Pixel) -> Bound:
+    """sqrt(V + m + p^2 m^2) - sqrt(V + m) at the brightest m, where it is largest.
+
+    With counted light its own noise m hides some of the pattern. Where a full well is reached V
+    belongs to what comes after it and is left out. Cutting sensitivities at 0 also moves the mean.
+    """
+    rms, light = pixel.high("prnu"), pixel.light
+    if not math.isfinite(light):
+        return Bound(INF, "the light is not bounded")
+    most_quiet, cut = pixel.at_the_well(rms * light)
+    before = pixel.quiet if math.isinf(most_quiet) else 0.0
+    before += light if pixel.counted else 0.0
+    noise = growth(before, (rms * light) ** 2)
+    moved = math.hypot(noise, light * sensitivity_bias(rms)) + cut
+    return Bound(pixel.behind_charge * moved, f"{rms:.3g} of {light:.4g} e-")
+
+
+def dead_pixels(pixel: Pixel) -> Bound:
+    """All the light of a dead pixel; the others do not change."""
+    rare = pixel.high("dead_pixels") * math.prod(pixel.shape)
+    why = f"{rare:.3g} pixels see nothing; the bound is theirs"
+    return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
+
+
+def dark_current(pixel: Pixel) -> Bound:
+    """Its electrons go, and their noise with them: in the dark sqrt(V) - sqrt(V - d)."""
+    dark = pixel.dark
+    rest = pixel.quiet - pixel.counted_dark
+    most_quiet, cut = pixel.at_the_well(dark)
+    noise = growth(min(rest, most_quiet), dark) if pixel.counted else 0.0
+    return Bound(pixel.behind_charge * (math.hypot(dark, noise) + cut), f"{dark:.3g} e-")
+
+
+def hot_pixels(pixel: Pixel) -> Bound:
+    """An excess of mean H, exponential: it moves a hot pixel's mean by H and its variance by H^2,
+    and by H more where it is counted."""
+    rare = float(pixel.sensor.high["hot_pixels"].fraction) * math.prod(pixel.shape)
+    hot = pixel.hot
+    most_quiet, cut = pixel.at_the_well(hot)
+    noise = growth(min(pixel.quiet, most_quiet), hot**2 + (hot if pixel.counted else 0.0))
+    why = f"{rare:.3g} pixels of {hot:.3g} e- more on average; the bound is theirs"
+    return Bound(pixel.behind_charge * (math.hypot(hot, noise) + cut), why, rare=rare)
+
+
+def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
+    """What a factor of at most 1 on each band takes away; pixels without it are brighter."""
+    ends = (dict(end, **{name: None}) for end in pixel.sensor)
+    without = replace(pixel, sensor=Ends(*ends))
+    with np.errstate(invalid="ignore"):  # of inf nothing is known, though the factor be 1
+        taken = replace(without, irradiance=pixel.irradiance * (1 - factor)).light
+    return Bound(without.moved(taken, patterned=True), why)
+
+
+BOUNDS = {
+    function.__name__: function
+    for function in (
+        photon_conversion,
+        infrared_cut,
+        quantum_efficiency,
+        colour_filter,
+        pixel_aperture,
+        exposure_time,
+        crosstalk,
+        smear,
+        prnu,
+        dead_pixels,
+        dark_current,
+        hot_pixels,
+    )
+}

@@ -1,0 +1,190 @@
+"""What leaving out an effect of the read-out changes: pattern, noise, amplifiers and the ADC.
+
+Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
+Noise of variance v that every pixel has shows most in the darkest one, whose other noise is V:
+
+    K sqrt(1 + q^2) (sqrt(V + v) - sqrt(V)).
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from ..scene import HeavyTailedReadNoise
+from .overflow import excess
+from .pixel import INF, Bound, Pixel, growth
+
+# A Gaussian gain is taken to lie within so many standard deviations; the rest is added by itself.
+_WIDE = 9.0
+_BEYOND = 2.3e-19  # P(|g| > 9)
+
+
+def conversion_prnu(pixel: Pixel) -> Bound:
+    """sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m) at the brightest m, where it is largest."""
+    rms, charge = pixel.high("conversion_prnu"), pixel.bright
+    if not math.isfinite(charge):
+        return Bound(INF, "the light is not bounded")
+    counted = pixel.light + pixel.dark if pixel.counted and pixel.spilt.rms < 1e-6 else 0.0
+    variance = charge if pixel.counted else 0.0
+    variance += (pixel.high("prnu") * pixel.light) ** 2
+    grown = growth(pixel.added() + counted, rms**2 * (variance + charge**2))
+    return Bound(pixel.behind_column * grown, f"{rms:.3g} of {charge:.4g} e-")
+
+
+def column_prnu(pixel: Pixel) -> Bound:
+    """sqrt(v + q^2 (v + m^2)) - sqrt(v) at the brightest m, v being all its noise."""
+    rms, charge = pixel.high("column_prnu"), pixel.bright
+    if not math.isfinite(charge):
+        return Bound(INF, "the light is not bounded")
+    counted = pixel.light + pixel.dark if pixel.counted and pixel.spilt.rms < 1e-6 else 0.0
+    conversion = pixel.high("conversion_prnu") ** 2
+    own = (charge if pixel.counted else 0.0) + (pixel.high("prnu") * pixel.light) ** 2
+    own = own * (1 + conversion) + conversion * charge**2 + sum(pixel.variances.high.values())
+    own += _trap(pixel)
+    grown = growth(pixel.added() + counted, rms**2 * (own + charge**2))
+    return Bound(pixel.gain * grown, f"{rms:.3g} of {charge:.4g} e-")
+
+
+def every_pixel(name: str, pixel: Pixel) -> Bound:
+    """Zero-mean noise or pattern of all pixels, independent of all other noise."""
+    variance = pixel.variances.high[name]
+    conversion = pixel.high("conversion_prnu")
+    rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
+    moved = pixel.behind_column * growth(rest, variance)
+    return Bound(moved, f"{math.sqrt(variance):.3g} e- rms")
+
+
+def telegraph_noise(pixel: Pixel) -> Bound:
+    """A trapped pixel is off by +-a in half of its frames, of variance a^2 / 2; others are not."""
+    rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
+    trapped = _trap(pixel)
+    rest = (1 + pixel.high("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
+    moved = pixel.behind_column * growth(rest, trapped)
+    why = f"{rare:.3g} pixels have a trap; the bound is theirs"
+    return Bound(moved, why, rare=rare)
+
+
+def gain(pixel: Pixel) -> Bound:
+    """Not an effect: it says what a DN is."""
+    return Bound(INF, "says what a DN is: nothing can be left out")
+
+
+def offset(pixel: Pixel) -> Bound:
+    """The mean moves by it."""
+    ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
+    return Bound(max(abs(float(x)) for x in ends), "moves all numbers alike")
+
+
+def bits(pixel: Pixel) -> Bound:
+    """Rounding moves a number by at most 1/2 DN, and clipping by what lies outside the range.
+
+    With Gaussian noise of variance V in DN^2, of at least 1/4, rounding moves the mean by at most
+    exp(-2 pi^2 V) / pi and adds a variance of 1/12 + (4 V + 1/pi^2) exp(-2 pi^2 V) at most (Widrow
+    and Kollar, "Quantization Noise", 2008, chapter 5, first terms with their remainders doubled).
+    """
+    rounding = 0.5
+    smooth = pixel.gain_low**2 * _gaussian(pixel)
+    if smooth >= 0.25:
+        ripple = math.exp(-2 * math.pi**2 * smooth)
+        noise = growth(smooth, 1 / 12 + 2 * (4 * smooth + math.pi**-2) * ripple)
+        rounding = min(rounding, math.hypot(noise, 2 * ripple / math.pi))
+    clipped = _clipped(pixel)
+    return Bound(rounding + clipped, f"rounds by {rounding:.2g} DN, clips {clipped:.2g} DN")
+
+
+def _trap(pixel: Pixel) -> float:
+    """Variance of a trapped pixel's telegraph noise."""
+    trap = pixel.sensor.high["telegraph_noise"]
+    return 0.0 if trap is None else float(trap.amplitude) ** 2 / 2
+
+
+def _gaussian(pixel: Pixel) -> float:
+    """Variance of the Gaussian noise that every pixel has, e-^2."""
+    variances = dict(pixel.variances.low)
+    variances.pop("banding", None)
+    read = pixel.sensor.low["read_noise"]
+    if isinstance(read, HeavyTailedReadNoise):
+        variances["read_noise"] = min(float(read.rms), float(read.tail_rms)) ** 2
+    return sum(variances.values())
+
+
+def _widest(pixel: Pixel) -> float:
+    """Variance of a Gaussian with a moment-generating function above that of all noise that is
+    added behind the conversion: the longer part of a mixture, and a^2 for what lies within +-a."""
+    variances = dict(pixel.variances.high)
+    read = pixel.sensor.high["read_noise"]
+    if isinstance(read, HeavyTailedReadNoise):
+        variances["read_noise"] = max(float(read.rms), float(read.tail_rms)) ** 2
+    trap = pixel.sensor.high["telegraph_noise"]
+    return sum(variances.values()) + (0.0 if trap is None else float(trap.amplitude) ** 2)
+
+
+def _clipped(pixel: Pixel) -> float:
+    """Root mean square of what lies below 0 or above the largest number, DN.
+
+    Gains of columns and pixels are random: within 9 standard deviations they are replaced by their
+    largest values, and what lies beyond is bounded by its own second moment.
+    """
+    conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
+    if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
+        return INF
+    widest = (1 + _WIDE * conversion) * (1 + _WIDE * column)
+    noise = pixel.gain * (1 + _WIDE * column) * math.sqrt(_widest(pixel))
+    ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
+    offsets = [0.0 if x is None else float(x) for x in ends]
+    top = 2 ** float(pixel.sensor.low["bits"]) - 1
+    low = _gaussian_excess(noise, min(offsets))
+    spare = (top - max(offsets)) / (pixel.gain * widest)
+    high = _above(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
+    second = pixel.bright + pixel.bright**2 + _widest(pixel)
+    beyond = pixel.gain * math.sqrt(second * 2 * _BEYOND * 4 * _WIDE**2)
+    return math.hypot(low, high) + (beyond if widest > 1 else 0.0)
+
+
+def _above(pixel: Pixel, level: float, noise: float) -> float:
+    """Root mean square of charge and Gaussian noise above a level, electrons.
+
+    (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of some is
+    taken. A well that is left cuts N.
+    """
+    if level <= 0:
+        return INF
+    well = pixel.sensor.high["full_well"]
+
+    def at(share: float) -> float:
+        cut = well is not None and float(well) <= share * level
+        counted = 0.0 if cut else excess(pixel.charge, share * level).rms
+        return counted + _gaussian_excess(noise, (1 - share) * level)
+
+    return min(at(share) for share in np.linspace(0.02, 0.99, 40)) if noise > 0 else at(1.0)
+
+
+def _gaussian_excess(rms: float, level: float) -> float:
+    """Root mean square of a Gaussian above a level: sqrt((1 + z^2) Q(z) - z phi(z)) rms, taken from
+    above by E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
+    if rms == 0:
+        return max(-level, 0.0)
+    z = level / rms
+    if z < 0:
+        return math.hypot(rms, level)
+    return rms * math.sqrt(math.exp(-z * z / 2) / 2)
+
+
+EVERY_PIXEL = (
+    "dsnu",
+    "column_dsnu",
+    "row_dsnu",
+    "reset_noise",
+    "read_noise",
+    "row_noise",
+    "banding",
+)
+BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
+    **{name: partial(every_pixel, name) for name in EVERY_PIXEL},
+    **{
+        function.__name__: function
+        for function in (conversion_prnu, telegraph_noise, column_prnu, gain, offset, bits)
+    },
+}

@@ -1,0 +1,115 @@
+"""Mean and variance of every pixel of a sensor in plain NumPy, one effect after the other.
+
+`law` takes a dictionary of numbers, light in electrons per pixel, and whether the pixel in question
+has a trap, is hot or dead; nothing of the library is used. A full well is applied to the exact
+distribution: Poisson counts under Gauss-Hermite nodes of the sensitivity.
+"""
+
+import numpy as np
+from scipy import stats
+
+K_B, Q = 1.380649e-23, 1.602176634e-19
+
+
+def read_variance(f):
+    """electrons^2 behind the conversion that every pixel has."""
+    total = sum(f.get(n, 0.0) ** 2 for n in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"))
+    total += f.get("banding", 0.0) ** 2 / 2
+    if "reset_noise" in f:
+        capacitance, kelvin = f["reset_noise"]
+        total += K_B * kelvin * capacitance / Q**2
+    match f.get("read_noise"):
+        case (rms, tail, share):
+            total += (1 - share) * rms**2 + share * tail**2
+        case None:
+            pass
+        case rms:
+            total += rms**2
+    return total
+
+
+def drift(f, light):
+    """Expected electrons after smear and crosstalk."""
+    column = light.sum(0, keepdims=True)
+    light = light + f.get("smear", 0.0) * (column - light)
+    wide = np.pad(light, 1, mode="edge")
+    around = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
+    c = f.get("crosstalk", 0.0)
+    return (1 - 4 * c) * light + c * around
+
+
+def transfer_matrix(size, inefficiency, trail):
+    """(read in row, from row) shares: binomial probabilities of being left behind."""
+    shares = np.zeros((size, size))
+    for i in range(size):
+        lag = stats.nbinom.pmf(np.arange(trail), i + 1, 1 - inefficiency)
+        for k in range(min(trail, size - i)):
+            shares[i + k, i] = lag[k]
+        if i + trail < size:
+            shares[i + trail, i] = 1 - lag.sum()
+    return shares
+
+
+def moved(f, mean, pattern, counted):
+    """Mean, pattern's variance and counted variance after charge transfer along the columns."""
+    if "charge_transfer" not in f:
+        return mean, pattern, counted
+    rows = transfer_matrix(mean.shape[0], f["charge_transfer"], 8)
+    return rows @ mean, rows**2 @ pattern, rows @ mean if f.get("shot") else counted
+
+
+def charge(f, light, hot):
+    """Mean and variance of the charge that is converted."""
+    p, well = f.get("prnu", 0.0), f.get("full_well", np.inf)
+    excess = f.get("hot", 0.0) if hot else 0.0  # exponential: its rms about the mean is its mean
+    if np.isfinite(well):
+        return clipped(light, f, hot)
+    mean = light + f.get("dark", 0.0) + excess
+    mean, pattern, counted = moved(f, mean, (p * light) ** 2 + excess**2, mean)
+    return mean, pattern + (counted if f.get("shot") else 0.0)
+
+
+def clipped(light, f, hot):
+    """Moments of min(N, w): E N 1[N < w] and so on of Poisson counts; sensitivities and the excess
+    of a hot pixel by nodes."""
+    well = f["full_well"]
+    g, weight = np.polynomial.hermite_e.hermegauss(31 if not hot else 7)
+    weight = weight / weight.sum()
+    m = np.maximum(1 + f.get("prnu", 0.0) * g, 0)[:, None, None] * light[None] + f.get("dark", 0.0)
+    if hot and "hot" in f:
+        x, share = np.polynomial.laguerre.laggauss(24)
+        m = (m[:, None] + f["hot"] * x[None, :, None, None]).reshape(-1, *light.shape)
+        weight = np.outer(weight, share).ravel()
+    if not f.get("shot"):
+        n = np.minimum(m, well)
+        first, second = n, n**2
+    else:
+        below = np.ceil(well) - 1
+        upper = stats.poisson.sf(below, m)
+        first = m * stats.poisson.cdf(below - 1, m) + well * upper
+        second = m**2 * stats.poisson.cdf(below - 2, m) + m * stats.poisson.cdf(below - 1, m)
+        second = second + well**2 * upper
+    w = weight[:, None, None]
+    mean = (w * first).sum(0)
+    return mean, np.maximum((w * second).sum(0) - mean**2, 0)
+
+
+def law(f, light, *, trapped=False, hot=False, dead=False):
+    """(mean, rms) in DN of a pixel at each place, before rounding.
+
+    f: prnu, conversion_prnu, column_prnu, crosstalk, smear, charge_transfer (inefficiency),
+    dark, hot (electrons), shot (bool), full_well, gain, offset and the sources of `read_variance`;
+    light: (h, w) expected photoelectrons.
+    """
+    light = drift(f, light) * (0.0 if dead else 1.0)
+    mean, variance = charge(f, light, hot)
+    c, q, k = f.get("conversion_prnu", 0.0), f.get("column_prnu", 0.0), f.get("gain", 1.0)
+    variance = variance * (1 + c**2) + c**2 * mean**2 + read_variance(f)
+    variance = variance + (f.get("telegraph", 0.0) ** 2 / 2 if trapped else 0.0)
+    variance = variance * (1 + q**2) + q**2 * mean**2
+    return k * mean + f.get("offset", 0.0), k * np.sqrt(variance)
+
+
+def distance(one, other):
+    """Of two laws: sqrt((difference of means)^2 + (difference of rms)^2), the largest."""
+    return float(np.hypot(one[0] - other[0], one[1] - other[1]).max())

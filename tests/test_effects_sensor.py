@@ -1,0 +1,329 @@
+"""Bounds on the effects of a sensor, against moments in plain NumPy (`oracles.sensor_moments`)."""
+
+import math
+from dataclasses import fields, replace
+
+import jax
+import numpy as np
+import pytest
+from examples.random_sensors import SHAPE, draw, without
+from oracles.sensor_moments import distance, law
+from oracles.sensors import EVERY_EFFECT
+from scipy import stats
+
+from jaxvision import scene as s
+from jaxvision.effects.overflow import Charge, excess
+from jaxvision.effects.pixel import pixel_of
+from jaxvision.effects.sensor import BOUNDS, ELSEWHERE, SCALES, sensor_stage
+from jaxvision.effects.sensor_charge import WHOLE, transfer_shares
+from jaxvision.effects.stages import Ends
+
+ROUNDING = 1e-6  # DN, of the oracle: differences of squares of large numbers
+NOT_MOMENTS = {"sensor.blooming", "sensor.bits"}  # have tests of their own
+
+
+def rows_of(sensor, light, shape=SHAPE):
+    """Rows by name, and the response, for photons per pixel."""
+    rows, response = sensor_stage(Ends(sensor, sensor), np.array([np.max(light)]), shape=shape)
+    return {row.effect.name: row for row in rows}, response
+
+
+def pixels(f):
+    """The kinds of pixels: those with a trap, hot ones, and others."""
+    for trapped in {False, "telegraph" in f}:
+        for hot in {False, "hot" in f}:
+            yield {"trapped": trapped, "hot": hot}
+
+
+def changed(f, gone, light):
+    return max(distance(law(f, light, **p), law(without(f, gone), light, **p)) for p in pixels(f))
+
+
+def droppable(rows):
+    return {
+        name: row
+        for name, row in rows.items()
+        if row.drop is not None and row.effect.rank != "estimate"
+    }
+
+
+def dropped(rows, tolerance):
+    """(names, promised DN): the least bounds first, each of what is left then."""
+    rows, gone, total = droppable(rows), frozenset(), 0.0
+    first = sorted(rows, key=lambda name: rows[name].after(frozenset()))
+    for name in [*first, "sensor.full_well"]:  # a well waits for its blooming
+        if name in gone or name not in rows or name == "sensor.bits":
+            continue
+        change = rows[name].after(gone)
+        if rows[name].needs <= gone and total + change <= tolerance:
+            gone, total = gone | {name}, total + change
+    return gone, total
+
+
+def check_sensor(seed):
+    """(promised / actual of all that was dropped, of each alone); nothing is exempt."""
+    sensor, f, light, rng = draw(seed)
+    electrons = light * float(sensor.quantum_efficiency)
+    rows, response = rows_of(sensor, light)
+    alone = {}
+    for name, row in droppable(rows).items():
+        if name in NOT_MOMENTS or name == "sensor.quantum_efficiency":
+            continue
+        actual = changed(f, {name}, electrons)
+        assert actual <= row.effect.bound * (1 + 1e-9) + ROUNDING, (seed, name)
+        if actual > ROUNDING:
+            alone[name] = row.effect.bound / actual
+    tolerance = float(rng.choice([0.02, 0.1, 1.0])) * response.dark
+    gone, promised = dropped(rows, tolerance)
+    actual = changed(f, gone, electrons)
+    assert actual <= promised * (1 + 1e-9) + ROUNDING, (seed, sorted(gone))
+    return (promised / actual if actual > ROUNDING else None), alone
+
+
+def test_a_few_random_sensors_against_moments():
+    ratios = [check_sensor(seed)[0] for seed in range(6)]
+    assert np.median([r for r in ratios if r is not None]) <= 1.5
+
+
+@pytest.mark.slow
+def test_three_hundred_random_sensors_against_moments():
+    found = [check_sensor(seed) for seed in range(300)]
+    together = [ratio for ratio, _ in found if ratio is not None]
+    print("together", len(together), np.percentile(together, [25, 50, 75]).round(3))
+    for name in sorted({name for _, alone in found for name in alone}):
+        ratios = [alone[name] for _, alone in found if name in alone]
+        print(name, len(ratios), np.percentile(ratios, [25, 50, 75]).round(3))
+    assert np.median(together) <= 1.5
+
+
+def test_half_of_a_bound_is_caught():
+    """The check above fails for a bound that is too small by a factor of 2."""
+    sensor, f, light, _ = draw(3)
+    rows, _ = rows_of(sensor, light)
+    actual = changed(f, {"sensor.read_noise"}, light * float(sensor.quantum_efficiency))
+    assert actual > rows["sensor.read_noise"].effect.bound / 2
+
+
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(60), marks=pytest.mark.slow)])
+def test_no_electron_reaches_a_well_that_was_dropped(seeds):
+    """Ten draws of each sensor, in NumPy; wells are set where they begin to matter."""
+    wells = 0
+    for seed in seeds:
+        sensor, f, light, rng = draw(seed, wells=False)
+        mean = light * float(sensor.quantum_efficiency) + f.get("dark", 0.0)
+        rms = math.hypot(math.sqrt(mean.max()), f.get("prnu", 0.0) * mean.max())
+        well = mean.max() + rng.uniform(4, 8) * rms + 3
+        sensor = replace(sensor, full_well=well, charge_transfer=None, smear=None, hot_pixels=None)
+        sensor = replace(sensor, crosstalk=None)
+        row = rows_of(sensor, light)[0]["sensor.full_well"]
+        if row.effect.bound > 1e-3 * f["gain"]:
+            continue
+        wells += 1
+        for _ in range(10):
+            sensitivity = np.maximum(1 + f.get("prnu", 0.0) * rng.standard_normal(SHAPE), 0)
+            expected = light * float(sensor.quantum_efficiency) * sensitivity + f.get("dark", 0.0)
+            counts = rng.poisson(expected) if "shot" in f else expected
+            assert counts.max() <= well
+    assert wells >= len(seeds) / 4
+
+
+def test_every_field_of_a_sensor_has_its_row():
+    names = {field.name for field in fields(s.Sensor)}
+    assert set(BOUNDS) | set(ELSEWHERE) == names
+    assert not set(BOUNDS) & set(ELSEWHERE)
+    assert names >= SCALES
+    rows, _ = sensor_stage(Ends(EVERY_EFFECT, EVERY_EFFECT), np.ones(3), shape=(6, 8))
+    assert {row.effect.name for row in rows} >= {f"sensor.{name}" for name in BOUNDS}
+    assert all(row.effect.why for row in rows)
+
+
+def test_traced_numbers_are_refused():
+    def traced(gain):
+        sensor = s.Sensor(gain=gain)
+        sensor_stage(Ends(sensor, sensor), np.ones(1), shape=(2, 2))
+
+    with pytest.raises(ValueError, match="outside of jit"):
+        jax.eval_shape(traced, 1.0)
+
+
+@pytest.mark.parametrize("counting", ["none", "poisson", "gaussian"])
+@pytest.mark.parametrize("margin", [-2.0, 1.0, 5.0, 9.0])
+def test_excess_over_a_level_against_sums(counting, margin):
+    """Poisson by its probabilities, Gaussians in closed form, sensitivities by nodes."""
+    light, prnu, dark = 900.0, 0.03, 20.0
+    level = light + dark + margin * math.sqrt(light + (prnu * light) ** 2)
+    got = excess(Charge(light, dark, prnu, 0.0, counting), level)
+    g, weight = np.polynomial.hermite_e.hermegauss(60)
+    means = light * np.maximum(1 + prnu * g, 0) + dark
+    if counting == "poisson":
+        n = np.arange(4000)
+        over = np.maximum(n - level, 0)
+        chance = stats.poisson.pmf(n, means[:, None])
+        first, second = chance @ over, chance @ over**2
+    else:
+        rms = np.sqrt(means) if counting == "gaussian" else np.full_like(means, 1e-9)
+        z = (means - level) / rms
+        first = rms * (z * stats.norm.cdf(z) + stats.norm.pdf(z))
+        second = rms**2 * ((1 + z**2) * stats.norm.cdf(z) + z * stats.norm.pdf(z))
+    weight = weight / weight.sum()
+    assert got.mean >= weight @ first * (1 - 1e-9)
+    assert got.rms >= math.sqrt(max(weight @ second, 0)) * (1 - 1e-9)
+    if margin == -2:
+        assert got.rms <= 1.5 * math.sqrt(weight @ second)
+
+
+@pytest.mark.slow
+def test_counts_and_gaussians_of_the_same_moments_are_less_than_half_an_electron_apart():
+    chance = (np.arange(40000) + 0.5) / 40000
+    apart = [
+        np.sqrt(np.mean((stats.poisson.ppf(chance, m) - stats.norm.ppf(chance, m, m**0.5)) ** 2))
+        for m in np.geomspace(0.01, 1e4, 40)
+    ]
+    assert 0.95 * WHOLE <= max(apart) <= WHOLE
+    assert apart[-1] == pytest.approx(math.sqrt(1 / 12 + 1 / 18), abs=2e-3)
+
+
+def test_shares_of_a_packet_are_binomial():
+    own, every = transfer_shares(s.ChargeTransfer(0.02, serial_inefficiency=0.01, trail=3), (9, 7))
+    for row, column in ((0, 0), (8, 6), (4, 2)):
+        kept = stats.nbinom.pmf(0, row + 1, 0.98) * stats.nbinom.pmf(0, column + 1, 0.99)
+        assert own[row, column] == pytest.approx(kept, rel=1e-12)
+    assert every.max() <= 1.0 + 0.02  # the end of a trail gathers what falls behind it
+
+
+def spill(column, well, share):
+    """A column after its overfull wells have spilled, electron by electron in plain loops."""
+    level = np.minimum(column, well)
+    half = share * np.maximum(column - well, 0) / 2
+    for order in (range(len(column)), range(len(column) - 1, -1, -1)):
+        coming = 0.0
+        for i in order:
+            over = max(level[i] + coming - well, 0.0)
+            level[i] = level[i] + coming - over
+            coming = share * over + half[i]
+    return level
+
+
+@pytest.mark.parametrize("load", [0.9, 0.97, 1.0, 1.2])
+def test_blooming_against_drawn_columns(load):
+    """What spills into a column's pixels, drawn: its rms stays below the bound."""
+    rng, well, share, height = np.random.default_rng(5), 400.0, 0.7, 12
+    light = np.full(height, load * well)
+    light[3:5] = 0.2 * well
+    sensor = s.Sensor(shot_noise=s.PoissonShotNoise(), full_well=well, blooming=share)
+    rows, _ = rows_of(sensor, light, (height, 1))
+    counts = rng.poisson(light, (3000, height)).astype(float)
+    with_spill = np.array([spill(column.copy(), well, share) for column in counts])
+    gained = with_spill - np.minimum(counts, well)
+    assert np.sqrt((gained**2).mean(0)).max() <= rows["sensor.blooming"].effect.bound * 1.02
+    both = [(x.mean(0), x.std(0)) for x in (with_spill, counts)]
+    promised = rows["sensor.blooming"].effect.bound + rows["sensor.full_well"].effect.bound
+    assert distance(*both) <= promised * 1.02
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 0.6, 2.0])
+@pytest.mark.parametrize("black", [0.0, 3.0, 40.0])
+def test_rounding_and_clipping_against_integrals(noise, black):
+    """The law of round and clip of a Gaussian, code by code, over places within a code."""
+    sensor = s.Sensor(read_noise=noise, gain=0.5, offset=black, bits=8)
+    row = rows_of(sensor, [400.0])[0]["sensor.bits"]
+    actual = 0.0
+    for mean in np.concatenate([black + np.linspace(0, 200, 173), [black]]):
+        rms = max(noise * 0.5, 1e-9)
+        codes = np.arange(256)
+        edges = np.concatenate([[-np.inf], codes[:-1] + 0.5, [np.inf]])
+        chance = np.diff(stats.norm.cdf(edges, mean, rms))
+        first = chance @ codes
+        second = max(chance @ (codes - first) ** 2, 0)
+        actual = max(actual, math.hypot(first - mean, math.sqrt(second) - noise * 0.5))
+    assert actual <= row.effect.bound * (1 + 1e-9) + 1e-9
+
+
+class TestTraps:
+    def test_pattern_is_counted_once_among_the_noise_of_the_dark(self):
+        """4: DSNU is no temporal noise, and still hides what is dropped beside it."""
+        sensor = s.Sensor(read_noise=3.0, dsnu=4.0)
+        rows, response = rows_of(sensor, [0.0])
+        assert response.dark == pytest.approx(5.0)
+        assert rows["sensor.dsnu"].effect.bound == pytest.approx(5 - 3)
+        gone = frozenset({"sensor.read_noise"})
+        assert rows["sensor.dsnu"].after(gone) == pytest.approx(4.0)
+
+    def test_a_mean_that_moves_takes_its_noise_along(self):
+        """5: without other noise d electrons more in the dark are sqrt(d) more noise."""
+        sensor = s.Sensor(shot_noise=s.PoissonShotNoise())
+        _, response = rows_of(sensor, [100.0])
+        assert response.dn(np.array([4.0]), frozenset()) == pytest.approx(math.hypot(4, 2))
+        still = s.Sensor()
+        assert rows_of(still, [100.0])[1].dn(np.array([4.0]), frozenset()) == pytest.approx(4)
+
+    def test_gains_of_columns_and_pixels_magnify_earlier_noise(self):
+        """6."""
+        plain = rows_of(s.Sensor(read_noise=2.0), [0.0])[0]["sensor.read_noise"].effect.bound
+        wide = s.Sensor(read_noise=2.0, column_prnu=0.5)
+        bound = rows_of(wide, [0.0])[0]["sensor.read_noise"].effect.bound
+        assert bound == pytest.approx(plain * math.sqrt(1.25))
+
+    def test_light_that_is_not_bounded_keeps_what_depends_on_it(self):
+        """7: neither 0 times infinity nor infinity less infinity drops anything."""
+        sensor = replace(EVERY_EFFECT, colour_filter=None, crosstalk=0.0, prnu=0.0)
+        rows, response = sensor_stage(Ends(sensor, sensor), np.full(3, np.inf), shape=(6, 8))
+        bounds = {row.effect.name: row.effect.bound for row in rows}
+        for name in ("crosstalk", "smear", "prnu", "shot_noise", "charge_transfer", "full_well"):
+            assert bounds[f"sensor.{name}"] == math.inf, name
+        assert bounds["sensor.read_noise"] < math.inf
+        assert response.dn(np.full(3, np.inf), frozenset()) == math.inf
+        assert not any(math.isnan(b) or b < 0 for b in bounds.values())
+
+    def test_rounding_is_no_contraction(self):
+        """12: without noise a change of .01 DN may become 1 DN, so promises are made before."""
+        rows, _ = rows_of(s.Sensor(bits=8, gain=1.0, offset=10.0), [100.0])
+        assert rows["sensor.bits"].effect.bound == pytest.approx(0.5, abs=1e-12)
+
+
+def test_noise_that_goes_uncovers_the_rest():
+    """V is reduced as sources go: the later of two equal sources shows more."""
+    rows, _ = rows_of(s.Sensor(dsnu=3.0, read_noise=3.0), [0.0])
+    first = rows["sensor.dsnu"].after(frozenset())
+    second = rows["sensor.read_noise"].after(frozenset({"sensor.dsnu"}))
+    assert first + second == pytest.approx(math.sqrt(18))
+    assert second > first
+
+
+def test_bounds_hold_over_the_whole_box_of_what_may_change():
+    """Bounds at two ends hold for sensors between them."""
+    rng = np.random.default_rng(1)
+    for seed in (2, 9):
+        sensor, f, light, _ = draw(seed, wells=False)
+        low, high = f["read_noise"] / 3, f["read_noise"] * 3
+        ends = Ends(replace(sensor, read_noise=low), replace(sensor, read_noise=high))
+        rows, _ = sensor_stage(ends, np.array([light.max()]), shape=SHAPE)
+        electrons = light * float(sensor.quantum_efficiency)
+        for noise in rng.uniform(low, high, 10):
+            now = {**f, "read_noise": noise}
+            for row in rows:
+                name = row.effect.name
+                if row.drop is None or row.effect.rank == "estimate" or name in NOT_MOMENTS:
+                    continue
+                if name != "sensor.quantum_efficiency":
+                    actual = changed(now, {name}, electrons)
+                    assert actual <= row.effect.bound * (1 + 1e-9) + ROUNDING, name
+
+
+def test_an_attenuator_is_bounded_by_what_it_takes_away():
+    sensor = s.Sensor(infrared_cut=[0.5, 1.0], quantum_efficiency=0.8)
+    rows, _ = sensor_stage(Ends(sensor, sensor), np.array([10.0, 3.0]), shape=(1, 1))
+    bounds = {row.effect.name: row.effect.bound for row in rows}
+    assert bounds["sensor.infrared_cut"] == pytest.approx(0.5 * 0.8 * 10)
+    assert bounds["sensor.quantum_efficiency"] == pytest.approx(0.2 * 5)
+    clear = replace(sensor, infrared_cut=[1.0, 1.0])
+    rows, _ = sensor_stage(Ends(clear, clear), np.full(2, np.inf), shape=(1, 1))
+    assert rows[0].effect.rank == "exact"
+
+
+def test_the_pixel_is_made_without_what_is_gone():
+    ends = Ends(EVERY_EFFECT, EVERY_EFFECT)
+    gone = frozenset({"sensor.dsnu", "sensor.read_noise"})
+    pixel = pixel_of(ends, np.ones(3), (6, 8), gone)
+    assert {"dsnu", "read_noise"} & pixel.variances.high.keys() == set()
+    assert pixel.dark == pytest.approx(500 * 2 ** (10 / 8) * 0.02)
