@@ -4,6 +4,7 @@ incidence predicted unseen, refusals in words.
 Samples are `oracles.brdfs`': NumPy, angles, nothing of the library's.
 """
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import get_args
@@ -18,13 +19,10 @@ from typer.testing import CliRunner
 from fitting import cli
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.separable import fit_separable
-from fitting.reflectance.from_files.calibration import (
-    amplitudes,
-    best,
-    errors,
-    prediction_of_held_out,
-)
+from fitting.reflectance.from_files.calibration import amplitudes
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
+from fitting.reflectance.from_files.errors import best, errors, prediction_of_held_out
+from fitting.reflectance.from_files.findings import findings
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit, fit_model
 from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import materials_section
@@ -242,7 +240,7 @@ def test_errors_of_amplitudes_are_the_jackknifes_of_a_mean():
     without = [np.delete(numbers, i, axis=0).mean(axis=0) for i in range(6)]
 
     def lobe(mean):
-        return LobeFit("lambert", mean, 0 * mean, None, np.zeros((6, 3)))
+        return LobeFit("lambert", mean, 0 * mean, None, np.zeros((6, 3)), 0.0, True)
 
     fit = ModelFit("lambert", "cosine", lobe(numbers.mean(axis=0)), tuple(map(lobe, without)))
     expected = numbers.std(axis=0, ddof=1) / np.sqrt(6) * np.sqrt(5 / 3)
@@ -447,3 +445,25 @@ def test_a_cornell_file_comes_back_as_it_was_written(tmp_path):
     np.testing.assert_allclose(np.degrees(read.incidences), [10, 25, 40, 55, 70], atol=1e-9)
     assert read.bands == ("450 nm", "550 nm", "650 nm")
     assert np.all((read.azimuth >= 0) & (read.azimuth <= np.pi))
+
+
+def test_a_fit_that_did_not_move_is_said(calibration):
+    """A search that stood still, and a lobe above the matt surface that it contains."""
+    phong = calibration.fits["phong"]
+    worse = dataclasses.replace(phong.whole, cost=2 * calibration.fits["lambert"].whole.cost)
+    still = dataclasses.replace(phong.without[0], settled=False)
+    broken = dataclasses.replace(phong, whole=worse, without=(still, *phong.without[1:]))
+    told = findings(dataclasses.replace(calibration, fits={**calibration.fits, "phong": broken}))
+    assert any("Phong: 2 of 6 fits did not reach a minimum" in sentence for sentence in told)
+    assert not any("did not reach a minimum" in sentence for sentence in findings(calibration))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["oren-nayar", "phong", "gaussian-lobe", "blinn"])
+def test_no_model_ends_above_the_matt_one_it_contains(noisy_phong, model):
+    fits = [
+        fit_model(noisy_phong, m, objective="cube-root", index=INDEX) for m in ("lambert", model)
+    ]
+    for matt, own in zip(*((f.whole, *f.without) for f in fits), strict=True):
+        assert own.settled
+        assert own.cost <= 1.001 * matt.cost

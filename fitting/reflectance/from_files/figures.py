@@ -13,7 +13,8 @@ from jaxvision import Vec
 
 from ..models import LABELS, REFLECTANCES, has_lobe, unit_brdf
 from ..names import MODELS, Axis, Model
-from .calibration import BRDFCalibration, best
+from .calibration import BRDFCalibration
+from .errors import best
 from .findings import AXES, metric, of_axis
 from .fit import LobeFit
 from .read import MeasuredBRDF

@@ -8,9 +8,11 @@ from ...inference.diagnostics import listed
 from ...inference.posterior import convergence_in_words
 from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
 from ..names import Axis, Model, Objective
-from .calibration import BRDFCalibration, Errors, best
+from .calibration import BRDFCalibration
+from .errors import Errors, best
 
 ALIKE = 0.03  # relative difference of two errors within which neither wins
+NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
 PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
     ("phong", "blinn"),
@@ -68,6 +70,7 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
             for name, why in calibration.open_parameters.items()
         ),
         *_ends(calibration),
+        *_failures(calibration),
         _intervals(calibration),
         *calibration.measured.findings,
     )
@@ -145,6 +148,21 @@ def _ends(calibration: BRDFCalibration) -> list[str]:
     return [
         f"At an end of the range of their shape, hence no good description: {', '.join(stuck)}."
     ]
+
+
+def _failures(calibration: BRDFCalibration) -> list[str]:
+    """Searches that did not settle, or ended above Lambert's model, which all others contain."""
+    told = []
+    lambert = calibration.fits["lambert"]
+    for model, fit in calibration.fits.items():
+        pairs = zip((fit.whole, *fit.without), (lambert.whole, *lambert.without), strict=True)
+        settled = [own.settled and own.cost <= (1 + NESTED) * matt.cost for own, matt in pairs]
+        if not all(settled):
+            told.append(
+                f"{LABELS[model]}: {settled.count(False)} of {len(settled)} fits did not reach a "
+                "minimum; do not use its numbers."
+            )
+    return told
 
 
 def _intervals(calibration: BRDFCalibration) -> str:

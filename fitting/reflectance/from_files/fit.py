@@ -9,11 +9,15 @@ reflected of it, x = f_r cos(theta_i). Two objectives, each with its own metric:
 The first is ruled by the highlight; the second weighs bright and dark about as an eye does (Fores,
 Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012); d, a thousandth of the
 RMS of x, keeps its slope finite at 0. The cosine objective is linear in the amplitudes and is
-minimised globally by variable projection; for the cube root that is repeated on its linearisation
-about the last prediction (Gauss-Newton), which ends at a minimum of the true objective.
+minimised globally by variable projection. For the cube root that is repeated on its linearisation
+about the last prediction (Gauss-Newton), the shape within a window about the last one that shrinks
+where a step does not lower the true objective. The descent begins at the optimum of the cosine
+objective and at Lambert's of the same objective, which every model contains (with an incidence left
+out, at the optimum with all of them); the lowest end counts.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 
 import equinox as eqx
@@ -26,12 +30,14 @@ from jaxvision import Vec
 
 from ...inference.separable import SeparableFit, first_knots, fit_amplitudes, fit_separable
 from ..models import has_lobe, log_range, unit_brdf
-from ..names import MODELS, Model, Objective
+from ..names import INDEX, MODELS, Model, Objective
 from .read import MeasuredBRDF
 
 DARK = 1e-3  # of the RMS of f_r cos(theta_i): d of the cube-root objective
-MOST_STEPS = 60
-SETTLED = 1e-9  # relative fall of the cost from which a fit stands
+MOST_STEPS = 100
+SETTLED = 1e-8  # relative fall of the cost from which a fit stands
+SHARES = (1.0, 0.25, 0.05, 0.01, 1e-3)  # of a step that are tried
+NARROWEST = 1e-3  # of a logarithm: a shape that may move less stays
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,8 @@ class LobeFit:
         specular: (bands,) k_s, in the record's unit.
         shape: natural; None for Lambert.
         predicted: (n, bands) f_r of ALL samples, sr^-1.
+        cost: what the objective is at.
+        settled: whether the search ended at a minimum.
     """
 
     model: Model
@@ -51,6 +59,8 @@ class LobeFit:
     specular: Float[np.ndarray, " bands"]
     shape: float | None
     predicted: Float[np.ndarray, "n bands"]
+    cost: float
+    settled: bool
 
 
 @dataclass(frozen=True)
@@ -91,43 +101,24 @@ def fit_model(
     Returns:
         The fits.
     """
-    columns = coarse = None
-    low = high = 0.0
-    if model != "lambert":
-        low, high = log_range(model)
-        columns = partial(_columns, model, measured.wi, measured.wo, index)
-        coarse = columns(jnp.asarray(first_knots(low, high)))
+    search = _search_of(measured, model, objective, index)
 
-    # A rough diffuse surface is a single term: its amplitude is the searched column's.
-    body = np.zeros_like if columns is not None and not has_lobe(model) else np.ones_like
-    fixed = jnp.asarray(body(measured.cosine))[None]
-
-    def separable(values: np.ndarray, weights: np.ndarray) -> SeparableFit:
-        y, w = jnp.asarray(values), jnp.asarray(weights)
-        if columns is None:
-            return fit_amplitudes(fixed, y, w)
-        return fit_separable(columns, fixed, y, w, lower=low, upper=high, coarse=coarse)
-
-    def prediction(found: SeparableFit) -> np.ndarray:
-        amplitudes = np.asarray(found.amplitudes)
-        predicted = np.asarray(fixed).T * amplitudes[:, 0]
-        if columns is not None:
-            lobe = np.asarray(columns(jnp.full(1, found.nonlinear)))[0]
-            predicted = predicted + lobe[:, None] * amplitudes[:, 1]
-        return predicted
-
-    def fit(kept: np.ndarray) -> LobeFit:
-        found = _minimise(measured, kept, objective, separable, prediction)
-        diffuse, specular = np.asarray(found.amplitudes, np.float64).T
-        if not has_lobe(model) and columns is not None:
+    def as_fit(end: _End) -> LobeFit:
+        diffuse, specular = np.asarray(end.found.amplitudes, np.float64).T
+        if model != "lambert" and not has_lobe(model):
             diffuse, specular = specular, diffuse
-        natural = None if columns is None else float(np.exp(found.nonlinear))
-        return LobeFit(model, diffuse, specular, natural, prediction(found))
+        natural = None if model == "lambert" else float(np.exp(end.found.nonlinear))
+        predicted = _prediction(search, end.found)
+        return LobeFit(model, diffuse, specular, natural, predicted, end.cost, end.settled)
 
     everything = np.ones(len(measured.weights))
+    end = _minimise(search, everything)
     left_out = [measured.incidence != i for i in range(len(measured.incidences))]
     return ModelFit(
-        model, objective, fit(everything), tuple(fit(kept.astype(float)) for kept in left_out)
+        model,
+        objective,
+        as_fit(end),
+        tuple(as_fit(_minimise(search, kept.astype(float), near=end.found)) for kept in left_out),
     )
 
 
@@ -182,36 +173,140 @@ def compressed(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, 
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
 
 
-def _minimise(measured, kept, objective, separable, prediction) -> SeparableFit:
-    """The best fit to the samples of weight `kept` times their own."""
-    cosine = measured.cosine[:, None]
-    weights = np.broadcast_to((kept * measured.weights)[:, None], measured.values.shape)
-    best = separable(measured.values, weights * cosine**2)
-    if objective == "cosine":
-        return best
+# ---------------------------------------------------------------- search
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What every search of one model shares.
+
+    Attributes:
+        measured: samples of one material.
+        objective: to minimise.
+        columns: f_r of unit amplitude at many log shapes; None for Lambert.
+        coarse: the same on the first grid.
+        fixed: (1, n) the column of the diffuse term, zeros where the searched column is the body's.
+        low: smallest log shape.
+        high: largest.
+    """
+
+    measured: MeasuredBRDF
+    objective: Objective
+    columns: Callable[[Array], Array] | None
+    coarse: Array | None
+    fixed: Array
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a search ended: the fit, its cost, and whether that is a minimum."""
+
+    found: SeparableFit
+    cost: float
+    settled: bool
+
+
+def _search_of(measured: MeasuredBRDF, model: Model, objective: Objective, index: float) -> _Search:
+    if model == "lambert":
+        ones = jnp.ones((1, len(measured.cosine)))
+        return _Search(measured, objective, None, None, ones, 0.0, 0.0)
+    low, high = log_range(model)
+    columns = partial(_columns, model, measured.wi, measured.wo, index)
+    coarse = columns(jnp.asarray(first_knots(low, high)))
+    # A rough diffuse surface is a single term: its amplitude is the searched column's.
+    body = np.ones_like if has_lobe(model) else np.zeros_like
+    fixed = jnp.asarray(body(measured.cosine))[None]
+    return _Search(measured, objective, columns, coarse, fixed, low, high)
+
+
+def _separable(
+    search: _Search, values: np.ndarray, weights: np.ndarray, window: tuple[float, float]
+) -> SeparableFit:
+    """Least squares with the log shape within a window."""
+    y, w = jnp.asarray(values), jnp.asarray(weights)
+    if search.columns is None:
+        return fit_amplitudes(search.fixed, y, w)
+    low, high = max(window[0], search.low), min(window[1], search.high)
+    coarse = search.coarse if (low, high) == (search.low, search.high) else None
+    return fit_separable(search.columns, search.fixed, y, w, lower=low, upper=high, coarse=coarse)
+
+
+def _prediction(search: _Search, found: SeparableFit) -> np.ndarray:
+    """(n, bands) f_r of all samples."""
+    amplitudes = np.asarray(found.amplitudes)
+    predicted = np.asarray(search.fixed).T * amplitudes[:, 0]
+    if search.columns is not None:
+        lobe = np.asarray(search.columns(jnp.full(1, found.nonlinear)))[0]
+        predicted = predicted + lobe[:, None] * amplitudes[:, 1]
+    return predicted
+
+
+def _cost(search: _Search, kept: np.ndarray, predicted: np.ndarray) -> float:
+    measured = search.measured
+    metric = reflected if search.objective == "cosine" else compressed
+    missed = metric(measured, predicted) - metric(measured, measured.values)
+    return float(np.sum((kept * measured.weights)[:, None] * missed**2))
+
+
+def _minimise(search: _Search, kept: np.ndarray, *, near: SeparableFit | None = None) -> _End:
+    """The best fit to the samples of weight `kept` times their own; also begun at `near`."""
+    measured = search.measured
+    everywhere = (search.low, search.high)
+    weights = (kept * measured.weights * measured.cosine**2)[:, None]
+    weights = np.broadcast_to(weights, measured.values.shape)
+    of_squares = _separable(search, measured.values, weights, everywhere)
+    if search.objective == "cosine":
+        return _End(of_squares, _cost(search, kept, _prediction(search, of_squares)), True)
+    ends = [_descend(search, kept, of_squares)]
+    if search.columns is not None:
+        matt = _matt(search, kept)
+        if near is not None:
+            ends.append(_descend(search, kept, near))
+        if near is None or min(end.cost for end in ends) > matt.cost:
+            ends.append(_descend(search, kept, matt.found))
+    return min(ends, key=lambda end: end.cost)
+
+
+def _matt(search: _Search, kept: np.ndarray) -> _End:
+    """Lambert's optimum of the same objective as parameters of the model."""
+    lambert = _search_of(search.measured, "lambert", search.objective, INDEX)
+    end = _minimise(lambert, kept)
+    amplitudes = end.found.amplitudes
+    if not bool(search.fixed.any()):
+        amplitudes = amplitudes[:, ::-1]
+    return replace(end, found=SeparableFit(amplitudes, search.low, float("nan")))
+
+
+def _descend(search: _Search, kept: np.ndarray, start: SeparableFit) -> _End:
+    """Gauss-Newton on the cube roots; a step that leads up is shortened, in the amplitudes and in
+    how far the shape may move."""
+    measured, cosine = search.measured, search.measured.cosine[:, None]
     wanted, dark = compressed(measured, measured.values), darkness(measured)
-
-    def cost(predicted: np.ndarray) -> float:
-        return float(np.sum(weights * (compressed(measured, predicted) - wanted) ** 2))
-
-    here = prediction(best)
-    lowest = cost(here)
+    weights = (kept * measured.weights)[:, None]
+    best, here = start, _prediction(search, start)
+    lowest = _cost(search, kept, here)
+    reach = search.high - search.low
     for _ in range(MOST_STEPS):
         root = np.cbrt(cosine * here + dark)
         slope = cosine / (3 * root**2)
-        found = separable(here + (wanted - root) / slope, weights * slope**2)
-        there, share = prediction(found), 1.0
-        fall = lowest - cost(there)
-        # A whole step too far: part of the way, along amplitudes and the logarithm of the shape.
-        while fall < 0 and share > 1e-3:
-            share /= 4
-            found = _between(best, found, share)
-            there = prediction(found)
-            fall = lowest - cost(there)
-        if fall <= SETTLED * lowest:
-            return best
-        best, here, lowest = found, there, lowest - fall
-    return best
+        goal, pull = here + (wanted - root) / slope, weights * slope**2
+        window = (best.nonlinear - reach, best.nonlinear + reach)
+        found = _separable(search, goal, pull, window)
+        for share in SHARES:
+            part = _between(best, found, share)
+            there = _prediction(search, part)
+            cost = _cost(search, kept, there)
+            if cost < lowest:
+                break
+        if cost >= lowest * (1 - SETTLED):
+            if reach <= NARROWEST:
+                return _End(best, lowest, True)
+            reach /= 16
+            continue
+        best, here, lowest = part, there, cost
+    return _End(best, lowest, False)
 
 
 def _between(a: SeparableFit, b: SeparableFit, share: float) -> SeparableFit:

@@ -13,7 +13,8 @@ from ...report.section import Picture, Section, Table
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
-from .calibration import BRDFCalibration, best
+from .calibration import BRDFCalibration
+from .errors import best
 from .findings import METRICS, findings, metric, readable, which_axis_wins
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
