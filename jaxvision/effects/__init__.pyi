@@ -8,3 +8,7 @@ from .certificate import (
     explain as explain,
     parse as parse,
 )
+from .pruning import (
+    inspect as inspect,
+    prune as prune,
+)

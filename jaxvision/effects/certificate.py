@@ -18,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ..errors import InputError
-from ..scene import Camera, Scene
+from ..scene import Camera, Scene, View
 
 Rank = Literal["exact", "bound", "estimate"]
 Unit = Literal["relative", "DN", "sigma"]
@@ -170,20 +170,22 @@ class Pruned:
 
     Attributes:
         scene: what is left of the scene.
-        camera: what is left of the camera; None if only a view was given.
+        camera: what is left of the camera, or of the bare view if only that was given.
         samples: `PixelSamples` to call `render` with, or None.
         moments: how many moments of a motion to render.
         expand: (bands, r) no unit; the radiance of all bands is that of the r bands of `scene`
             times its transpose. None: the bands are as they were.
         certificate: what was kept and dropped.
+        depth: pieces of a path to follow, or None: direct light.
     """
 
     scene: Scene
-    camera: Camera
+    camera: Camera | View
     samples: object | None
     moments: int | None
     expand: np.ndarray | None
     certificate: Certificate
+    depth: int | None = None
 
 
 _HEADINGS = ("effect", "bound", "pixels", "rank", "why")

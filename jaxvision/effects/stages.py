@@ -55,6 +55,7 @@ class Draft:
         samples: `PixelSamples` or None.
         motion: or None.
         moments: of a motion, or None.
+        depth: pieces of a path, or None: direct light.
         bands: (kept bands, expand) or None.
     """
 
@@ -66,6 +67,7 @@ class Draft:
     samples: Any = None
     motion: Any = None
     moments: int | None = None
+    depth: int | None = None
     bands: tuple[np.ndarray, np.ndarray] | None = None
 
 
@@ -87,9 +89,14 @@ class Row:
             bound, () DN. None: `amount`, whatever went.
         assumes: what the bound rests on beside the records, a sentence; "" if nothing.
         saves: share of the picture's work that goes with it, by a declared table.
-        instead_of: names of effects of which at most one can be dropped, such as a light and its
-            extent.
+        instead_of: names of effects none of which may be gone when this one goes.
         needs: names of effects that must be gone before, such as a rim before the lens it sits on.
+        part_of: name of an effect that it belongs to, as a lamp's extent to the lamp: with that it
+            goes too, at no further cost. "": of none.
+        together: rows with one such word are dropped all or not at all; "": on its own.
+        ladder: of rows with one such word, which stand in order of rising cost, at most one is
+            dropped, the first that fits, when all others have been decided; "": an ordinary row.
+        grows: by how much it multiplies what others have changed, >= 1.
     """
 
     effect: Effect
@@ -100,6 +107,10 @@ class Row:
     saves: float = 0.05
     instead_of: frozenset[str] = field(default_factory=frozenset)
     needs: frozenset[str] = field(default_factory=frozenset)
+    part_of: str = ""
+    together: str = ""
+    ladder: str = ""
+    grows: float = 1.0
 
 
 class Arriving(NamedTuple):

@@ -1,0 +1,222 @@
+"""Convex bodies, how far apart they are at least, and what may come between two of them.
+
+A body is the convex hull of balls: a box is eight points, a sphere one ball, a disc the polygon
+about it. What is wanted of two bodies is a lower bound of their distance that is certain: every
+direction u gives one, the least height of one body along u less the greatest of the other.
+Gilbert's algorithm looks for the best u, and an early stop makes the bound less sharp, never wrong.
+Source: Gilbert, "An Iterative Procedure for Computing the Minimum of a Quadratic Form on a Convex
+Set", SIAM J. Control 4(1) (1966). Lengths in m; NumPy float64.
+"""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
+from ..scene.shapes import Shape
+from .stages import Ends
+
+_SIDES = 16  # of the polygon about a disc, 2 % wider
+_SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
+_AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS = _AXES / np.linalg.norm(_AXES, axis=1, keepdims=True)  # (26, 3)
+
+_STEPS = 48  # of Gilbert's algorithm
+_AT_ONCE = 1 << 14  # pairs
+
+
+class Bodies(NamedTuple):
+    """Many bodies, each the hull of p balls.
+
+    Attributes:
+        points: (n, p, 3) m, a body of fewer repeats its last.
+        radii: (n, p) m.
+    """
+
+    points: np.ndarray
+    radii: np.ndarray
+
+
+def numbers(x: object) -> np.ndarray:
+    """The numbers of a field in float64."""
+    return np.asarray(x, np.float64)
+
+
+def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the points
+    themselves where the two are equal."""
+    if np.array_equal(low, high):
+        return np.atleast_2d(low)
+    middle, half = (low + high) / 2, np.abs(high - low) / 2
+    return (np.atleast_2d(middle)[:, None] + _SIGNS * np.atleast_2d(half)[:, None]).reshape(-1, 3)
+
+
+def _quad_corners(shape: Quad) -> np.ndarray:
+    corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
+    return corner + np.stack([0 * u, u, v, u + v])
+
+
+def _disc_polygon(shape: Disc) -> np.ndarray:
+    normal = unit(numbers(shape.normal))
+    first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
+    turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(normal, first))
+    return numbers(shape.centre) + numbers(shape.radius) / np.cos(np.pi / _SIDES) * around
+
+
+def _box_corners(shape: Box) -> np.ndarray:
+    axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
+    return numbers(shape.centre) + (_SIGNS * numbers(shape.half_extents)) @ axes
+
+
+def _mesh_corners(shape: TriangleMesh) -> np.ndarray:
+    vertices = numbers(shape.vertices)
+    if len(vertices) <= len(_SIGNS):
+        return vertices
+    low, high = vertices.min(0), vertices.max(0)
+    return (low + high) / 2 + _SIGNS * (high - low) / 2
+
+
+_POINTS = {Quad: _quad_corners, Disc: _disc_polygon, Box: _box_corners, TriangleMesh: _mesh_corners}
+
+
+def corners(shape: Shape) -> np.ndarray | None:
+    """Points whose hull holds a shape: (n, 3) m; of a sphere the corners of the box about it; None
+    for an unbounded plane."""
+    if isinstance(shape, Sphere):
+        return numbers(shape.centre) + _SIGNS * numbers(shape.radius)
+    return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
+
+
+def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
+    """A body's points, (p, 3) m, and radii, (p,) m, which holds the shape at both ends and between
+    them; None for an unbounded plane and for a free tilt."""
+    low, high = shape
+    if isinstance(low, Sphere) and isinstance(high, Sphere):
+        points = box_about(numbers(low.centre), numbers(high.centre))
+        return points, np.full(len(points), float(high.radius))
+    if isinstance(low, Plane):
+        return None
+    turned = [name for name in ("rotation", "normal") if _differ(low, high, name)]
+    if turned:
+        return None
+    points = box_about(*(_POINTS[type(end)](end) for end in shape))
+    return points, np.zeros(len(points))
+
+
+def _differ(low: Shape, high: Shape, name: str) -> bool:
+    a, b = getattr(low, name, None), getattr(high, name, None)
+    return a is not None and not np.array_equal(numbers(a), numbers(b))
+
+
+def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
+    """A point, m, and the unit normal of a flat shape; None for all others."""
+    match shape:
+        case Quad():
+            return numbers(shape.corner), unit(
+                np.cross(numbers(shape.edge_u), numbers(shape.edge_v))
+            )
+        case Disc():
+            return numbers(shape.centre), unit(numbers(shape.normal))
+        case Plane():
+            return numbers(shape.point), unit(numbers(shape.normal))
+    return None
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1, 0 where they have none; no unit."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)
+
+
+def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
+    """Bodies side by side, the last ball of each repeated to the largest number."""
+    most = max((len(points) for points, _ in bodies), default=1)
+    points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
+    for i, (own, size) in enumerate(bodies):
+        points[i, : len(own)], points[i, len(own) :] = own, own[-1]
+        radii[i, : len(own)], radii[i, len(own) :] = size, size[-1]
+    return Bodies(points, radii)
+
+
+def taken(bodies: Bodies, index: np.ndarray) -> Bodies:
+    """Some of the bodies, by number."""
+    return Bodies(bodies.points[index], bodies.radii[index])
+
+
+def hulls(a: Bodies, b: Bodies) -> Bodies:
+    """The hulls of pairs of bodies."""
+    return Bodies(np.concatenate([a.points, b.points], 1), np.concatenate([a.radii, b.radii], 1))
+
+
+def heights(bodies: Bodies, directions: np.ndarray) -> np.ndarray:
+    """The greatest height, m, of each body along each of the unit directions (d, 3): (n, d)."""
+    return (bodies.points @ directions.T + bodies.radii[..., None]).max(1)
+
+
+def _farthest(bodies: Bodies, direction: np.ndarray) -> np.ndarray:
+    """The point of each body that lies farthest along a unit direction of its own: (n, 3) m."""
+    height = np.einsum("npk,nk->np", bodies.points, direction) + bodies.radii
+    best, row = height.argmax(1), np.arange(len(height))
+    return bodies.points[row, best] + bodies.radii[row, best, None] * direction
+
+
+def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
+    """A lower bound of the distance of each pair, (n,) m, that is certain; 0 where none was found.
+
+    `enough`: m beyond which a bound need not be improved.
+    """
+    found = np.zeros(len(a.points))
+    for start in range(0, len(found), _AT_ONCE):
+        part = np.arange(start, min(start + _AT_ONCE, len(found)))
+        found[part] = _gap(taken(a, part), taken(b, part), enough)
+    return found
+
+
+def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
+    apart = -heights(a, -DIRECTIONS) - heights(b, DIRECTIONS)
+    best = np.maximum(apart.max(1), 0)
+    first = DIRECTIONS[apart.argmax(1)]
+    v = _farthest(a, -first) - _farthest(b, first)
+    older = v.copy()
+    active = np.flatnonzero(best <= enough)
+    for _ in range(_STEPS):
+        if not active.size:
+            break
+        own_a, own_b, own = taken(a, active), taken(b, active), v[active]
+        length = np.linalg.norm(own, axis=1)
+        u = own / np.where(length > 0, length, 1)[:, None]
+        w = _farthest(own_a, -u) - _farthest(own_b, u)
+        bound = np.einsum("nk,nk->n", u, w)
+        best[active] = np.maximum(best[active], np.where(length > 0, bound, 0))
+        v[active] = _nearest_of_triangle(own, w, older[active])
+        older[active] = w
+        open_ = (best[active] < length * (1 - 1e-4)) & (best[active] <= enough)
+        active = active[open_ & (length > 0)]
+    return best
+
+
+def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The point nearest to the origin of each triangle of (n, 3) corners: within it, or on a side.
+    The third corner, of the step before, keeps the search from zigzagging between two."""
+    p, q = w - v, x - v
+    pp, pq, qq = (np.einsum("nk,nk->n", s, t) for s, t in ((p, p), (p, q), (q, q)))
+    vp, vq = np.einsum("nk,nk->n", v, p), np.einsum("nk,nk->n", v, q)
+    det = pp * qq - pq * pq
+    whole = det > 1e-12 * pp * qq
+    safe = np.where(whole, det, 1)
+    s, t = (pq * vq - qq * vp) / safe, (pq * vp - pp * vq) / safe
+    inside = whole & (s >= 0) & (t >= 0) & (s + t <= 1)
+    options = np.stack([_nearest_of_side(v, w), _nearest_of_side(v, x), _nearest_of_side(w, x)])
+    side = (options**2).sum(-1).argmin(0)
+    on_side = options[side, np.arange(len(v))]
+    return np.where(inside[:, None], v + s[:, None] * p + t[:, None] * q, on_side)
+
+
+def _nearest_of_side(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    along = b - a
+    square = np.einsum("nk,nk->n", along, along)
+    t = -np.einsum("nk,nk->n", a, along) / np.where(square > 0, square, 1)
+    return a + np.clip(t, 0, 1)[:, None] * along

@@ -1,0 +1,147 @@
+"""Light that goes on from surface to surface: what paths of so many pieces can add at most.
+
+With T_ij = rho_i F_ij the light of one more piece is T of the last, in the sup norm over each
+surface. A form factor F_ij is at most 1, at most (R / d)^2 of the ball about j seen from i, and 0
+where i is flat and j wholly behind it; those of a row sum to at most 1, which is spent on the
+brightest first. A mirror or glass may pass on all of the brightest. Proof is good in open scenes;
+in a bright closed room it is far too large, and `probes` estimates instead.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..scene import Box, Sphere, TriangleMesh
+from .bodies import Bodies, body_of, heights, numbers
+from .cells import plane_between
+from .certificate import RADIANCE, Effect
+from .stages import Draft, Row
+from .sums import Sums, pictured, sent
+
+DIRECT = 2  # pieces of a path of direct light: light to surface, surface to eye
+_MOST = 400  # pieces after which a sum that does not settle has no bound
+
+
+def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
+    """Rows "bounces", of the shortest paths first: what paths of more pieces than n add at most.
+
+    Args:
+        sums: of the scene.
+        depth: pieces of the longest path that is followed; None: direct light, no rows.
+
+    Returns:
+        The rows; bounds in W m^-2 sr^-1.
+    """
+    if depth is None:
+        return ()
+    onward, n = Onward(sums, depth), len(sums.surfaces)
+    first = np.searchsorted(sums.cells.surface, np.arange(n))
+    shone = sums.own + sum(
+        np.maximum.reduceat(sent(sums, k), first, axis=0) for k in range(len(sums.sources))
+    )
+    return tuple(_row(sums, onward, shone, pieces) for pieces in range(DIRECT, depth))
+
+
+def _row(sums: Sums, onward: "Onward", shone: np.ndarray, pieces: int) -> Row:
+    tail = onward.series(shone, pieces - DIRECT + 1, (onward.depth or DIRECT) - DIRECT)
+    amount = pictured(sums, tail[sums.cells.surface])
+    bound = float(np.max(amount))
+    why = f"paths of at most {pieces} pieces"
+    rank = "exact" if bound == 0 else "bound"
+    effect = Effect("bounces", True, why, bound, unit=RADIANCE, rank=rank)
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, depth=pieces)
+
+    return Row(effect, amount, drop, ladder="bounces", saves=1 - pieces / (onward.depth or pieces))
+
+
+class Onward:
+    """From what each cell sends at first to the most that it sends after all further pieces."""
+
+    def __init__(self, sums: Sums, depth: int | None) -> None:
+        self.sums, self.depth = sums, depth
+        if depth is not None:
+            self.albedo, self.mirror, self.factors = _transport(sums)
+
+    def __call__(self, cells: np.ndarray) -> np.ndarray:
+        """(c, bands) W m^-2 sr^-1 to the same."""
+        if self.depth is None:
+            return cells
+        n = len(self.sums.surfaces)
+        first = np.searchsorted(self.sums.cells.surface, np.arange(n))
+        least = np.maximum.reduceat(cells, first, axis=0)
+        total = self.series(least, 1, self.depth - DIRECT)
+        return cells + total[self.sums.cells.surface]
+
+    def series(self, sent: np.ndarray, first: int, last: int) -> np.ndarray:
+        """The sum of T^k of what is sent, (n, bands), k from `first` to `last`, inclusive."""
+        total = np.zeros_like(sent)
+        for k in range(1, min(last, _MOST) + 1):
+            sent = np.stack([self._once(band) for band in sent.T], axis=1)
+            if k >= first:
+                total = total + sent
+            if not sent.any() or not np.isfinite(sent).all():
+                break
+            if sent.max() <= 1e-12 * total.max(initial=0):
+                break
+        else:
+            if last > _MOST and sent.any():
+                return np.full_like(total, np.inf)
+        return np.where(np.isfinite(sent), total, np.inf)
+
+    def _once(self, sent: np.ndarray) -> np.ndarray:
+        order = np.argsort(-sent)
+        taken = np.minimum(np.cumsum(self.factors[:, order], axis=1), 1)
+        spent = np.diff(taken, axis=1, prepend=0)
+        with np.errstate(invalid="ignore"):
+            seen = np.where(spent > 0, spent * sent[order], 0).sum(1)
+        brightest = sent.max()
+        return self.albedo * seen + np.where(self.mirror > 0, self.mirror * brightest, 0)
+
+
+def _transport(sums: Sums) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) albedos and reflectances of mirrors, (n, n) suprema of form factors."""
+    albedo = np.zeros(len(sums.surfaces))
+    for i, own in enumerate(sums.reflections):
+        lobe = 0.0 if own.lobe is None else float(np.max(own.lobe.spectrum)) * own.lobe.size
+        albedo[i] = np.pi * float(np.max(own.body)) + lobe
+    return albedo, sums.k_mirror.max(1), _form_factors(sums)
+
+
+def _form_factors(sums: Sums) -> np.ndarray:
+    n = len(sums.surfaces)
+    factors = np.ones((n, n))
+    found = [body_of(surface.of("shape")) for surface in sums.surfaces]
+    planes = [plane_between(surface.of("shape")) for surface in sums.surfaces]
+    cells = sums.cells
+    first = np.searchsorted(cells.surface, np.arange(n))
+    for j, body in enumerate(found):
+        if body is not None:
+            points, radii = body
+            middle = (points.min(0) + points.max(0)) / 2
+            size = (np.linalg.norm(points - middle, axis=1) + radii).max()
+            apart = np.linalg.norm(cells.centre - middle, axis=1) - cells.radius
+            d = np.minimum.reduceat(apart, first)
+            factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)
+        for i, plane in enumerate(planes):
+            if plane is not None and not sums.surfaces[i].low.two_sided:
+                factors[i, j] *= _in_front(plane, body, planes[j])
+    for i, surface in enumerate(sums.surfaces):
+        shape = surface.low.shape
+        dented = isinstance(shape, TriangleMesh) or (
+            surface.low.two_sided and isinstance(shape, Sphere | Box)
+        )
+        factors[i, i] = float(dented)
+    return factors
+
+
+def _in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
+    """Whether any of a body, or of an endless plane, lies before a flat surface."""
+    point, normal = plane
+    if body is None:
+        parallel = other is not None and np.allclose(np.abs(other[1] @ normal), 1)
+        return not (parallel and (numbers(other[0]) - point) @ normal <= 0)
+    points, radii = body
+    high = heights(Bodies((points - point)[None], radii[None]), normal[None])[0, 0]
+    return bool(high > 0)

@@ -1,0 +1,117 @@
+"""What a fit may change: fields by name, each with the least and the largest value it may take.
+
+A name is a path: "surfaces[0].material.specular", "lights[1].position", "ambient.radiance",
+"view.focal_length", "sensor.gain". Values are in the field's own unit.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._types import is_known
+from ..errors import InputError, nearest
+from ..scene import Camera, Scene
+from .stages import Draft, Ends
+
+Box = Mapping[str, tuple[Any, Any]]
+_STEP = re.compile(r"(\w+)|\[(\d+)\]")
+
+
+def refuse_tracers(*records: Any) -> None:
+    """`ValueError` for a record of traced numbers: what a scene calls for is decided before."""
+    for leaf in jax.tree.leaves(records):
+        if not is_known(leaf):
+            raise ValueError(
+                "effects are decided on known numbers, outside jit, grad and vmap; got a tracer."
+            )
+
+
+def _steps(name: str) -> list[str | int]:
+    return [int(number) if number else word for word, number in _STEP.findall(name)]
+
+
+def _at(record: Any, step: str | int) -> Any:
+    if isinstance(step, int):
+        inside = isinstance(record, tuple) and step < len(record)
+        return record[step] if inside else None
+    return getattr(record, step, None)
+
+
+def value_at(record: Any, name: str) -> Any:
+    """The field of that name, None where there is none."""
+    for step in _steps(name):
+        record = _at(record, step)
+    return record
+
+
+def _put(record: Any, steps: list[str | int], value: Any) -> Any:
+    if not steps:
+        return value
+    first, rest = steps[0], steps[1:]
+    inner = _put(_at(record, first), rest, value)
+    if isinstance(first, int):
+        return (*record[:first], inner, *record[first + 1 :])
+    return replace(record, **{first: inner})
+
+
+def _names(record: Any, prefix: str) -> Iterator[str]:
+    """Those of all numbers in a record."""
+    if isinstance(record, tuple):
+        for i, own in enumerate(record):
+            yield from _names(own, f"{prefix}[{i}]")
+    elif is_dataclass(record):
+        for field in fields(record):
+            yield from _names(getattr(record, field.name), f"{prefix}.{field.name}".lstrip("."))
+    elif isinstance(record, jax.Array) and np.issubdtype(record.dtype, np.floating):
+        yield prefix
+
+
+def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene], Ends[Camera]]:
+    """Scene and camera at the low and the high end of a box.
+
+    Args:
+        scene, camera: the records.
+        free: from the names of fields to their least and largest values, in the field's unit; None
+            or empty: nothing is free.
+
+    Returns:
+        The ends; parts in which nothing is free are one record twice.
+
+    Raises:
+        InputError: for an unknown name, and for values that do not fit the field.
+    """
+    scenes, cameras = [scene, scene], [camera, camera]
+    for name, values in (free or {}).items():
+        held, known = (scenes, scene) if value_at(scene, name) is not None else (cameras, camera)
+        own = value_at(known, name)
+        if not isinstance(own, jax.Array):
+            hint = nearest(name, [*_names(scene, ""), *_names(camera, "")])
+            raise InputError(f"free: {name!r} is no number of this scene and camera; {hint}.")
+        for end, value in enumerate(_checked(name, own, values)):
+            held[end] = _put(held[end], _steps(name), value)
+    return Ends(*scenes), Ends(*cameras)
+
+
+def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
+    """Both ends in the shape and dtype of the field."""
+    try:
+        low, high = (np.broadcast_to(np.asarray(v, float), own.shape) for v in values)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"free: {name} needs a low and a high value of shape {own.shape}, got {values!r}."
+        ) from None
+    if not np.all(low <= high):
+        raise InputError(f"free: {name} must not have its low end above its high end.")
+    return [end.astype(own.dtype) for end in (low, high)]
+
+
+def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
+    """Whether a draft still has the field of that name, in its first shape."""
+    of_scene = value_at(scene, name)
+    before = of_scene if of_scene is not None else value_at(camera, name)
+    now = value_at(draft if of_scene is not None else draft.camera, name)
+    return isinstance(now, jax.Array) and now.shape == before.shape

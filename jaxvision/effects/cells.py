@@ -1,0 +1,264 @@
+"""Surfaces cut into small cells, each a ball of places with a cone of normals.
+
+What holds for every place and normal of each cell holds for the surface: distances, cosines and
+mirror directions are bounded cell by cell, far more sharply than for a surface as a whole. A cell
+that no pixel sees, for it lies outside of the picture or turns its back, counts for nothing there.
+Lengths in m, angles in rad; NumPy float64.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..optics.views import sensor_vergence
+from ..scene import (
+    Box,
+    Disc,
+    Orthographic,
+    Plane,
+    Quad,
+    Sphere,
+    Surface,
+    ThinLens,
+    TriangleMesh,
+    View,
+)
+from ..scene.shapes import Shape
+from .bodies import Bodies, body_of, heights, numbers, plane_of, unit
+from .stages import Ends
+
+_BUDGET = 6000  # cells of a scene
+_FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface
+_TRIANGLES = 400  # of a mesh that are cells of their own
+
+
+class Cells(NamedTuple):
+    """Parts of surfaces; c of them.
+
+    Attributes:
+        centre: (c, 3) m.
+        radius: (c,) m, of a ball about it that holds the cell; inf for an endless one.
+        axis: (c, 3) unit, the middle of its normals.
+        spread: (c,) rad, the most by which a normal differs from it; 0: flat; pi: any normal.
+        surface: (c,) number of the surface.
+    """
+
+    centre: np.ndarray
+    radius: np.ndarray
+    axis: np.ndarray
+    spread: np.ndarray
+    surface: np.ndarray
+
+
+class Eye(NamedTuple):
+    """Where a picture is seen from.
+
+    Attributes:
+        place: (3,) m, middle of the pinhole or lens.
+        size: m, the radius of the lens; of what a fit may move, too.
+        rotation: (3, 3), rows right, down and forward.
+        planes: (k, 3) normals of the planes through `place` that bound the picture, inward; for a
+            parallel view with `offsets`, m.
+        offsets: (k,) m.
+        parallel: whether all pixels look along the axis.
+        everywhere: whether nothing is known of where it looks.
+    """
+
+    place: np.ndarray
+    size: float
+    rotation: np.ndarray
+    planes: np.ndarray
+    offsets: np.ndarray
+    parallel: bool
+    everywhere: bool
+
+
+def eye_of(view: Ends[View]) -> Eye:
+    """Where a view, between its two ends, may look from and at; lengths in m."""
+    low, high = view
+    place, other = numbers(low.position), numbers(high.position)
+    same = all(_equal(low, high, name) for name in ("rotation", "focal_length", "pixel_pitch"))
+    same = same and _equal(low, high, "focus_distance")
+    everywhere = not same or getattr(low, "distortion", None) is not None
+    size = float(np.linalg.norm(other - place)) / 2
+    if isinstance(low, ThinLens):
+        size += float(high.focal_length) / float(low.f_number) / 2
+    right, down, forward = numbers(low.rotation)
+    rows, columns = low.resolution
+    pitch = float(low.pixel_pitch)
+    half = np.array([columns / 2 + 0.5, rows / 2 + 0.5]) * pitch
+    parallel = isinstance(low, Orthographic)
+    if parallel:
+        planes, offsets = np.stack([right, -right, down, -down]), np.repeat(half, 2)
+    else:
+        slopes = half * float(sensor_vergence(low))
+        sides = [
+            s * axis + k * forward
+            for axis, k in zip((right, down), slopes, strict=True)
+            for s in (1, -1)
+        ]
+        planes, offsets = unit(np.stack([forward, *sides])), np.zeros(5)
+    return Eye(
+        (place + other) / 2, size, numbers(low.rotation), planes, offsets, parallel, everywhere
+    )
+
+
+def _equal(low: View, high: View, name: str) -> bool:
+    a, b = getattr(low, name, None), getattr(high, name, None)
+    return (a is None) == (b is None) and (a is None or np.array_equal(numbers(a), numbers(b)))
+
+
+def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
+    """Whether a pixel may see any of each body, (n,): False is certain. A thin lens sees through
+    each of its points, which adds its size, m, to the picture; twice, where that is very wide."""
+    if eye.everywhere:
+        return np.ones(len(bodies.points), bool)
+    moved = Bodies(bodies.points - eye.place, bodies.radii)
+    slack = eye.offsets + 2 * eye.size
+    return (heights(moved, eye.planes) + slack >= 0).all(1)
+
+
+def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
+    """All surfaces in cells, both sides of those that have two; `about`: (3,) m, the middle of what
+    matters of an endless one."""
+    side = int(np.sqrt(_BUDGET / max(len(surfaces), 1) / 3))
+    side = min(max(side, _COARSEST), _FINEST)
+    found = []
+    for i, surface in enumerate(surfaces):
+        own = _cells(surface.of("shape"), side, about)
+        if surface.low.two_sided:
+            own = [np.concatenate(pair) for pair in zip(own, _turned(own), strict=True)]
+        found.append((*own, np.full(len(own[0]), i)))
+    return Cells(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+Parts = list[np.ndarray]  # centre, radius, axis, spread
+
+
+def _turned(parts: Parts) -> Parts:
+    centre, radius, axis, spread = parts
+    return [centre, radius, -axis, spread]
+
+
+def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
+    low, high = shape
+    if low is not high:
+        return _anywhere(shape)
+    match low:
+        case Quad():
+            return _of_quad(numbers(low.corner), numbers(low.edge_u), numbers(low.edge_v), side)
+        case Disc():
+            return _of_disc(low, side)
+        case Sphere():
+            return _of_sphere(low, max(side // 2, _COARSEST))
+        case Box():
+            return _of_box(low, max(side // 2, 1))
+        case TriangleMesh():
+            return _of_mesh(low)
+        case Plane():
+            point, normal = numbers(low.point), unit(numbers(low.normal))
+            foot = about - ((about - point) @ normal) * normal
+            return [foot[None], np.array([np.inf]), normal[None], np.zeros(1)]
+
+
+def _anywhere(shape: Ends[Shape]) -> Parts:
+    """One cell of any normal about all places where a free shape may be."""
+    body = body_of(shape)
+    if body is None:
+        return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
+    points, radii = body
+    middle = (points.min(0) + points.max(0)) / 2
+    radius = (np.linalg.norm(points - middle, axis=1) + radii).max()
+    return [middle[None], radius[None], np.eye(3)[:1], np.array([np.pi])]
+
+
+def _of_quad(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> Parts:
+    t = (np.arange(side) + 0.5) / side
+    s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
+    radius = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / (2 * side)
+    centre, count = corner + s * u + t * v, side * side
+    axis = np.broadcast_to(unit(np.cross(u, v)), (count, 3))
+    return [centre, np.full(count, radius), axis, np.zeros(count)]
+
+
+def _of_disc(shape: Disc, side: int) -> Parts:
+    normal, r = unit(numbers(shape.normal)), float(shape.radius)
+    first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
+    u, v = 2 * r * first, 2 * r * np.cross(normal, first)
+    middle = numbers(shape.centre)
+    centre, radius, axis, spread = _of_quad(middle - (u + v) / 2, u, v, side)
+    on = np.linalg.norm(centre - middle, axis=1) <= r + radius
+    return [centre[on], radius[on], axis[on], spread[on]]
+
+
+def _of_sphere(shape: Sphere, side: int) -> Parts:
+    """The cells of a cube about it, thrown onto the sphere."""
+    t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
+    middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
+    a, b = (x.ravel() for x in np.meshgrid(middle, middle, indexing="ij"))
+    lows, highs = (np.meshgrid(e, e, indexing="ij") for e in (edge[:-1], edge[1:]))
+    axis, spread = [], []
+    for k in range(3):
+        for sign in (-1.0, 1.0):
+            place = lambda p, q, k=k, sign=sign: unit(  # noqa: E731
+                np.insert(np.stack([p, q], -1), k, sign, axis=-1)
+            )
+            centre = place(a, b)
+            ends = [
+                place(x.ravel(), y.ravel())
+                for x in (lows[0], highs[0])
+                for y in (lows[1], highs[1])
+            ]
+            cosine = np.min([np.einsum("ck,ck->c", centre, end) for end in ends], axis=0)
+            axis.append(centre)
+            spread.append(np.arccos(np.clip(cosine, -1, 1)) * (1 + 1e-9))
+    axis, spread = np.concatenate(axis), np.concatenate(spread)
+    r = float(shape.radius)
+    return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
+
+
+def _of_box(shape: Box, side: int) -> Parts:
+    axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
+    centre, half = numbers(shape.centre), numbers(shape.half_extents)
+    faces = []
+    for k in range(3):
+        for sign in (-1.0, 1.0):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            u, v = 2 * half[i] * axes[i], 2 * sign * half[j] * axes[j]
+            faces.append(_of_quad(centre + sign * half[k] * axes[k] - (u + v) / 2, u, v, side))
+    return [np.concatenate(parts) for parts in zip(*faces, strict=True)]
+
+
+def _of_mesh(shape: TriangleMesh) -> Parts:
+    """Each triangle, or of many triangles runs of neighbours in the list."""
+    vertices = numbers(shape.vertices)
+    faces = np.clip(np.asarray(shape.faces), 0, len(vertices) - 1)
+    own = vertices[faces]
+    normal = unit(np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0]))
+    tilt = np.zeros(len(faces))
+    if shape.normals is not None:
+        smooth = unit(numbers(shape.normals))[faces]
+        tilt = np.arccos(np.clip(np.einsum("fvk,fk->fv", smooth, normal), -1, 1)).max(1)
+    run = -(-len(faces) // _TRIANGLES)
+    first = np.arange(0, len(faces), run)
+    low = np.minimum.reduceat(own.min(1), first)
+    high = np.maximum.reduceat(own.max(1), first)
+    centre, member = (low + high) / 2, np.arange(len(faces)) // run
+    reach = np.linalg.norm(own - centre[member][:, None], axis=-1).max(1)
+    axis = unit(np.add.reduceat(normal, first))
+    apart = np.arccos(np.clip(np.einsum("fk,fk->f", normal, axis[member]), -1, 1)) + tilt
+    spread = np.maximum.reduceat(np.where(run == 1, tilt, apart), first)
+    return [centre, np.maximum.reduceat(reach, first), axis, np.minimum(spread, np.pi)]
+
+
+def bodies_of(cells: Cells) -> Bodies:
+    """The ball about each cell; an endless one reaches beyond any number."""
+    return Bodies(
+        cells.centre[:, None], np.where(np.isinf(cells.radius), 1e300, cells.radius)[:, None]
+    )
+
+
+def plane_between(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
+    """`bodies.plane_of` of a flat shape that stays where it is; None for a free one."""
+    return plane_of(shape.low) if shape.low is shape.high else None

@@ -1,0 +1,143 @@
+"""A rectangle as a small light at its middle: how far the two may differ.
+
+Over the lamp's plane the integrand is cos_l cos_s / r^2 = H (n.(y - x)) / r^4 with H the receiver's
+constant height above it. The midpoint's error is at most half the largest second derivative, 28 H
+r^-5, times the mean square m2 = (u^2 + v^2) / 12 of places about the middle:
+
+    |E - E_middle| <= L A / d^2 (H / d) [14 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
+
+with d the distance from the middle; kink = sqrt(m2) / (2 d (1 - q)^4), only where the receiver's
+horizon can cross the lamp. A lobe changes by its slope along the lamp, and never by more than its
+largest value under either light, which also bounds everything inside a penumbra. Lengths in m.
+"""
+
+import numpy as np
+
+from ..lights.rectangle import RectangleLight
+from ..lights.small import SmallLight
+from .bodies import numbers
+from .cells import Cells
+from .illumination import Source, source_of, times
+from .stages import Ends
+from .sums import Sums, geometry_of, lobe_sent, sent
+
+_NEAREST = 0.9  # of half the diagonal over the distance
+
+
+def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, str]:
+    """What it changes at most on each cell, the small light, and the reason.
+
+    Args:
+        sums: of the scene.
+        k: number of an extended light with a window.
+
+    Returns:
+        (c, bands) W m^-2 sr^-1; the light of (bands,) W sr^-1, or None where the lamp must stay;
+        a few words.
+    """
+    ends, nothing = sums.lights[k], np.zeros((len(sums.seen), sums.spectrum.shape[1]))
+    if not isinstance(ends.low, RectangleLight):
+        return nothing, None, "a light field is not even"
+    if ends.low is not ends.high:
+        return nothing, None, "a fit may change the lamp"
+    if sums.visible[k]:
+        return nothing, None, "the lamp may be seen"
+    small = small_light(ends.low)
+    place = source_of(Ends(small, small))
+    u, v = numbers(ends.low.edge_u), numbers(ends.low.edge_v)
+    half = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / 2
+    m2 = (u @ u + v @ v) / 12
+    d = _distance(place, sums.cells)
+    q = np.where(d > 0, half / np.where(d > 0, d, 1), np.inf)
+    near = q >= _NEAREST
+    q, some = np.where(near, 0, q), np.where(near | (d <= 0), 1, d)
+    area = np.linalg.norm(np.cross(u, v))
+    over = _height(place, sums.cells)
+    peak = area / some**2 * np.clip(over / some, 0, 1)
+    kink = np.where(_crosses(sums.cells, place, half), np.sqrt(m2) / (2 * some * (1 - q) ** 4), 0)
+    relative = 14 * m2 / (some**2 * (1 - q) ** 5) + kink
+    of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
+    body = times((peak * relative)[:, None], times(sums.k_body, spectrum)[of_cell])
+    at_place, lobe_at_place = _by_place(sums, k, place, area)
+    either = np.maximum(sent(sums, k), at_place + lobe_at_place)
+    lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
+    total = body + _lobes(sums, k, lobes, peak, (q, some, np.sqrt(m2)))
+    rough = np.array([np.any(own.plain) for own in sums.reflections])[of_cell]
+    penumbra = sums.blocked[k].any(1)[of_cell]
+    changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))
+    mirrors = times(sums.k_mirror, spectrum)[of_cell]
+    changed = np.where(mirrors > 0, np.inf, changed)
+    return changed, small, "a rectangle as a place at its middle"
+
+
+def small_light(light: RectangleLight) -> SmallLight:
+    """The light of the same flux at the rectangle's middle, of intensity A L, W sr^-1."""
+    across = np.cross(numbers(light.edge_u), numbers(light.edge_v))
+    area = np.linalg.norm(across)
+    middle = numbers(light.corner) + (numbers(light.edge_u) + numbers(light.edge_v)) / 2
+    dtype = light.radiance.dtype
+    fields = middle, across / area, numbers(light.radiance) * area
+    return SmallLight(*(x.astype(dtype) for x in fields))
+
+
+def _distance(place: Source, cells: Cells) -> np.ndarray:
+    """(c,) m, the least from the lamp's middle: to the ball about a cell, and over the plane of a
+    flat one."""
+    apart = place.places[0] - cells.centre
+    ball = np.maximum(np.linalg.norm(apart, axis=1) - cells.radius, 0)
+    height = np.abs((apart * cells.axis).sum(-1))
+    along = np.sqrt(np.maximum((apart**2).sum(-1) - height**2, 0))
+    reach = np.where(np.isinf(cells.radius), along, cells.radius)
+    return np.where(cells.spread == 0, np.hypot(height, np.maximum(along - reach, 0)), ball)
+
+
+def _height(place: Source, cells: Cells) -> np.ndarray:
+    """(c,) m, the largest height of a cell over the lamp's plane."""
+    over = (cells.centre - place.places[0]) @ place.normal
+    return np.maximum(over + cells.radius, 0)
+
+
+def _crosses(cells: Cells, place: Source, half: float) -> np.ndarray:
+    """(c,) whether a receiver's horizon may cross the lamp."""
+    apart = place.places[0] - cells.centre
+    height = (apart * cells.axis).sum(-1)
+    slack = half * np.sqrt(np.maximum(1 - (cells.axis @ place.normal) ** 2, 0))
+    flat = (height > -slack) & (height < slack)
+    distance = np.linalg.norm(apart, axis=1)
+    tilt = np.arccos(np.clip(height / np.where(distance > 0, distance, 1), -1, 1))
+    width = np.arcsin(np.clip((cells.radius + half) / np.maximum(distance, 1e-300), 0, 1))
+    curved = np.abs(tilt - np.pi / 2) <= cells.spread + width
+    return np.where(cells.spread == 0, flat, curved | (distance <= cells.radius + half))
+
+
+def _lobes(
+    sums: Sums,
+    k: int,
+    either: np.ndarray,
+    peak: np.ndarray,
+    lamp: tuple[np.ndarray, np.ndarray, float],
+) -> np.ndarray:
+    """(c, bands): a lobe's slope along the lamp, and the change of E under it; `either`: the most
+    that lobes send under either light."""
+    q, d, rms = lamp
+    slope = np.full(len(sums.reflections), np.inf)
+    for i, own in enumerate(sums.reflections):
+        if own.lobe is None:
+            slope[i] = 0.0
+        elif own.lobe.slope is not None:
+            slope[i] = own.lobe.slope
+    of_cell = sums.cells.surface
+    along = times(slope[of_cell], peak * rms / (d * (1 - q)))
+    moved = times(along[:, None], times(sums.k_lobe, sums.spectrum[k])[of_cell])
+    return np.minimum(moved + either * (4 * q / (1 - q) ** 5)[:, None], either)
+
+
+def _by_place(sums: Sums, k: int, place: Source, area: float) -> tuple[np.ndarray, np.ndarray]:
+    """(c, bands) suprema of what bodies and lobes send under the small light."""
+    lobes = [own.lobe for own in sums.reflections]
+    body, lobe = geometry_of(sums, place, np.zeros(len(lobes)), lobes)
+    of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
+    return (
+        times((area * body)[:, None], times(sums.k_body, spectrum)[of_cell]),
+        times((area * lobe)[:, None], times(sums.k_lobe, spectrum)[of_cell]),
+    )

@@ -1,0 +1,340 @@
+"""What each effect of a scene does to its radiance at most.
+
+Each function is named after its effect and gives a row. A bound is a supremum over the cells that a
+pixel may see; all of them ignore what only takes light away, so that they hold on every scene
+between the full and the pruned one. W m^-2 sr^-1, lengths in m; NumPy float64.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..brdf.glass import Glass
+from ..brdf.lambert import Lambert
+from ..brdf.torrance_sparrow import TorranceSparrow
+from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
+from .bodies import body_of, heights, numbers, stacked
+from .bounces import Onward
+from .cells import eye_of, in_view
+from .certificate import RADIANCE, Effect
+from .extent import extent_change
+from .illumination import times
+from .reflection import fresnel_least, reflection_of
+from .stages import Arriving, Draft, Drop, Ends, Row
+from .sums import (
+    Sums,
+    ambient_reflected,
+    by_surface,
+    emitted,
+    geometry_of,
+    lobe_sent,
+    pictured,
+    sent,
+    sums_of,
+)
+
+# The share of a picture's work that goes with an effect, as the library's benchmarks measured it.
+_SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9, "own": 0.02}
+
+
+def scene_stage(
+    scene: Ends[Scene], view: Ends[View], *, depth: int | None = None
+) -> tuple[tuple[Row, ...], Arriving, Sums]:
+    """The rows of a scene, what arrives at the camera at most, and the suprema behind both.
+
+    Args:
+        scene: at its two ends.
+        view: likewise; lengths in m.
+        depth: pieces of the longest path that is followed, for light that goes on from surface to
+            surface; None: direct light, as `render` shows it.
+
+    Returns:
+        Rows, `Arriving` (radiance in W m^-2 sr^-1) and the suprema.
+    """
+    eye = eye_of(view)
+    sums = sums_of(scene, eye, bounces=depth is not None)
+    onward = Onward(sums, depth)
+    rows = [
+        *(row for k in range(len(sums.sources)) for row in _of_light(sums, onward, k)),
+        *(row for i in range(len(sums.surfaces)) for row in _of_surface(sums, onward, i)),
+        ambient(scene, sums),
+    ]
+    return tuple(rows), Arriving(top(sums, onward), *depths(sums)), sums
+
+
+def top(sums: Sums, onward: Onward) -> np.ndarray:
+    """The supremum of the picture, (bands,): all lights, what is emitted, what is seen of lamps."""
+    cells = sum((sent(sums, k) for k in range(len(sums.sources))), sums.own[sums.cells.surface])
+    return np.max([pictured(sums, onward(cells)), *sums.shown], axis=0)
+
+
+def depths(sums: Sums) -> tuple[float, float]:
+    """m along the axis, of all that may be in view."""
+    eye = sums.eye
+    found = [body_of(surface.of("shape")) for surface in sums.surfaces]
+    lamps = [
+        source.body if source.kind == "area" else None
+        for source, visible in zip(sums.sources, sums.visible, strict=True)
+        if visible
+    ]
+    near, far = np.inf, 0.0
+    for body in [*found, *lamps]:
+        if body is None or eye.everywhere:
+            near, far = 0.0, np.inf
+        elif in_view(eye, bodies := stacked([body]))[0]:
+            moved = bodies._replace(points=bodies.points - eye.place)
+            forward = eye.rotation[2][None]
+            near = min(near, max(float(-heights(moved, -forward)[0, 0]), 0.0))
+            far = max(far, float(heights(moved, forward)[0, 0]))
+    return near, far
+
+
+def _row(
+    name: str,
+    amount: np.ndarray,
+    drop: Drop | None,
+    why: str,
+    *,
+    saves: float = _SAVES["own"],
+    part_of: str = "",
+    together: str = "",
+) -> Row:
+    """A row whose bound is never NaN nor below 0, and whose rank is "exact" where it is 0."""
+    amount = np.maximum(np.where(np.isnan(amount), np.inf, amount), 0)
+    bound = float(np.max(amount))
+    rank = "exact" if bound == 0 else "bound"
+    effect = Effect(name, True, why, bound, unit=RADIANCE, rank=rank)
+    return Row(effect, amount, drop, saves=saves, part_of=part_of, together=together)
+
+
+# ---------------------------------------------------------------- lights
+
+
+def _of_light(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
+    yield light(sums, onward, k)
+    yield shadows(sums, onward, k)
+    if sums.sources[k].kind == "area":
+        yield extent(sums, onward, k)
+
+
+def light(sums: Sums, onward: Onward, k: int) -> Row:
+    """All that a light does. One that may be seen also hides what is behind it, however dark it is:
+    there the picture changes by at most its own radiance or the most that the picture holds. In a
+    mirror the same holds of the lights behind it."""
+    source, name = sums.sources[k], f"lights[{k}]"
+    amount = pictured(sums, onward(sent(sums, k)))
+    why = source.why or type(sums.lights[k].low).__name__
+    if source.kind == "area":
+        others = [sums.spectrum[m] for m, own in enumerate(sums.sources) if own.extended]
+        behind = np.max(others, axis=0) * sums.k_mirror
+        seen = by_surface_seen(sums)
+        amount = np.maximum(amount, np.max(behind[seen], axis=0, initial=0))
+        if sums.visible[k]:
+            amount = np.maximum(amount, top(sums, onward))
+            why += ", may be seen"
+    amount = np.maximum(amount, sums.shown[k])
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, lights=_without(draft.lights, k))
+
+    return _row(name, amount, drop, why, saves=_SAVES["light"])
+
+
+def by_surface_seen(sums: Sums) -> np.ndarray:
+    """(n,) whether a pixel may see any of each surface."""
+    count = len(sums.surfaces)
+    return by_surface(sums.seen[:, None].astype(float), sums.cells, count)[:, 0] > 0
+
+
+def _without(records: tuple, k: int, value: Any = None) -> tuple:
+    return (*records[:k], value, *records[k + 1 :])
+
+
+def shadows(sums: Sums, onward: Onward, k: int) -> Row:
+    """At most all light of the lamp on the surfaces that anything may shade; 0 if nothing can."""
+    hit = sums.blocked[k].any(1)
+    count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
+    amount = pictured(sums, sent(sums, k, only=hit))
+    why = f"{count} of {whole} pairs of receiver and occluder may block"
+    if onward.depth is not None:
+        why = "paths meet every surface: their shadows are not an effect of their own"
+        return _row(f"shadows[{k}]", amount + np.inf, None, why, part_of=f"lights[{k}]")
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, shadowless=draft.shadowless | {k})
+
+    return _row(
+        f"shadows[{k}]",
+        amount,
+        drop,
+        why,
+        saves=_SAVES["shadows"],
+        part_of=f"lights[{k}]",
+        together="shadows",
+    )
+
+
+def extent(sums: Sums, onward: Onward, k: int) -> Row:
+    """A rectangle as a `SmallLight` at its middle, where nothing can tell them apart."""
+    amount, small, why = extent_change(sums, k)
+    name = f"lights[{k}].extent"
+    if small is None:
+        return _row(
+            name, np.full(sums.spectrum.shape[1], np.inf), None, why, part_of=f"lights[{k}]"
+        )
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, lights=_without(draft.lights, k, small))
+
+    change = pictured(sums, onward(amount))
+    return _row(name, change, drop, why, saves=_SAVES["extent"], part_of=f"lights[{k}]")
+
+
+# ---------------------------------------------------------------- surfaces
+
+
+def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
+    surface, reflection = sums.surfaces[i], sums.reflections[i]
+    name, material = f"surfaces[{i}]", surface.low.material
+    if reflection.lobe is not None:
+        yield lobe(sums, onward, i)
+    if isinstance(material, TorranceSparrow) and material.interface is not None:
+        yield interface(sums, onward, i)
+    if np.any(reflection.plain):
+        yield roughness(sums, onward, i)
+    if reflection.mirror is not None:
+        why = "a mirror shows other light than it reflects"
+        yield _row(f"{name}.material", np.full(sums.k_body.shape[1], np.inf), None, why)
+    if isinstance(material, Glass) and material.absorption is not None:
+        yield absorption(sums, onward, i)
+    if surface.low.emission is not None:
+        yield emission(sums, onward, i)
+    if isinstance(surface.low.shape, TriangleMesh) and surface.low.shape.normals is not None:
+        why = "turns the shading of a mesh by an angle that no lobe bounds"
+        yield _row(f"{name}.shape.normals", np.full(sums.k_body.shape[1], np.inf), None, why)
+
+
+def _all_lights(
+    sums: Sums, onward: Onward, i: int, of_light: Callable[[int], np.ndarray]
+) -> np.ndarray:
+    """The sum over all lights of what a surface makes of them, (bands,) in the picture."""
+    cells = sum(
+        (of_light(k) for k in range(len(sums.sources))),
+        np.zeros((len(sums.seen), sums.k_body.shape[1])),
+    )
+    return pictured(sums, onward(np.where((sums.cells.surface == i)[:, None], cells, 0)))
+
+
+def _as_lambert(i: int) -> Drop:
+    def drop(draft: Draft) -> Draft:
+        own = draft.surfaces[i]
+        plain = Lambert(own.material.diffuse, ambient=own.material.ambient)
+        return replace(draft, surfaces=_without(draft.surfaces, i, replace(own, material=plain)))
+
+    return drop
+
+
+def _with(draft: Draft, i: int, **fields: Any) -> Draft:
+    own = replace(draft.surfaces[i], **fields)
+    return replace(draft, surfaces=_without(draft.surfaces, i, own))
+
+
+def lobe(sums: Sums, onward: Onward, i: int) -> Row:
+    """The lobe's own light; a Lambertian of the same k_d remains."""
+    material = sums.surfaces[i].low.material
+    amount = _all_lights(sums, onward, i, lambda k: lobe_sent(sums, k))
+    plain = _is_plain_without_lobe(material)
+    why = f"the lobe of {type(material).__name__}"
+    if not plain:
+        why += ", whose body is no Lambertian's"
+    drop = _as_lambert(i) if plain else None
+    field = "material.specular" if hasattr(material, "specular") else "material"
+    name = f"surfaces[{i}].{field}"
+    return _row(name, amount, drop, why, saves=_SAVES["lobe"])
+
+
+def _is_plain_without_lobe(material: Material) -> bool:
+    return hasattr(material, "diffuse") and hasattr(material, "specular")
+
+
+def interface(sums: Sums, onward: Onward, i: int) -> Row:
+    """Fresnel's reflectance of facets: at most what the lobe would gain if they reflected all."""
+    material = sums.surfaces[i].of("material")
+    least = fresnel_least(material.of("interface"))
+    full = [None] * len(sums.surfaces)
+    full[i] = reflection_of(Ends(*(replace(end, interface=None) for end in material))).lobe
+
+    def of_light(k: int) -> np.ndarray:
+        _, whole = geometry_of(sums, sums.sources[k], sums.nearest[k], full)
+        return times(whole[:, None], times(sums.k_lobe[i], sums.spectrum[k])[None])
+
+    amount = _all_lights(sums, onward, i, of_light) * (1 - least)
+
+    name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
+    return _row(f"{name}.interface", amount, None, why, part_of=f"{name}.specular")
+
+
+def roughness(sums: Sums, onward: Onward, i: int) -> Row:
+    """Oren-Nayar's facets, or all in which a measured body differs from a Lambertian."""
+    reflection, material = sums.reflections[i], sums.surfaces[i].low.material
+    plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
+
+    def of_light(k: int) -> np.ndarray:
+        return times(sums.body[k][:, None] * np.ones(1), times(plain, sums.spectrum[k])[None])
+
+    amount = _all_lights(sums, onward, i, of_light)
+    if np.isinf(plain).any():
+        why = reflection.why or f"{type(material).__name__} has no Lambertian part"
+        return _row(f"surfaces[{i}].material", amount + np.inf, None, why)
+    why = "Oren-Nayar to Lambert"
+    name = f"surfaces[{i}].material.sigma"
+    return _row(name, amount, _as_lambert(i), why, saves=_SAVES["lobe"])
+
+
+def emission(sums: Sums, onward: Onward, i: int) -> Row:
+    """What a surface sends of its own."""
+    own = emitted(sums.surfaces, sums.own.shape[1])
+    own[np.arange(len(own)) != i] = 0
+    amount = pictured(sums, onward(own[sums.cells.surface]))
+    return _row(f"surfaces[{i}].emission", amount, lambda d: _with(d, i, emission=None), "shines")
+
+
+def absorption(sums: Sums, onward: Onward, i: int) -> Row:
+    """1 - exp(-a x) of all that glass passes, x at most its diameter for each crossing; in direct
+    light glass is black, and nothing passes."""
+    material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
+    a = np.max([numbers(end.absorption).max() for end in material])
+    body = body_of(shape)
+    if onward.depth is None:
+        amount, why = np.zeros(sums.own.shape[1]), "direct light does not pass glass"
+    elif body is None or a > 0:
+        length = np.inf
+        if body is not None:
+            points, radii = body
+            middle = points.mean(0)
+            length = 2 * (np.linalg.norm(points - middle, axis=1) + radii).max() * onward.depth
+        share = -np.expm1(-a * length)
+        amount, why = top(sums, onward) * share, f"absorbs at most {share:.3g} along a path"
+    else:
+        amount, why = np.zeros(sums.own.shape[1]), "absorbs nothing"
+
+    def drop(draft: Draft) -> Draft:
+        return _with(draft, i, material=replace(draft.surfaces[i].material, absorption=None))
+
+    return _row(f"surfaces[{i}].material.absorption", amount, drop, why)
+
+
+def ambient(scene: Ends[Scene], sums: Sums) -> Row:
+    """k_a L_a of what is seen; transport leaves it out."""
+    present = scene.low.ambient is not None
+    own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
+    amount = pictured(sums, own[sums.cells.surface])
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, ambient=None)
+
+    kind = AmbientLight.__name__ if present else "absent"
+    row = _row("ambient", amount, drop, kind)
+    return replace(row, effect=replace(row.effect, present=present))

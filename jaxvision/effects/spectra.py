@@ -1,0 +1,209 @@
+"""Fewer bands: the picture of all bands from that of a few.
+
+The radiance of a pixel is a sum of terms, a geometry that no band changes times a product of
+spectra (`sums`). A few bands carry all others where the products are nearly linear in them: pivoted
+QR of the table of products, each weighted by the supremum of its geometry, says which bands to
+keep, and least squares how the others follow. The residual of each product, weighted likewise and
+summed over the terms of one cell, bounds the error of a pixel.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array
+
+from ..brdf.dichromatic import Dichromatic
+from ..brdf.oren_nayar import OrenNayar
+from ..scene import Camera, Scene
+from .certificate import RADIANCE, Effect
+from .illumination import times
+from .stages import Draft, Row
+from .sums import Sums
+
+_DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
+_ROUNDING = 1e-15  # of the picture, for each band
+
+
+def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
+    """Rows "bands", of fewest bands first, from which at most one is taken.
+
+    Args:
+        sums: of the scene.
+        direct: whether only direct light is followed.
+
+    Returns:
+        The rows; bounds in W m^-2 sr^-1.
+    """
+    bands = sums.own.shape[1]
+    if bands == 1:
+        return ()
+    why = _why_not(sums, direct)
+    if why:
+        return (_row(bands, np.full(bands, np.inf), f"{bands} bands; {why}"),)
+    terms = _terms(sums)
+    picture = max(float(np.max(np.abs(_largest(terms, bands)))), 1e-300)
+    rows: list[Row] = []
+    limit = 0.1 * picture
+    for kept, expand in _ladder(terms, bands):
+        residual = _largest([(g, p - p[:, kept] @ expand.T) for g, p in terms], bands)
+        if residual.max() > limit and len(kept) < bands:
+            continue
+        exact = residual.max() <= _ROUNDING * bands * picture
+        rows.append(_step(bands, kept, expand, 0 * residual if exact else residual))
+        if exact or len(rows) == _DECADES:
+            break
+        limit = min(0.1 * limit, residual.max())
+    return tuple(rows)
+
+
+def _why_not(sums: Sums, direct: bool) -> str:
+    """Why no bands can be left out, or ""."""
+    if not direct:
+        return "light that goes on multiplies spectra without end"
+    for i, (surface, own) in enumerate(zip(sums.surfaces, sums.reflections, strict=True)):
+        material = surface.low.material
+        angular = isinstance(material, Dichromatic) or np.isinf(own.plain).any()
+        angular |= isinstance(material, OrenNayar) and material.form == "full"
+        if angular or (own.lobe is not None and not own.lobe.neutral):
+            return f"the angles of surfaces[{i}] differ between bands"
+    for k, source in enumerate(sums.sources):
+        light = sums.lights[k].low
+        for name in light.spectra:
+            table = np.asarray(getattr(light, name), np.float64).reshape(-1, sums.own.shape[1])
+            if len(table) > 1 and np.linalg.matrix_rank(table) > 1:
+                return f"lights[{k}] has many spectra"
+        if source.why:
+            return source.why
+    return ""
+
+
+Terms = list[tuple[np.ndarray, np.ndarray]]  # (c, t) geometry, (t, bands) spectra; one a surface
+
+
+def _terms(sums: Sums) -> Terms:
+    """The terms of each surface in view, and of the lamps that may be seen."""
+    found: Terms = []
+    for i in range(len(sums.surfaces)):
+        part = sums.seen & (sums.cells.surface == i)
+        if not part.any():
+            continue
+        geometry, spectra = [np.ones(part.sum())], [sums.own[i]]
+        for k, spectrum in enumerate(sums.spectrum):
+            mirror = np.full(part.sum(), float(sums.sources[k].extended))
+            geometry += [sums.body[k, part], sums.lobe[k, part], mirror]
+            spectra += [table[i] * spectrum for table in (sums.k_body, sums.k_lobe, sums.k_mirror)]
+        table, used = np.stack(spectra), [bool(np.any(s)) for s in spectra]
+        found.append((np.stack(geometry, 1)[:, used], table[used]))
+    found += [(np.ones((1, 1)), shown[None]) for shown in sums.shown if shown.any()]
+    return [(g, p) for g, p in found if p.size]
+
+
+def _largest(terms: Terms, bands: int) -> np.ndarray:
+    """(bands,) the largest sum over the terms of one cell."""
+    found = [times(g[:, :, None], np.abs(p)[None]).sum(1).max(0) for g, p in terms]
+    return np.max([np.zeros(bands), *found], axis=0)
+
+
+def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(kept bands, expand) from one band to all of them, by pivoted QR."""
+    from scipy.linalg import qr
+
+    weighted = []
+    for g, p in terms:
+        weight = g.max(0)
+        finite = weight[np.isfinite(weight)]
+        weighted.append(p * np.where(np.isfinite(weight), weight, finite.max(initial=1.0))[:, None])
+    table = np.concatenate(weighted) if weighted else np.zeros((1, bands))
+    _, _, order = qr(table, pivoting=True, mode="economic")
+    for r in range(1, bands):
+        kept = np.sort(order[:r])
+        expand, *_ = np.linalg.lstsq(table[:, kept], table, rcond=None)
+        expand[:, kept] = np.eye(r)
+        yield kept, expand.T
+
+
+def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray) -> Row:
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, bands=(kept, expand))
+
+    row = _row(bands, residual, f"{bands} bands from {len(kept)}")
+    grows = max(float(np.abs(expand).sum(1).max()), 1.0)
+    return replace(row, drop=drop, grows=grows, saves=1 - len(kept) / bands)
+
+
+def _row(bands: int, amount: np.ndarray, why: str) -> Row:
+    bound = float(amount.max())
+    rank = "exact" if bound == 0 else "bound"
+    effect = Effect("bands", True, why, bound, unit=RADIANCE, rank=rank)
+    return Row(effect, amount, None, ladder="bands")
+
+
+def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
+    """A scene of some of its bands: every spectrum of `bands` numbers is cut, neutral ones stay."""
+
+    def cut(spectrum: Array | None) -> Array | None:
+        whole = spectrum is not None and spectrum.shape[-1] == bands
+        return spectrum[..., kept] if whole else spectrum
+
+    def of_material(material: Any) -> Any:
+        names = {"ambient", "specular", *material.spectra, *material.neutral_spectra}
+        own = {n: cut(getattr(material, n)) for n in names if hasattr(material, n)}
+        return replace(material, **own)
+
+    surfaces = tuple(
+        replace(s, material=of_material(s.material), emission=cut(s.emission))
+        for s in scene.surfaces
+    )
+    lights = tuple(
+        replace(light, **{n: cut(getattr(light, n)) for n in light.spectra})
+        for light in scene.lights
+    )
+    ambient = scene.ambient
+    if ambient is not None:
+        ambient = replace(ambient, radiance=cut(ambient.radiance))
+    return replace(scene, surfaces=surfaces, lights=lights, ambient=ambient)
+
+
+def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | None:
+    """A camera that takes the kept bands for all of them.
+
+    With w the electrons per unit of irradiance that the sensor makes of a band before its filter,
+    the transmission becomes (T w) @ expand / w of the kept bands.
+
+    Args:
+        camera: with a colour filter of all bands.
+        kept: (r,) numbers of the bands that are rendered.
+        expand: (bands, r) no unit.
+
+    Returns:
+        The camera; None where there is none: without a filter each band has raw numbers of its
+        own, diffraction may differ between bands, and no filter transmits less than nothing.
+    """
+    sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)
+    filters = sensor.colour_filter
+    if filters is None or (diffraction is not None and diffraction.wavelength.ndim):
+        return None
+    response, conversion = np.ones(len(expand)), sensor.photon_conversion
+    fields: dict[str, Any] = {}
+    for name in ("infrared_cut", "quantum_efficiency"):
+        spectrum = getattr(sensor, name)
+        if spectrum is not None:
+            response = response * np.asarray(spectrum, np.float64)
+            fields[name] = spectrum[kept] if spectrum.ndim else spectrum
+    if conversion is not None:
+        response = response * np.asarray(conversion.wavelength, np.float64)
+        if conversion.wavelength.ndim:
+            fields["photon_conversion"] = replace(
+                conversion, wavelength=conversion.wavelength[kept]
+            )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passed = (np.asarray(filters.transmission, np.float64) * response) @ expand
+        passed = passed / response[kept]
+    if not np.all(np.isfinite(passed)) or np.any(passed < 0):
+        return None
+    fields["colour_filter"] = replace(
+        filters, transmission=passed.astype(filters.transmission.dtype)
+    )
+    return replace(camera, sensor=replace(sensor, **fields))

@@ -1,0 +1,308 @@
+"""The most that each cell of a scene can send to the camera, light by light and term by term.
+
+The radiance of a pixel is a sum of terms, a geometry times a spectrum:
+
+    L(x, b) = sum_l E_l(x) s_l(b) k_d(b) + sum_l lobe_l(x) s_l(b) k_s(b) + emission + ambient
+
+and here stands the supremum of each geometry over each cell. What a bound asks is a sum over some
+of the terms, at its largest over the cells that are seen. W m^-2 sr^-1; NumPy float64.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..brdf.glass import Glass
+from ..scene import Light, Scene, Surface
+from .angles import cos_seen
+from .blocking import may_block
+from .bodies import body_of, gap, numbers, stacked, taken
+from .cells import Cells, Eye, bodies_of, cells_of, in_view
+from .illumination import Arrived, Source, arriving, of_lobe, source_of, times
+from .reflection import Lobe, Reflection, reflection_of
+from .stages import Ends
+
+
+class Sums(NamedTuple):
+    """What a scene sends at most; n surfaces, l lights, c cells.
+
+    Attributes:
+        surfaces, lights: the records between their two ends.
+        sources, reflections: what bounds know of each.
+        cells: of all surfaces.
+        seen: (c,) whether a pixel may see the cell.
+        body, lobe: (l, c) the suprema of E cos and of E f_r cos / k_s, per unit of the light's
+            spectrum.
+        k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
+        own: (n, bands) W m^-2 sr^-1, emission and reflected ambient light.
+        spectrum: (l, bands) of each light.
+        shown: (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0.
+        visible: (l,) whether it may.
+        blocked: (l, n, n) whether a surface (last) may shade a surface (middle).
+        nearest: (l, n) m, lower bounds of the distances of lights and surfaces.
+        eye: where it is seen from.
+    """
+
+    surfaces: tuple[Ends[Surface], ...]
+    lights: tuple[Ends[Light], ...]
+    sources: tuple[Source, ...]
+    reflections: tuple[Reflection, ...]
+    cells: Cells
+    seen: np.ndarray
+    body: np.ndarray
+    lobe: np.ndarray
+    k_body: np.ndarray
+    k_lobe: np.ndarray
+    k_mirror: np.ndarray
+    own: np.ndarray
+    spectrum: np.ndarray
+    shown: np.ndarray
+    visible: np.ndarray
+    blocked: np.ndarray
+    nearest: np.ndarray
+    eye: Eye
+
+
+def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
+    """Two sequences of records as one of ends."""
+    return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
+
+
+def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
+    """All suprema of a scene.
+
+    Args:
+        scene: at its two ends.
+        eye: where it is seen from; lengths in m.
+        bounces: whether light goes on from surface to surface, so that glass and mirrors show all.
+
+    Returns:
+        The suprema.
+    """
+    low, high = scene
+    surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
+    sources = tuple(source_of(light) for light in lights)
+    reflections = tuple(reflection_of(surface.of("material")) for surface in surfaces)
+    cells = cells_of(surfaces, about=eye.place)
+    facing = cos_seen(cells, eye)[1] > 0
+    seen = facing & in_view(eye, bodies_of(cells))
+    nearest = _nearest(sources, surfaces)
+    body, lobe = _geometry(sources, nearest, surfaces, reflections, cells, eye)
+    bands = _bands(scene, sources)
+    table = _Table(len(surfaces), bands)
+    k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
+    k_lobe = table.filled(
+        (i, own.lobe.spectrum) for i, own in enumerate(reflections) if own.lobe is not None
+    )
+    k_mirror = table.filled(
+        (i, own.mirror)
+        for i, own in enumerate(reflections)
+        if own.mirror is not None and (bounces or not isinstance(surfaces[i].low.material, Glass))
+    )
+    spectrum = _Table(len(sources), bands).filled(
+        (k, own.spectrum) for k, own in enumerate(sources)
+    )
+    visible = np.array([_may_be_seen(source, eye) for source in sources], bool)
+    lit = _reduced(body + lobe, cells, len(surfaces)) > 0
+    extended = np.array([source.extended for source in sources], bool)
+    wanted = lit | (extended[:, None] & (k_mirror > 0).any(1))
+    blocked = may_block(sources, surfaces, low.occluders, wanted=wanted)
+    return Sums(
+        surfaces,
+        lights,
+        sources,
+        reflections,
+        cells,
+        seen,
+        body,
+        lobe,
+        k_body,
+        k_lobe,
+        k_mirror,
+        _own_light(scene, surfaces, table),
+        spectrum,
+        np.where(visible[:, None], spectrum, 0.0),
+        visible,
+        blocked,
+        nearest,
+        eye,
+    )
+
+
+class _Table(NamedTuple):
+    """A table of spectra of so many rows and bands."""
+
+    rows: int
+    bands: int
+
+    def filled(self, entries: Iterable[tuple[int, np.ndarray]]) -> np.ndarray:
+        """With these rows, 0 elsewhere; neutral spectra repeated."""
+        table = np.zeros((self.rows, self.bands))
+        for row, spectrum in entries:
+            table[row] = spectrum
+        return table
+
+
+def _bands(scene: Ends[Scene], sources: Sequence[Source]) -> int:
+    """How many bands a picture of the scene has."""
+    counts = [len(source.spectrum) for source in sources]
+    for surface in scene.low.surfaces:
+        counts += [len(reflection_of(Ends(surface.material, surface.material)).body)]
+        counts += [] if surface.emission is None else [surface.emission.shape[-1]]
+        names = surface.material.spectra + surface.material.neutral_spectra
+        counts += [getattr(surface.material, name).shape[-1] for name in names]
+    if scene.low.ambient is not None:
+        counts.append(scene.low.ambient.radiance.shape[-1])
+    return max(counts)
+
+
+def _own_light(scene: Ends[Scene], surfaces: Sequence[Ends[Surface]], table: _Table) -> np.ndarray:
+    """(n, bands) W m^-2 sr^-1: what surfaces emit, and k_a L_a."""
+    return emitted(surfaces, table.bands) + ambient_reflected(scene, surfaces, table.bands)
+
+
+def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
+    """(n, bands) W m^-2 sr^-1 that surfaces emit, the largest."""
+    return _Table(len(surfaces), bands).filled(
+        (i, np.maximum(*(np.abs(numbers(end.emission)) for end in surface)))
+        for i, surface in enumerate(surfaces)
+        if surface.low.emission is not None
+    )
+
+
+def ambient_reflected(
+    scene: Ends[Scene], surfaces: Sequence[Ends[Surface]], bands: int
+) -> np.ndarray:
+    """(n, bands) W m^-2 sr^-1, k_a L_a, the largest."""
+    if scene.low.ambient is None:
+        return np.zeros((len(surfaces), bands))
+    around = np.maximum(*(np.abs(numbers(end.ambient.radiance)) for end in scene))
+    return _Table(len(surfaces), bands).filled(
+        (i, around * np.maximum(*(np.abs(numbers(end.material.ambient)) for end in surface)))
+        for i, surface in enumerate(surfaces)
+        if getattr(surface.low.material, "ambient", None) is not None
+    )
+
+
+def _geometry(
+    sources: Sequence[Source],
+    nearest: np.ndarray,
+    surfaces: Sequence[Ends[Surface]],
+    reflections: Sequence[Reflection],
+    cells: Cells,
+    eye: Eye,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`body` and `lobe` of `Sums`; materials that are shared are asked once."""
+    shape = len(sources), len(cells.radius)
+    body, lobe = np.zeros(shape), np.zeros(shape)
+    groups: dict[int, list[int]] = {}
+    for i, surface in enumerate(surfaces):
+        if reflections[i].lobe is not None:
+            groups.setdefault(id(surface.low.material), []).append(i)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for k, source in enumerate(sources):
+            arrived = arriving(source, cells, nearest[k, cells.surface])
+            body[k] = arrived.body
+            for members in groups.values():
+                part = np.isin(cells.surface, members)
+                lobe[k, part] = _on(arrived, source, reflections[members[0]].lobe, cells, eye, part)
+    return body, lobe
+
+
+def _on(
+    arrived: Arrived, source: Source, lobe: Lobe, cells: Cells, eye: Eye, part: np.ndarray
+) -> np.ndarray:
+    """`illumination.of_lobe` of some of the cells."""
+    own = Cells(*(x[part] for x in cells))
+    there = Arrived(*(None if x is None else x[part] for x in arrived))
+    return of_lobe(there, source, lobe, own, eye)
+
+
+def geometry_of(
+    sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Sums.body` and `Sums.lobe` of one light, as if surfaces had these lobes; `nearest`: (n,) m,
+    lower bounds of its distances."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        cells = sums.cells
+        arrived = arriving(source, cells, nearest[cells.surface])
+        found = np.zeros(len(sums.seen))
+        for i, own in enumerate(lobes):
+            if own is not None:
+                part = cells.surface == i
+                found[part] = _on(arrived, source, own, cells, sums.eye, part)
+    return arrived.body, found
+
+
+def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
+    """(l, n) m, lower bounds of the distances of lights and surfaces; 0 where one is endless."""
+    found = np.zeros((len(sources), len(surfaces)))
+    bodies = [body_of(surface.of("shape")) for surface in surfaces]
+    bounded = [i for i, body in enumerate(bodies) if body is not None]
+    near = [k for k, source in enumerate(sources) if source.body is not None]
+    if not bounded or not near:
+        return found
+    lamps = stacked([sources[k].body for k in near])
+    shapes = stacked([bodies[i] for i in bounded])
+    k, i = (x.ravel() for x in np.indices((len(near), len(bounded))))
+    found[np.ix_(near, bounded)] = gap(taken(lamps, k), taken(shapes, i)).reshape(len(near), -1)
+    return found
+
+
+def _may_be_seen(source: Source, eye: Eye) -> bool:
+    """Whether a pixel may look at a light; decided by geometry, not by how bright it is."""
+    if source.kind == "sky":
+        return True
+    if source.kind != "area":
+        return False
+    points, radii = source.body
+    if source.normal is not None and not eye.everywhere:
+        if eye.parallel and eye.rotation[2] @ source.normal >= 0:
+            return False
+        if not eye.parallel and (eye.place - points[0]) @ source.normal + eye.size <= 0:
+            return False
+    return bool(in_view(eye, stacked([(points, radii)]))[0])
+
+
+def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
+    """The largest of (..., c) over the cells of each surface, (..., n); cells are in order."""
+    first = np.searchsorted(cells.surface, np.arange(count))
+    return np.maximum.reduceat(values, first, axis=-1)
+
+
+def by_surface(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
+    """The largest of (c, bands) over the cells of each surface, (n, bands)."""
+    return _reduced(values.T, cells, count).T
+
+
+def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = None) -> np.ndarray:
+    """The most that each cell makes of one light.
+
+    Args:
+        sums: of the scene.
+        k: number of the light.
+        lobes: whether with the lobes.
+        only: (n,) which surfaces count; None: all.
+
+    Returns:
+        (c, bands) W m^-2 sr^-1.
+    """
+    of_cell = sums.cells.surface
+    total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
+    if lobes:
+        total = total + lobe_sent(sums, k)
+    if sums.sources[k].extended:
+        total = total + times(sums.k_mirror, sums.spectrum[k])[of_cell]
+    return total if only is None else np.where(only[of_cell][:, None], total, 0)
+
+
+def lobe_sent(sums: Sums, k: int) -> np.ndarray:
+    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1."""
+    own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
+    return times(sums.lobe[k][:, None] * np.ones(1), own)
+
+
+def pictured(sums: Sums, values: np.ndarray) -> np.ndarray:
+    """The largest of (c, bands) over the cells that are seen, (bands,)."""
+    return np.max(values[sums.seen], axis=0, initial=0)
