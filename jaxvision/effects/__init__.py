@@ -1,7 +1,12 @@
 """Only the effects that a scene calls for: what each can change in a picture, and what to drop.
 
-certificate   the records: effects, tolerances, and what was dropped with its bound
-stages        how a stage of the camera plugs in
+    certificate   the records: effects, tolerances, and what was dropped with its bound
+    stages        how a stage of the camera plugs in
+    pruning       `inspect` and `prune`; `choice` decides, `boxes` reads what a fit may change
+    radiance      the rows of a scene: lights, shadows, lobes, emission, ambient light; `extent`,
+                  `bounces` and `spectra` those of area lights, of paths and of bands
+    sums          what each part of a scene sends at most, from `illumination`, `reflection`,
+                  `angles`, `blocking`, `cells` and `bodies`
 
 NumPy in float64, outside `jit`: records with traced numbers are refused.
 """

@@ -51,7 +51,7 @@ def _extent(
     point, normal = plane
     moved = Bodies(bodies.points - point, bodies.radii)
     high, low = heights(moved, normal[None])[:, 0], -heights(moved, -normal[None])[:, 0]
-    for i in np.flatnonzero(~bounded):
+    for i in map(int, np.flatnonzero(~bounded)):
         parallel = i in own and np.linalg.norm(np.cross(own[i][1], normal)) < 1e-12
         low[i], high[i] = -np.inf, np.inf
         if parallel:
@@ -80,8 +80,8 @@ def _of_light(source: Source, plane: tuple, reach: float) -> tuple[float, float]
 def may_block(
     sources: Sequence[Source],
     surfaces: Sequence[Ends[Surface]],
-    occluders: Sequence[int] | None = None,
     *,
+    occluders: Sequence[int] | None = None,
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
     """Whether a surface can come between a light and a lit point of a surface.

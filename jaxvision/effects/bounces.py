@@ -15,6 +15,7 @@ from ..scene import Box, Sphere, TriangleMesh
 from .bodies import Bodies, body_of, heights, numbers
 from .cells import plane_between
 from .certificate import RADIANCE, Effect
+from .illumination import times
 from .stages import Draft, Row
 from .sums import Sums, pictured, sent
 
@@ -94,10 +95,8 @@ class Onward:
         order = np.argsort(-sent)
         taken = np.minimum(np.cumsum(self.factors[:, order], axis=1), 1)
         spent = np.diff(taken, axis=1, prepend=0)
-        with np.errstate(invalid="ignore"):
-            seen = np.where(spent > 0, spent * sent[order], 0).sum(1)
-        brightest = sent.max()
-        return self.albedo * seen + np.where(self.mirror > 0, self.mirror * brightest, 0)
+        seen = times(spent, sent[order]).sum(1)
+        return times(self.albedo, seen) + times(self.mirror, sent.max())
 
 
 def _transport(sums: Sums) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -140,8 +139,9 @@ def _in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
     """Whether any of a body, or of an endless plane, lies before a flat surface."""
     point, normal = plane
     if body is None:
-        parallel = other is not None and np.allclose(np.abs(other[1] @ normal), 1)
-        return not (parallel and (numbers(other[0]) - point) @ normal <= 0)
+        if other is None or not np.allclose(np.abs(other[1] @ normal), 1):
+            return True
+        return bool((numbers(other[0]) - point) @ normal > 0)
     points, radii = body
     high = heights(Bodies((points - point)[None], radii[None]), normal[None])[0, 0]
     return bool(high > 0)

@@ -83,7 +83,7 @@ def eye_of(view: Ends[View]) -> Eye:
     everywhere = not same or getattr(low, "distortion", None) is not None
     size = float(np.linalg.norm(other - place)) / 2
     if isinstance(low, ThinLens):
-        size += float(high.focal_length) / float(low.f_number) / 2
+        size += float(numbers(low.focal_length / low.f_number)) / 2
     right, down, forward = numbers(low.rotation)
     rows, columns = low.resolution
     pitch = float(low.pixel_pitch)
@@ -116,7 +116,7 @@ def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
         return np.ones(len(bodies.points), bool)
     moved = Bodies(bodies.points - eye.place, bodies.radii)
     slack = eye.offsets + 2 * eye.size
-    return (heights(moved, eye.planes) + slack >= 0).all(1)
+    return np.all(heights(moved, eye.planes) + slack >= 0, axis=1)
 
 
 def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:

@@ -45,13 +45,13 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     small = small_light(ends.low)
     place = source_of(Ends(small, small))
     u, v = numbers(ends.low.edge_u), numbers(ends.low.edge_v)
-    half = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / 2
+    half = float(max(np.linalg.norm(u + v), np.linalg.norm(u - v))) / 2
     m2 = (u @ u + v @ v) / 12
     d = _distance(place, sums.cells)
     q = np.where(d > 0, half / np.where(d > 0, d, 1), np.inf)
     near = q >= _NEAREST
     q, some = np.where(near, 0, q), np.where(near | (d <= 0), 1, d)
-    area = np.linalg.norm(np.cross(u, v))
+    area = float(np.linalg.norm(np.cross(u, v)))
     over = _height(place, sums.cells)
     peak = area / some**2 * np.clip(over / some, 0, 1)
     kink = np.where(_crosses(sums.cells, place, half), np.sqrt(m2) / (2 * some * (1 - q) ** 4), 0)
@@ -61,7 +61,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     at_place, lobe_at_place = _by_place(sums, k, place, area)
     either = np.maximum(sent(sums, k), at_place + lobe_at_place)
     lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
-    total = body + _lobes(sums, k, lobes, peak, (q, some, np.sqrt(m2)))
+    total = body + _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
     rough = np.array([np.any(own.plain) for own in sums.reflections])[of_cell]
     penumbra = sums.blocked[k].any(1)[of_cell]
     changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))

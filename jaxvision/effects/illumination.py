@@ -235,7 +235,7 @@ def of_lobe(arrived: Arrived, source: Source, lobe: Lobe, cells: Cells, eye: Eye
     return np.minimum(times(arrived.e, most).sum(1), limit)
 
 
-def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
     """The product in which 0 times inf is 0: no light, or nothing that reflects it."""
     nothing = (a == 0) | (b == 0)
     return np.where(nothing, 0, np.where(nothing, 1, a) * np.where(nothing, 1, b))

@@ -21,7 +21,7 @@ from .cells import eye_of, in_view
 from .certificate import RADIANCE, Effect
 from .extent import extent_change
 from .illumination import times
-from .reflection import fresnel_least, reflection_of
+from .reflection import Lobe, fresnel_least, reflection_of
 from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
@@ -230,7 +230,8 @@ def _all_lights(
 def _as_lambert(i: int) -> Drop:
     def drop(draft: Draft) -> Draft:
         own = draft.surfaces[i]
-        plain = Lambert(own.material.diffuse, ambient=own.material.ambient)
+        material: Any = own.material
+        plain = Lambert(material.diffuse, ambient=material.ambient)
         return replace(draft, surfaces=_without(draft.surfaces, i, replace(own, material=plain)))
 
     return drop
@@ -263,7 +264,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
     """Fresnel's reflectance of facets: at most what the lobe would gain if they reflected all."""
     material = sums.surfaces[i].of("material")
     least = fresnel_least(material.of("interface"))
-    full = [None] * len(sums.surfaces)
+    full: list[Lobe | None] = [None] * len(sums.surfaces)
     full[i] = reflection_of(Ends(*(replace(end, interface=None) for end in material))).lobe
 
     def of_light(k: int) -> np.ndarray:

@@ -116,7 +116,7 @@ def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]
         finite = weight[np.isfinite(weight)]
         weighted.append(p * np.where(np.isfinite(weight), weight, finite.max(initial=1.0))[:, None])
     table = np.concatenate(weighted) if weighted else np.zeros((1, bands))
-    _, _, order = qr(table, pivoting=True, mode="economic")
+    *_, order = qr(table, pivoting=True, mode="r")
     for r in range(1, bands):
         kept = np.sort(order[:r])
         expand, *_ = np.linalg.lstsq(table[:, kept], table, rcond=None)
@@ -144,8 +144,9 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
     """A scene of some of its bands: every spectrum of `bands` numbers is cut, neutral ones stay."""
 
     def cut(spectrum: Array | None) -> Array | None:
-        whole = spectrum is not None and spectrum.shape[-1] == bands
-        return spectrum[..., kept] if whole else spectrum
+        if spectrum is None or spectrum.shape[-1] != bands:
+            return spectrum
+        return spectrum[..., kept]
 
     def of_material(material: Any) -> Any:
         names = {"ambient", "specular", *material.spectra, *material.neutral_spectra}
@@ -188,7 +189,7 @@ def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | Non
     response, conversion = np.ones(len(expand)), sensor.photon_conversion
     fields: dict[str, Any] = {}
     for name in ("infrared_cut", "quantum_efficiency"):
-        spectrum = getattr(sensor, name)
+        spectrum: Any = getattr(sensor, name)
         if spectrum is not None:
             response = response * np.asarray(spectrum, np.float64)
             fields[name] = spectrum[kept] if spectrum.ndim else spectrum

@@ -9,7 +9,7 @@ of the terms, at its largest over the cells that are seen. W m^-2 sr^-1; NumPy f
 """
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,7 +107,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     lit = _reduced(body + lobe, cells, len(surfaces)) > 0
     extended = np.array([source.extended for source in sources], bool)
     wanted = lit | (extended[:, None] & (k_mirror > 0).any(1))
-    blocked = may_block(sources, surfaces, low.occluders, wanted=wanted)
+    blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
     return Sums(
         surfaces,
         lights,
@@ -177,12 +177,25 @@ def ambient_reflected(
     """(n, bands) W m^-2 sr^-1, k_a L_a, the largest."""
     if scene.low.ambient is None:
         return np.zeros((len(surfaces), bands))
-    around = np.maximum(*(np.abs(numbers(end.ambient.radiance)) for end in scene))
+    around = np.maximum(*(np.abs(numbers(value_of(end, "ambient", "radiance"))) for end in scene))
     return _Table(len(surfaces), bands).filled(
-        (i, around * np.maximum(*(np.abs(numbers(end.material.ambient)) for end in surface)))
+        (
+            i,
+            around
+            * np.maximum(
+                *(np.abs(numbers(value_of(end, "material", "ambient"))) for end in surface)
+            ),
+        )
         for i, surface in enumerate(surfaces)
         if getattr(surface.low.material, "ambient", None) is not None
     )
+
+
+def value_of(record: Any, *names: str) -> Any:
+    """A field of a field of a record."""
+    for name in names:
+        record = getattr(record, name)
+    return record
 
 
 def _geometry(
@@ -206,7 +219,9 @@ def _geometry(
             body[k] = arrived.body
             for members in groups.values():
                 part = np.isin(cells.surface, members)
-                lobe[k, part] = _on(arrived, source, reflections[members[0]].lobe, cells, eye, part)
+                own = reflections[members[0]].lobe
+                if own is not None:
+                    lobe[k, part] = _on(arrived, source, own, cells, eye, part)
     return body, lobe
 
 
@@ -215,7 +230,8 @@ def _on(
 ) -> np.ndarray:
     """`illumination.of_lobe` of some of the cells."""
     own = Cells(*(x[part] for x in cells))
-    there = Arrived(*(None if x is None else x[part] for x in arrived))
+    wi, *others = arrived
+    there = Arrived(None if wi is None else wi[part], *(x[part] for x in others))
     return of_lobe(there, source, lobe, own, eye)
 
 
@@ -243,8 +259,8 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
     near = [k for k, source in enumerate(sources) if source.body is not None]
     if not bounded or not near:
         return found
-    lamps = stacked([sources[k].body for k in near])
-    shapes = stacked([bodies[i] for i in bounded])
+    lamps = stacked([body for source in sources if (body := source.body) is not None])
+    shapes = stacked([body for body in bodies if body is not None])
     k, i = (x.ravel() for x in np.indices((len(near), len(bounded))))
     found[np.ix_(near, bounded)] = gap(taken(lamps, k), taken(shapes, i)).reshape(len(near), -1)
     return found
@@ -254,7 +270,7 @@ def _may_be_seen(source: Source, eye: Eye) -> bool:
     """Whether a pixel may look at a light; decided by geometry, not by how bright it is."""
     if source.kind == "sky":
         return True
-    if source.kind != "area":
+    if source.kind != "area" or source.body is None:
         return False
     points, radii = source.body
     if source.normal is not None and not eye.everywhere:

@@ -23,7 +23,7 @@ def unit(v):
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)
 
 
-# ---------------------------------------------------------------- shapes: (distance, normal, shading)
+# ---------------------------------------------------------------- shapes: distance, two normals
 
 
 def flat(point, normal, o, d, inside):

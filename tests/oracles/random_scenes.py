@@ -1,4 +1,4 @@
-"""Random scenes of every kind of light, material and shape, small enough to be drawn by hundreds."""
+"""Random scenes of every kind of light, material and shape, quick to draw by hundreds."""
 
 import numpy as np
 
@@ -85,14 +85,14 @@ class Draw:
         rng = self.rng
         power = spread(rng, 1e-6, 3) * (rng.random() > 0.1)
         near = rng.uniform([-0.9, -0.95, -2.5], [0.9, -0.5, -0.5])
-        place = near if rng.random() < 0.7 else rng.uniform(-4, 4, 3) + [0, 0, -6]
+        place = near if rng.random() < 0.7 else rng.uniform([-4, -4, -10], [4, 4, -2])
         chance = rng.random()
         if chance < 0.35:
             return jv.PointLight(place, self.spectrum(power))
         if chance < 0.45:
-            return jv.SmallLight(place, rng.normal(size=3) + [0, 1, 1], self.spectrum(power))
+            return jv.SmallLight(place, rng.normal([0, 1, 1]), self.spectrum(power))
         if chance < 0.62:
-            return jv.DirectionalLight(rng.normal(size=3) - [0, 0.5, 1.5], self.spectrum(power))
+            return jv.DirectionalLight(rng.normal([0, -0.5, -1.5]), self.spectrum(power))
         if chance < 0.7:
             rows = int(rng.integers(3, 6))
             table = rng.uniform(0.2, 1, (rows, 2 * rows, 1)) * self.spectrum(power)

@@ -1,0 +1,249 @@
+"""Which effects go: by what they can change over what they save, until a tolerance is used up.
+
+Those of bound 0 go first. Bounds add, for the distance obeys the triangle inequality; each holds on
+every picture on the way from the full to the pruned one.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import jax
+import numpy as np
+
+from ..scene import Camera, Scene, View
+from .boxes import keeps
+from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
+from .spectra import folded, with_bands
+from .stages import Draft, Gone, Row
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The rows of all stages, and what turns their bounds into one unit.
+
+    Attributes:
+        rows: of all effects.
+        opening: W m^-2 per W m^-2 sr^-1, the largest gain of the lens.
+        dn: from a change of irradiance, (bands,) W m^-2, and what is gone, to DN; None without a
+            sensor.
+        dark: DN rms of the noise in the dark.
+    """
+
+    rows: tuple[Row, ...]
+    opening: float = 1.0
+    dn: Callable[[np.ndarray, Gone], float] | None = None
+    dark: float = 0.0
+
+
+def concerns(field: str, effect: str) -> bool:
+    """Whether a free field is that of an effect, or within it."""
+    return field == effect or field.startswith((f"{effect}.", f"{effect}["))
+
+
+class Choice:
+    """What is left, what is gone, and what that changed so far."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        goal: Tolerance,
+        level: float | None,
+        start: Draft,
+        records: tuple[Scene, Camera],
+        free: Sequence[str],
+        estimates: bool,
+    ) -> None:
+        self.chain, self.goal, self.level, self.draft = chain, goal, level, start
+        self.records, self.free, self.estimates = records, free, estimates
+        self.total = self.estimated = self.place = self.rare = 0.0
+        self.gone: list[Row] = []
+        self.bounds: dict[int, float] = {}
+        self.barred: set[int] = set()
+
+    def bound(self, row: Row) -> float:
+        """What a row changes at most, in the unit of the tolerance."""
+        chain, gone = self.chain, frozenset(row.effect.name for row in self.gone)
+        value = np.atleast_1d(row.amount if row.after is None else row.after(gone))
+        if not value.any():
+            return 0.0
+        if not np.all(np.isfinite(value)):
+            return np.inf
+        of_radiance, of_irradiance = (row.effect.unit == unit for unit in (RADIANCE, IRRADIANCE))
+        if self.level is not None:
+            light = of_radiance or of_irradiance
+            scale = self.level * (chain.opening if of_irradiance else 1)
+            return float(value.max()) / scale if light and scale > 0 else np.inf
+        if (of_radiance or of_irradiance) and chain.dn is not None:
+            found = chain.dn(value * chain.opening if of_radiance else value, gone)
+        else:
+            found = float(value.max())
+        if self.goal.unit == "sigma":
+            found = found / chain.dark if chain.dark > 0 else np.inf
+        return found if found >= 0 else np.inf
+
+    def decide(self) -> None:
+        """Drops what fits: ordinary rows by what they change over what they save, then ladders."""
+        plain = [row for row in self.chain.rows if not row.ladder and row.effect.present]
+        parties = [(row,) for row in plain if not row.together]
+        joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
+        parties += [tuple(rows) for _, rows in groupby(joint, key=lambda row: row.together)]
+        waiting, before = sorted(parties, key=self._price), -1
+        while len(self.gone) > before:  # what had to go first may have gone since
+            before = len(self.gone)
+            waiting = [party for party in waiting if not self._try(party)]
+        ladders = sorted((row for row in self.chain.rows if row.ladder), key=lambda row: row.ladder)
+        for _, steps in groupby(ladders, key=lambda row: row.ladder):
+            next((step for step in steps if self._try((step,))), None)
+
+    def _price(self, party: tuple[Row, ...]) -> tuple[bool, float]:
+        cost = sum(self.bound(row) for row in party) / max(self.goal.value, 1e-300)
+        cost += sum(row.effect.place for row in party) / max(self.goal.place, 1e-300)
+        return cost > 0, cost / sum(row.saves for row in party)
+
+    def _try(self, party: tuple[Row, ...]) -> bool:
+        """Drops the rows of a party if all of them fit."""
+        gone = {row.effect.name for row in self.gone}
+        rows = [row for row in party if row.part_of not in gone]
+        allowed = all(
+            row.drop is not None
+            and (self.estimates or row.effect.rank != "estimate")
+            and row.needs <= gone
+            and not row.instead_of & gone
+            for row in rows
+        )
+        if not rows or not allowed:
+            return False
+        bounds = [self.bound(row) for row in rows]
+        proved, estimated = self._sums(rows, bounds)
+        place = self.place + sum(row.effect.place for row in rows)
+        rare = self.rare + sum(row.effect.rare for row in rows)
+        fits = proved + estimated <= self.goal.value and place <= self.goal.place
+        if not fits or rare > self.goal.rare:
+            return False
+        draft = self.draft
+        for row in rows:
+            assert row.drop is not None
+            draft = row.drop(draft)
+        if not all(keeps(draft, name, *self.records) for name in self.free):
+            self.barred |= {id(row) for row in rows}
+            return False
+        if rows[0].ladder == "bands" and not self._take_bands(draft):
+            return False
+        if _bands_of(draft) != _bands_of(self.draft):
+            return False
+        self.draft, self.total, self.estimated = draft, proved, estimated
+        self.place, self.rare = place, rare
+        self.gone += rows
+        self.bounds |= {id(row): bound for row, bound in zip(rows, bounds, strict=True)}
+        return True
+
+    def _sums(self, rows: list[Row], bounds: list[float]) -> tuple[float, float]:
+        """What is proved and what is estimated once these have gone too."""
+        grows = float(np.prod([row.grows for row in rows]))
+        both = [self.total * grows, self.estimated * grows]
+        for row, bound in zip(rows, bounds, strict=True):
+            both[row.effect.rank == "estimate"] += bound
+        return both[0], both[1]
+
+    def _take_bands(self, draft: Draft) -> bool:
+        """Whether a camera with a sensor can take fewer bands, and no free spectrum is cut."""
+        if any(_is_spectrum(name, *self.records) for name in self.free):
+            return False
+        if draft.bands is None or self.chain.dn is None:
+            return True
+        return folded(draft.camera, *draft.bands) is not None
+
+    def result(self, scene: Scene, camera: Camera | View) -> Pruned:
+        """The records of what is left, and the certificate."""
+        draft, expand, own = self.draft, None, self.draft.camera
+        left = finished(scene, draft)
+        if draft.bands is not None:
+            kept, expand = draft.bands
+            left = with_bands(left, kept, len(expand))
+            taking = folded(own, kept, expand) if self.chain.dn is not None else None
+            own, expand = (own, expand) if taking is None else (taking, None)
+        return Pruned(
+            left,
+            own if isinstance(camera, Camera) else own.view,
+            draft.samples,
+            draft.moments,
+            expand,
+            self._certificate(),
+            draft.depth,
+        )
+
+    def _certificate(self) -> Certificate:
+        names, unit = {row.effect.name for row in self.gone}, self.goal.unit
+        went = {id(row) for row in self.gone}
+        dropped = [self._told(row, self.bounds[id(row)], unit) for row in self.gone]
+        kept = []
+        for row in self.chain.rows:
+            if (
+                id(row) in went
+                or not row.effect.present
+                or (row.ladder and row.effect.name in names)
+            ):
+                continue
+            if row.part_of in names:
+                told = self._told(row, 0.0, unit)
+                dropped.append(replace(told, rank="exact", why=f"gone with {row.part_of}"))
+            elif not row.ladder or row.effect.name not in {effect.name for effect in kept}:
+                kept.append(self._told(row, self.bound(row), unit))
+        assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)
+        return Certificate(
+            tuple(kept),
+            tuple(dropped),
+            self.total,
+            self.estimated,
+            self.place,
+            self.goal.value,
+            unit,
+            self.level,
+            tuple(assumed),
+            self.rare,
+        )
+
+    def _told(self, row: Row, bound: float, unit: str) -> Effect:
+        free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
+        return replace(row.effect, bound=bound, unit=unit, free=free)
+
+
+def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
+    """Whether a field holds one number a band."""
+    word = name.rpartition(".")[2]
+    words = "emission radiance intensity irradiance diffuse specular ambient reflectance"
+    return word in f"{words} transmission quantum_efficiency infrared_cut wavelength".split()
+
+
+def _bands_of(draft: Draft) -> int:
+    """How many bands the picture has by what is left: neutral mirrors alone do not say."""
+    counts = [1]
+    for surface in draft.surfaces:
+        material = surface.material
+        counts += [getattr(material, name).shape[-1] for name in material.spectra]
+        counts += [
+            leaf.shape[-1] for leaf in jax.tree.leaves(surface.material) if leaf.ndim > 0
+        ] * (not material.spectra)
+        counts += [] if surface.emission is None else [surface.emission.shape[-1]]
+    for light in draft.lights:
+        counts += [] if light is None else [getattr(light, n).shape[-1] for n in light.spectra]
+    return max(counts)
+
+
+def finished(scene: Scene, draft: Draft) -> Scene:
+    """The scene of what a draft still holds; `()` occludes where no light has shadows left."""
+    left = [k for k, light in enumerate(draft.lights) if light is not None]
+    rules = scene.rules
+    if rules is not None:
+        changed = [draft.lights[k] is not scene.lights[k] for k in left]
+        rules = tuple(None if new else rules[k] for k, new in zip(left, changed, strict=True))
+    dark = draft.depth is None and draft.shadowless.issuperset(left)
+    return replace(
+        scene,
+        surfaces=draft.surfaces,
+        lights=tuple(draft.lights[k] for k in left),
+        ambient=draft.ambient,
+        occluders=() if dark else scene.occluders,
+        rules=rules,
+    )
