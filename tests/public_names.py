@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 
 import jaxvision
+from jaxvision import effects
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
@@ -12,7 +13,6 @@ EAGER = {
     "jaxvision.plots.inspection",
     "jaxvision.plots.summary",
     "jaxvision.errors",
-    "jaxvision.effects.certificate",
     "jaxvision.accuracy",
     "jaxvision.camera_files",
     "jaxvision.mesh_files",
@@ -48,6 +48,9 @@ EAGER = {
     "jaxvision.lights.orders",
     "jaxvision.lights.environment_tables",
     "jaxvision.transport.radiosity._trapped",
+}
+EFFECTS = {  # decided before anything is traced
+    name for _, name, _ in pkgutil.walk_packages(effects.__path__, f"{effects.__name__}.")
 }
 # Static answers to static questions: no array goes in. And parts of functions that are swept:
 # `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
@@ -138,5 +141,5 @@ def traced():
     return {
         name.removeprefix("jaxvision."): function
         for name, function in functions(jaxvision).items()
-        if name.rpartition(".")[0] not in EAGER and name not in STATIC
+        if name.rpartition(".")[0] not in EAGER | EFFECTS and name not in STATIC
     }

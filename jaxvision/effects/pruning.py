@@ -15,7 +15,9 @@ from .bounces import bounce_rows
 from .boxes import Box, ends_of, refuse_tracers
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, concerns
+from .optics import optics_stage
 from .radiance import scene_stage
+from .sensor import sensor_stage
 from .spectra import band_rows
 from .stages import Draft, Ends
 
@@ -28,15 +30,21 @@ def _chain(
     *,
     depth: int | None,
     samples: PixelSamples | None,
-    motion: Any,
-    moments: int,
     whole: bool,
 ) -> Chain:
-    """The rows from the scene to the picture; of a bare view those of the scene alone."""
-    view = camera.of("view")
-    rows, _, sums = scene_stage(scene, view, depth=depth)
+    """The rows from the scene to the raw numbers; of a bare view those of scene and lens."""
+    view, sensor = camera.of("view"), camera.of("sensor")
+    rows, arriving, sums = scene_stage(scene, view, depth=depth)
     rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
-    return Chain(rows)
+    aperture = sensor.low.pixel_aperture
+    finer = 1 if aperture is None else aperture.oversampling
+    of_lens, on_sensor = optics_stage(view, arriving, samples=samples, oversampling=finer)
+    rows += of_lens
+    if not whole:
+        return Chain(rows, on_sensor.opening)
+    shape = view.low.resolution
+    of_sensor, response = sensor_stage(sensor, on_sensor.irradiance, shape=shape)
+    return Chain(rows + of_sensor, on_sensor.opening, response.dn, response.dark)
 
 
 def _camera_of(camera: Camera | View) -> Camera:
@@ -91,8 +99,6 @@ def inspect(
         *ends_of(scene, _camera_of(camera), free),
         depth=depth,
         samples=samples,
-        motion=motion,
-        moments=moments,
         whole=isinstance(camera, Camera),
     )
     named = frozenset(free or ())
@@ -154,8 +160,6 @@ def prune(
         *ends_of(scene, own, free),
         depth=depth,
         samples=samples,
-        motion=motion,
-        moments=moments,
         whole=whole,
     )
     if goal.unit == "relative":
