@@ -208,7 +208,7 @@ def seen_in_mirror(material: Any, wo: Vector) -> tuple[Vec, Colour] | None:
 
 
 def sample_cosine(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
-    """Directions of density cos(theta) / pi, whatever the material."""
+    """A direction of density cos(theta) / pi, for any material."""
     del material, wo
     return cosine_direction(u[:2])
 

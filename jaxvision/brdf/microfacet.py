@@ -50,7 +50,7 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
     scale = jnp.pi * a[0] * a[1]
     match distribution:
         case "beckmann":
-            above = n.z > 1e-5  # flatter facets have no weight that a float can hold
+            above = n.z > 1e-5  # the weight of steeper facets underflows
             z = or_one(n.z, above)
             steepness = across / (z * z)
             # where the exponential is 0, z^4 in a derivative would leave the range of a float

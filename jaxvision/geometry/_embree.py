@@ -84,14 +84,14 @@ def _found_before(
 
 
 def _beside(direction: np.ndarray) -> np.ndarray:
-    """A few roundings off: what met nothing is asked again, since one ray in 100000 that is aimed
-    at a vertex slips through."""
+    """Rays moved aside by a few roundings: a ray that met nothing is traced again, since one in
+    100000 of those aimed at a vertex slips through."""
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
 
 def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
-    """`query(scene, *rays)` for rays with any leading axes, against one mesh or, where `vmap` ran
-    over the mesh too, against each of several."""
+    """`query(scene, *rays)` for rays with any leading axes, against one mesh, or against one mesh
+    each where `vmap` ran over the mesh too."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     meshes = np.broadcast_shapes(vertices.shape[:-2], faces.shape[:-2])
     ends = (3,), (3,), ()
@@ -104,7 +104,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
         scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
         def found(part: slice) -> np.ndarray:
-            # a copy of directions, as Embree refuses what it may not write to
+            # a copy of the directions, as Embree refuses read-only arrays
             origin, direction, *far = (x[part] for x in flat)
             start = scale * origin + _START * direction
             return query(scene, start, np.array(direction), *(scale * x - _START for x in far))
@@ -122,7 +122,7 @@ _nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 
 def _by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
-    """What is found of `count` rays, part by part, a core each: Embree lets go of Python."""
+    """Results for `count` rays, one part a core: Embree releases the interpreter lock."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     parts = max(min(cores or 1, count // _SHARE), 1)
     ends = [count * k // parts for k in range(parts + 1)]

@@ -13,7 +13,7 @@ from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
 from .rays import Hit, Ray
 
-_TRIED = 100  # triangles; of more, Embree's tree finds the first sooner than trying all
+_TRIED = 100  # triangles; with more, Embree's tree is faster than testing each
 
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:

@@ -10,8 +10,8 @@ from .._types import Scalar
 from .._vector import Vec3, as_vec
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
-# How many times the rounding of its largest length a point is moved off its surface: rounding of
-# the point and of the intersection tests adds up to a dozen.
+# A point is moved off its surface by this many roundings of its largest length: the errors of the
+# point and of the intersection tests add up to a dozen.
 _OFFSET = 32.0
 
 

@@ -32,7 +32,7 @@ def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
 
 
 def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
-    """(p x q in the plane across the ray, the rounding that it may carry)."""
+    """(p x q in the plane across the ray, a bound on its rounding error)."""
     one, other = p.x * q.y, p.y * q.x
     of_products = jnp.abs(one) + jnp.abs(other)
     of_vertices = _across(p) * _reach(q) + _across(q) * _reach(p)
@@ -44,8 +44,8 @@ def _across(v: Vec) -> Scalar:
 
 
 def _reach(v: Vec) -> Scalar:
-    """No less than the length of what is turned into the ray's frame, of which a component carries
-    the rounding."""
+    """An upper bound on the length of a vector that is turned into the frame of the ray: the
+    rounding of each component is relative to it."""
     return _across(v) + jnp.abs(v.z)
 
 
@@ -57,7 +57,7 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
     back = (u <= du) & (v <= dv) & (w <= dw)
     area = u + v + w
-    # narrower than rounding: seen edge on, or no triangle at all
+    # within rounding of 0: seen edge on, or degenerate
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
     inverse = 1 / or_one(area, ~flat)
     distance = (u * a.z + v * b.z + w * c.z) * inverse
@@ -70,8 +70,8 @@ def _seen(ray: Ray, frame: Frame, v: Vec) -> Vec:
 
 
 def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, index) of the triangle met first, (inf, -1) where none is: every one is
-    tried, a chunk at a time."""
+    """(distance in m, index) of the first triangle along the ray, (inf, -1) for a miss. All
+    triangles are tested, a chunk at a time."""
     frame, triangles = local_frame(ray.direction), corners(mesh)
     count = len(triangles)
 
@@ -144,8 +144,8 @@ def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit
 def _place(
     ray: Ray, known: Bool[Array, ""], a: Vec, b: Vec, c: Vec
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """(distance, weight of b, weight of c): the weights by the reciprocal edges, and those that
-    rounding put outside moved back by that much."""
+    """(distance, weight of b, weight of c). The weights come from the reciprocal edges; those that
+    rounding puts outside the triangle are clipped to it."""
     edge_b, edge_c = b - a, c - a
     area = cross(edge_b, edge_c)
     normal = as_vec(normalize(area))

@@ -34,8 +34,8 @@ def _world(box: Box, v: Vec) -> Vec:
 def _slabs(
     origin: Vec, direction: Vec, half: Vec
 ) -> tuple[list[Scalar], list[Scalar], Bool[Array, ""]]:
-    """Where the ray enters and leaves each pair of faces, and whether it is between the faces that
-    it runs along."""
+    """Where the ray enters and leaves each pair of faces, and whether it runs between those to
+    which it is parallel."""
     enter, leave, between = [], [], jnp.asarray(True)
     for o, d, h in zip(
         (origin.x, origin.y, origin.z),
@@ -81,7 +81,8 @@ def _first_face(ray: Ray, box: Box) -> Int[Array, ""]:
 
 
 def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
-    """(distance, the place along the box's sides, put back onto the face), m, on a known face."""
+    """(distance, the place in the axes of the box, projected onto the face), m, for a known
+    face."""
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     axis, half = face // 2, as_vec(box.half_extents)
     to_face = _side(face, half.x) * _component(half, axis) - _component(origin, axis)
@@ -98,7 +99,7 @@ def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
 
 
 def _side(face: Int[Array, ""], like: Scalar) -> Scalar:
-    """On which side of its axis a face lies, 1 or -1."""
+    """The side of its axis on which a face lies, 1 or -1."""
     return jnp.where(face % 2 == 1, jnp.ones_like(like), -1)
 
 
@@ -118,8 +119,8 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a box. `compute`: `stored`, or `at_once` where the caller computes the hit in
-    one loop: repeated elsewhere, with another rounding, the face and the place are others."""
+    """The hit, m, of a box. `compute`: `stored`, or `at_once` if the caller computes the whole hit
+    in one loop: computed again elsewhere, with other rounding, face and place could differ."""
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)

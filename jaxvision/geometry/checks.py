@@ -81,7 +81,7 @@ def _mesh_problems(mesh: TriangleMesh) -> list[str]:
 
 
 def _behind(mesh: TriangleMesh) -> np.ndarray:
-    """The faces that shade black, for all three of their normals point to the back."""
+    """Faces that render black because all three vertex normals point backwards."""
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)].astype(float)
     normals = np.asarray(mesh.normals)[np.asarray(mesh.faces)].astype(float)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

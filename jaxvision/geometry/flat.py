@@ -23,7 +23,8 @@ from .rays import Hit, Ray
 
 
 def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
-    """To the plane through `point`, m; 0 for a ray in it, negative for what lies behind."""
+    """Distance to the plane through `point`, m; 0 for a ray within the plane, negative if the plane
+    lies behind."""
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
     return divide(dot(normal, point - ray.origin), slope, where=crosses)
@@ -41,9 +42,9 @@ def _hit(
     size: Scalar,
     compute: Callable[..., Any],
 ) -> Hit:
-    """The hit of a plane through `point`, put back into the plane, if it lies ahead. `compute`:
-    `stored`, or `at_once` where the caller computes the hit in one loop: a place that is put back
-    by the height of another, rounded otherwise, is as far off the plane as the two are apart."""
+    """The hit of a plane through `point`, projected onto the plane, if it lies ahead. `compute`:
+    `stored`, or `at_once` if the caller computes the whole hit in one loop: a projection by a
+    height that was rounded differently would miss the plane by the difference."""
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
     place = compute(_along, ray, jnp.where(hit, distance, 0))
@@ -117,9 +118,10 @@ def flat_quad(quad: Quad) -> FlatQuad:
 
 
 def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """(height, slope, u slope, v slope) of where the ray's line crosses the parallelogram's plane:
-    at the distance height / slope, m, of either sign, and at u edge_u + v edge_v from the corner.
-    slope >= 0; all is left times the slope, so that a test need not divide."""
+    """(height, slope, u slope, v slope) of the crossing of the ray's line with the plane of the
+    parallelogram: at the distance height / slope, m, of either sign, and at u edge_u + v edge_v
+    from the corner. slope >= 0. All are multiplied by the slope, so that a test needs no
+    division."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
     height, slope = jnp.where(slope < 0, -height, height), jnp.abs(slope)
@@ -129,7 +131,7 @@ def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Sca
 
 
 def _meet_quad(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(height, slope, whether it is met): the distance is height / slope."""
+    """(height, slope, whether the ray meets it); the distance is height / slope."""
     height, slope, u, v = line_crossing(ray, quad)
     inside = (jnp.minimum(u, v) >= 0) & (jnp.maximum(u, v) <= slope)
     return height, slope, inside & (height > 0) & (slope > smallest_divisor(slope.dtype))
@@ -163,6 +165,5 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a parallelogram by a ray of which it is known whether it meets it; `compute`
-    as in `_hit`."""
+    """The hit, m, of a parallelogram, given whether the ray meets it; `compute` as in `_hit`."""
     return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

@@ -41,7 +41,7 @@ from .rays import Encounter, Hit, Ray, offset_origin
 from .sphere import intersect_sphere, sphere_blocks, sphere_distance
 
 Carry = TypeVar("Carry")
-_CHUNK = 8  # shapes that are tried at once: one does not fill the vector units
+_CHUNK = 8  # shapes tested at once: one alone does not fill the vector units
 
 
 class Sorted(eqx.Module):
@@ -198,8 +198,8 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
-    """The hit of one shape, part of a loop of the caller's. `among`: whether it is known to be
-    met."""
+    """The hit of one shape, computed within a loop of the caller. `among`: whether this shape is
+    known to be met."""
     match shape:
         case FlatQuad():
             return quad_hit(ray, shape, among, at_once)
@@ -214,7 +214,7 @@ def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
 
 
 def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
-    """`hit` where it is `here`, else the other; what `other` has and `hit` lacks is filled in."""
+    """`hit` where `here` holds, else `other`; fields that `hit` lacks are filled in."""
     shading_normal = None if other.shading_normal is None else hit.shading_normal or hit.normal
     zero = jnp.zeros_like(hit.distance)
     uv = None if other.uv is None else hit.uv or (zero, zero)
@@ -275,7 +275,7 @@ def blocked(
     size, reach = ready.size if size is None else size, largest_component(point)
     reach = reach if size is None else jnp.maximum(reach, size)
     start = offset_origin(point, normal, direction, size=reach)
-    # at the same end from the moved start: what shines there at a slant would else block itself
+    # aimed anew from the moved start: a light seen at a slant would otherwise block itself
     finite = distance < jnp.inf
     end = point + jnp.where(finite, distance, 0) * direction
     reach = jnp.maximum(reach, largest_component(end))
@@ -345,8 +345,8 @@ def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]
 def _over_chunks(
     step: Callable[[Carry, Int[Array, ""], Any], Carry], carry: Carry, group: Any, count: int
 ) -> Carry:
-    """`carry = step(carry, start, group[start : start + size])` over a stacked group, of which the
-    last chunk may see some twice."""
+    """`carry = step(carry, start, group[start : start + size])` over a stacked group; the last
+    chunk may repeat some shapes."""
     if count <= 2 * _CHUNK:
         for start in range(0, count, _CHUNK):
             chunk = jax.tree.map(lambda x, start=start: x[start : start + _CHUNK], group)
@@ -369,8 +369,8 @@ def _each(chunk: Any) -> list[Any]:
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
-    """The nearest of a chunk as one whole number, which one comparison a shape finds: the bits of
-    its distance, which grow with it, the last three replaced by its place."""
+    """The nearest shape of a chunk as one integer, found by one comparison a shape: the bits of its
+    distance, which increase with it, with the last three replaced by its place."""
     keys = []
     for place, shape in enumerate(_each(chunk)):
         distance = _distance(ray, shape)

@@ -14,8 +14,8 @@ from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance alone, m, and plainly, good to a few eps of the way to the centre: enough to
-    tell which of several surfaces comes first."""
+    """The distance alone, m, by the plain formula, accurate to a few eps of the distance to the
+    centre: enough to tell which of several surfaces comes first."""
     b, discriminant = _closest(ray, sphere)
     half_chord = jnp.sqrt(jnp.maximum(discriminant, 0))
     near, far = b - half_chord, b + half_chord
@@ -24,7 +24,7 @@ def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
 
 
 def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets the sphere before `distance`, m; no square root is drawn."""
+    """Whether the ray meets the sphere before `distance`, m, without a square root."""
     b, discriminant = _closest(ray, sphere)
     rest = distance - b  # from the closest approach to the end
     less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
@@ -73,9 +73,9 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance of the crossing that is met, m, inf for a miss. To be stored: whether a ray that
-    starts on the sphere meets the near crossing or the far one is for its rounding to say, which is
-    another wherever compiled code repeats it."""
+    """The distance of the first crossing ahead, m, inf for a miss. The result has to be stored: for
+    a ray that starts on the sphere rounding decides between the near and the far crossing, and
+    compiled code that computes it again may round differently."""
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
 

@@ -56,7 +56,7 @@ def adaptive_irradiance(
 
     def by_nodes(order: int):
         def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:
-            # in units of the longer edge, which keeps fourth powers in range
+            # in units of the longer edge, so that fourth powers stay in range
             u, v = as_vec(light.edge_u), as_vec(light.edge_v)
             square = jax.lax.stop_gradient(jnp.maximum(dot(u, u), dot(v, v)))
             scale = jax.lax.rsqrt(or_one(square))

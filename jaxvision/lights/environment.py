@@ -175,8 +175,8 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
-    """The cell that holds `u`, and the fraction of it that lies before the middle of the step of
-    uniform floats that `u` stands for: never a border, where another cell's density may be read."""
+    """The cell that contains `u`, and the fraction of it before the middle of the step of uniform
+    floats that `u` stands for: never a border, where the density of another cell might be read."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]
@@ -193,7 +193,7 @@ def _to_map(environment: EnvironmentMap, direction: Vector) -> Vec:
 
 
 def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vector:
-    """In the kind, array or `Vec`, of the point."""
+    """The direction in world coordinates, as the type of the point, array or `Vec`."""
     x, y, z = (as_vec(row) for row in environment.rotation)
     world = direction.x * x + direction.y * y + direction.z * z
     return as_array(world) if isinstance(point, Array) else world

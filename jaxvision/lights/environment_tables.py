@@ -49,7 +49,7 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
     h, w, _ = picture.shape
     fixed = jax.lax.stop_gradient(picture)
     brightest = fixed.max()
-    # relative to the brightest, so that no sum of them leaves the range of a float
+    # relative to the brightest, so that sums stay within the range of a float
     relative = divide(fixed, brightest, otherwise=1)
     brightness = _pixel_means(relative.mean(axis=-1))
     cell = jnp.asarray(_row_solid_angles(h), picture.dtype)[:, None] * (2 * jnp.pi / w)

@@ -179,7 +179,7 @@ def refocus(
 
 
 def _inward(aperture: Window, start: Float[Array, "3"], target: Float[Array, "3"]) -> Vec:
-    """Along the line through two points, away from the window's front."""
+    """The direction along the line through two points, away from the front of the window."""
     along = as_vec(normalize(target - start))
     forward = dot(cross(aperture.edge_u, aperture.edge_v), along) > 0
     return along * jnp.where(forward, -1, 1).astype(start.dtype)
@@ -190,7 +190,7 @@ def _point(window: Window, place: Float[Array, "2"]) -> Float[Array, "3"]:
 
 
 def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"]) -> Colour:
-    """The sixteen samples about a place, each by its share along the four axes."""
+    """The sixteen samples around a place, weighted along the four axes."""
     cells = []
     for at, size in zip(places, grid.shape[:4], strict=True):
         at = at * (size - 1)

@@ -48,7 +48,7 @@ def window_of(light: RectangleLight) -> Window:
 
 
 def _from_nearest(light: RectangleLight, points: Vec) -> Vec:
-    """From the nearest place of the rectangle to each point, m."""
+    """The vector from the nearest point of the rectangle to each point, m."""
     apart = nearest = points - light.corner
     for edge in (as_vec(light.edge_u), as_vec(light.edge_v)):
         share = dot(apart, edge) * reciprocal(dot(edge, edge))

@@ -123,7 +123,7 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
         starts.append(start)
         lengths.append(length)
         gaps.append(jnp.maximum(jnp.maximum(start, -start - length), 0))
-    # at least 1 / 64 of the edge: a point of the window itself stays defined
+    # at least 1 / 64 of the edge, so that points of the window itself are defined
     scales = [
         jnp.maximum(norm(Vec(height, gap, 0 * gap)), length / 64)
         for gap, length in zip(gaps[::-1], lengths, strict=True)

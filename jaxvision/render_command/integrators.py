@@ -65,8 +65,8 @@ def pixels_of(
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
-    """How many passes there are, and from the number of one to its picture, (h, w, bands) in
-    W m^-2 sr^-1. The mean of all is the picture."""
+    """The number of passes, and a function from the number of one to its picture, (h, w, bands) in
+    W m^-2 sr^-1. The result is the mean of all."""
     _check_light(source, settings)
     key = jax.random.key(settings.seed)
     height, width = source.view.resolution
@@ -86,7 +86,8 @@ def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
-    """`InputError` where all light is ambient, which stands for the light that others follow."""
+    """`InputError` where all light is ambient, which already stands for the light that the other
+    integrators follow."""
     scene = source.scene
     shines = scene.lights or any(surface.emission is not None for surface in scene.surfaces)
     if settings.integrator != "direct" and not shines:
@@ -107,7 +108,7 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _along(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
-    """What arrives along rays, of a scene and a key that may be traced."""
+    """Radiance along rays, as a function of a scene and a key that may be traced."""
     match settings.integrator:
         case "direct":
             return lambda scene, key: direct_along(scene, _rule(settings, key))
@@ -122,7 +123,7 @@ def _along(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], A
 
 
 def _solved(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
-    """The scene cut into patches, and what is seen of the light that they exchange."""
+    """The scene cut into patches, and the radiance along rays after they have exchanged light."""
     key = jax.random.key(settings.seed)
     with _in_words_of(source):
         scene = source.scene
@@ -143,7 +144,7 @@ def _solved(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], 
 
 
 def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
-    """`ValueError` with the number of a surface between whose likes light is caught for ever."""
+    """`ValueError` with the number of a surface if light is trapped between it and others."""
     materials = [surface.material for surface in scene.surfaces]
     diffuse = [np.asarray(own.diffuse) for own in materials if isinstance(own, Lambert)]
     albedo = np.pi * np.stack(np.broadcast_arrays(*diffuse))  # `plan_patches` refuses all others
@@ -156,7 +157,7 @@ def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:
 
 
 def _fixed(settings: RenderEntry) -> Quadrature:
-    """The rule of what leaves nothing to chance."""
+    """The deterministic sampling rule."""
     if settings.rule != "quadrature":
         raise InputError(
             f"render: integrator = 'rays' leaves nothing to chance, but rule = "
@@ -177,7 +178,7 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
 
 @contextmanager
 def _in_words_of(source: SceneFile) -> Iterator[None]:
-    """What the library refuses, told by the names of the scene file."""
+    """A refusal by the library, rephrased with the names of the scene file."""
     names = {"surfaces": source.surfaces, "lights": source.lights}
     try:
         yield

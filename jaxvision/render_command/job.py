@@ -93,7 +93,9 @@ def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
     """`InputError` for a picture larger than what the disk has left, and an earlier part has
     taken."""
     height, width = source.view.resolution
-    wanted = 2 * 4 * height * width * source.bands  # what is done, and the picture made of it
+    wanted = (
+        2 * 4 * height * width * source.bands
+    )  # the part that is done, and the picture made from it
     folder = next(folder for folder in out.resolve().parents if folder.exists())
     free = shutil.disk_usage(folder).free
     free += unfinished.stat().st_size if unfinished.exists() else 0
@@ -109,7 +111,7 @@ def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
 def _in_tiles(
     source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
 ) -> Iterator[Rows]:
-    """The picture tile by tile; what is done is deleted with the block's end."""
+    """The picture tile by tile; the part that is done is deleted at the end of the block."""
     height, width = source.view.resolution
     tile = min(settings.tile, height * width)
     tiles = math.ceil(height * width / tile)
@@ -129,7 +131,8 @@ def _in_tiles(
 def _in_passes(
     source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
 ) -> Iterator[Rows]:
-    """The picture as the mean of its passes; what is done is deleted with the block's end."""
+    """The picture as the mean of its passes; the part that is done is deleted at the end of the
+    block."""
     height, _ = source.view.resolution
     shape = (*source.view.resolution, source.bands)
     partial = PartialSum(unfinished, key=_key(source, settings), shape=shape, fresh=fresh)
@@ -180,7 +183,7 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
 
 
 def _key(source: SceneFile, settings: RenderEntry) -> dict[str, Any]:
-    """What every bit of the picture depends on, and of tiles their size."""
+    """Everything that the bits of the picture depend on, and for tiles their size."""
     unused = set() if settings.integrator in BY_PIXEL else {"tile"}
     return {
         "scene": source.digest,
@@ -220,7 +223,7 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
 
 
 def _to_rgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """What each band adds to linear sRGB."""
+    """The contribution of each band to linear sRGB."""
     if wavelengths is not None:
         return colours_of(wavelengths, "light")
     return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

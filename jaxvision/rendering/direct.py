@@ -96,14 +96,14 @@ def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...])
 
 
 def _can_shade(scene: Scene) -> bool:
-    """Whether light can be blocked at all: a shape without dents, alone, shades only its back."""
+    """Whether light can be blocked at all: a single convex shape shades only its own back."""
     first = scene.surfaces[0]
     return len(scene.surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
 
 
 def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Vec, Leaving]:
-    """The normal that shades, and how shadow rays leave: turned to the viewer where both sides of
-    the surface are fronts."""
+    """The shading normal and how shadow rays leave, both turned to the viewer where the surface has
+    two sides."""
     smooth, sides = hit.shading_normal or hit.normal, [s.two_sided for s in scene.surfaces]
     if not any(sides):
         return smooth, Leaving(hit.normal, hit.size)
@@ -113,7 +113,7 @@ def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Ve
 
 
 def _of_surface(emissions: list[Colour | None], index: Int[Array, ""]) -> Colour:
-    """The emission of the surface of that index, 0 where there is none, W m^-2 sr^-1."""
+    """The emission of the surface of that index, W m^-2 sr^-1; 0 if it has none."""
     known = next(emission for emission in emissions if emission is not None)
     table = jnp.stack([jnp.zeros_like(known) if e is None else e for e in emissions])
     return jnp.where(index >= 0, table[jnp.maximum(index, 0)], 0)

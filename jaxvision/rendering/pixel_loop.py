@@ -103,7 +103,7 @@ def photograph(
     number = jnp.arange(height * width) if pixels is None else pixels[0] * width + pixels[1]
 
     def place(pixel: Word) -> tuple[Scalar, Scalar]:
-        # by way of int32, which CPUs convert many at a time
+        # through int32, for which CPUs have vector conversions
         row, column = (x.astype(jnp.int32) for x in (pixel // width, pixel % width))
         return row.astype(dtype), column.astype(dtype)
 
@@ -204,7 +204,7 @@ def in_blocks(
         return jnp.pad(x, around, mode="edge").reshape(blocks, size, *x.shape[1:])
 
     parts = tuple(map(cut, arrays))
-    if blocks == 1:  # each loop around a loop takes a gradient about as long again to compile
+    if blocks == 1:  # each nested loop about doubles the compile time of a gradient
         found = jax.tree.map(lambda x: x[None], function(*(part[0] for part in parts)))
     else:
         if keep is not None:

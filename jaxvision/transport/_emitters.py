@@ -132,7 +132,7 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
 
 
 def of_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
-    """`function` of the emitter that `u`, uniform in [0, 1), draws."""
+    """`function` applied to the emitter that `u`, uniform in [0, 1), selects."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
     found = of_member(emitters.members, emitters.groups, index, function)
@@ -156,7 +156,8 @@ def _toward(arriving: Incident, density: Scalar) -> Toward:
 
 
 def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
-    """The shape's area, spread over the solid angle d^2 / cos that it covers from the point."""
+    """A direction toward a point of a surface that shines; its density is one over the shape's
+    area, converted to solid angle by d^2 / cos."""
     place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
@@ -184,8 +185,9 @@ def toward_each(
     shine: Callable[[Toward], Colour],
     bands: int,
 ) -> Colour:
-    """The sum of `shine`, (bands,) W m^-2 sr^-1 of a direction toward an emitter, over all
-    emitters from `point`, m, each sampled by its rule, whose weights are in its irradiances."""
+    """The sum over all emitters of `shine`, (bands,) W m^-2 sr^-1 for one direction toward an
+    emitter, seen from `point`, m. Each emitter is sampled by its rule, whose weights are included
+    in its irradiances."""
     dtype = point.x.dtype
 
     def of_emitter(
@@ -269,8 +271,8 @@ def shining_ahead(
 def _shining_surface(
     emitters: Emitters, surface: Int[Array, ""], distance: Scalar, cosine: Scalar
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether the surface that is met shows a side that may shine, and with which density, sr^-1,
-    this direction would have been drawn on purpose if it does."""
+    """Whether the surface that a ray meets shows a side that may shine, and the density, sr^-1,
+    with which light sampling would have drawn this direction."""
     assert emitters.area is not None  # of what has emission
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
@@ -280,16 +282,16 @@ def _shining_surface(
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
-    """What a body of that absorption, (bands,) m^-1, or none, leaves of light over a distance, m,
-    no unit; nothing is lost on a way without end."""
+    """The fraction of light that a body leaves over a distance, m, no unit. `absorption`: (bands,)
+    m^-1, or None. An infinite distance counts as no loss."""
     if absorption is None:
         return jnp.ones_like(distance)[None]
     return jnp.exp(-absorption * jnp.where(jnp.isinf(distance), 0, distance))
 
 
 def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> Scalar:
-    """How much a direction of two densities, sr^-1, counts that was found by chance; of one drawn
-    on purpose it is `purpose_weight`, and the two sum to 1, no unit."""
+    """Weight, no unit, of a direction that BRDF sampling found, given both densities, sr^-1. It and
+    `purpose_weight` sum to 1."""
     match strategy:
         case "lights":  # counts only what cannot be drawn
             return jnp.where(jnp.isinf(by_chance) | (on_purpose <= 0), 1, 0).astype(by_chance.dtype)
@@ -299,8 +301,8 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
 
 
 def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | None) -> Scalar:
-    """How much a direction of two densities, sr^-1, counts that was drawn on purpose, no unit; a
-    light at one place, of density inf, is found no other way."""
+    """Weight, no unit, of a direction that light sampling drew, given both densities, sr^-1. A
+    light at one place has density inf and can be found in no other way."""
     match strategy:
         case "lights":
             return jnp.ones_like(on_purpose)

@@ -42,7 +42,7 @@ from ..hemisphere import Frame, local_frame, to_local, to_world
 from ..scene import Material, Scene
 from ._emitters import LARGEST
 
-SEARCHED = "searched"  # what a search among all shapes found: a gradient keeps it, see `paths`
+SEARCHED = "searched"  # results of a search among all shapes: a gradient stores them, see `paths`
 
 
 class Surfaces(eqx.Module):
@@ -114,7 +114,7 @@ def surfaces_of(scene: Scene) -> Surfaces:
 
 
 def _splits(material: Material) -> bool:
-    """Whether a ray goes on in two from the material."""
+    """Whether a ray may continue in two directions from the material."""
     if not is_delta(material):
         return False
     up = jnp.zeros(3, common_dtype(material))
@@ -122,13 +122,14 @@ def _splits(material: Material) -> bool:
 
 
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
-    """What a ray meets first, in m; gradients reach the shape that is met."""
+    """The first surface that a ray meets, in m; gradients reach the shape that is met."""
     encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
     return Met(encounter.shape, together(hit_shape(ray, surfaces.shapes, encounter)))
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
-    """Whether a surface blocks the way from a met one along a unit direction, for m."""
+    """Whether a surface blocks the way from a point on another one along a unit direction, up to a
+    distance in m."""
     hit = met.hit
     way = hit.point, hit.normal, direction, distance
     blocked = searched(occluded, *way, surfaces.shapes, size=hit.size)
@@ -168,8 +169,8 @@ def vertex(
 
 
 def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands: int) -> Colour:
-    """S(wi = asked, wo = back) of the surface that was met, (bands,) in sr^-1; `back`, `asked`:
-    unit, world; 0 of a mirror or glass, and of a surface seen from behind."""
+    """S(wi = asked, wo = back) at the surface that was met, (bands,) sr^-1. `back`, `asked`: unit,
+    world. It is 0 for mirrors, for glass, and for a surface seen from behind."""
     _, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     seen = (viewer.z > 0) & (_height(viewer, flat) > 0) & (_height(light, flat) > 0)
     shaded = jnp.zeros(bands, back.x.dtype)
@@ -192,7 +193,8 @@ class Branches(eqx.Module):
 
 
 def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches:
-    """What a ray that looks along -`back`, unit, world, sees by way of the surface it met."""
+    """What a ray that travels along -`back`, unit, world, sees by reflection and refraction at the
+    surface that it met."""
     frame, viewer, _, flat = _seen_from(surfaces, met, back, back)
     mirrored = refracted = jnp.zeros(bands, back.x.dtype)
     up = down = viewer
@@ -223,7 +225,7 @@ def _seen_from(
 
 
 def _height(w: Vec, flat: Vec | None) -> Scalar:
-    """The cosine between a direction and the surface's own normal, both local."""
+    """The cosine between a direction and the geometric normal, both local."""
     return w.z if flat is None else dot(w, flat)
 
 
@@ -280,8 +282,8 @@ def _transfer(
 
 
 def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
-    """The ways on from a mirror or glass, local; about the surface's own normal where that which
-    shades would put one of them on the wrong side."""
+    """The ways on from a mirror or glass, local. They are taken about the geometric normal where
+    the shading normal would put one of them on the wrong side."""
     ways = brdf.specular(material, back)
     if flat is None:
         return ways
@@ -299,16 +301,16 @@ def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
 
 
 def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
-    """The ray that goes on from a hit along a unit direction; where nothing `goes`, the ray that
-    came: a ray all the same, whose hits are finite."""
+    """The ray that continues from a hit along a unit direction. A path that has ended keeps its old
+    ray, so that its hits stay finite."""
     hit = met.hit
     origin = offset_origin(hit.point, hit.normal, direction, size=hit.size)
     return Ray(where(goes, origin, ray.origin), where(goes, direction, ray.direction))
 
 
 def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
-    """Of the glass that a ray starts in, (bands,) m^-1: the innermost that it comes out of, none
-    in the open; None where all are clear."""
+    """Absorption, (bands,) m^-1, of the innermost body of glass that a ray starts in; 0 in the
+    open; None where no body absorbs."""
     if surfaces.absorption is None:
         return None
     around, ray = jnp.zeros(bands, ray.origin.x.dtype), jax.lax.stop_gradient(ray)
@@ -324,9 +326,10 @@ def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | N
 def absorption_after(
     surfaces: Surfaces, met: Met, came: Vec, onward: Ray, before: Colour | None
 ) -> Colour | None:
-    """Of the body that a path is in which `came` along a unit direction and goes `onward`, (bands,)
-    m^-1: that of the glass it is in now, that of what lies around where it left one, else as
-    `before`; None where all are clear."""
+    """Absorption, (bands,) m^-1, of the body that a path is in after a vertex, where it `came`
+    along one unit direction and goes `onward` along another: that of the glass it has entered, that
+    of the surroundings of the glass it has left, otherwise as `before`. None where no body
+    absorbs."""
     if surfaces.absorption is None or before is None:
         return None
     surface = jnp.maximum(met.surface, 0)

@@ -38,9 +38,12 @@ from .paths import Paths, path_traced
 
 
 class _Arrival(eqx.Module):
-    """What of a vertex a camera gets. `toward`: unit, to the camera; `distance`: () m. `row`,
-    `column`: () pixels, fractional. `response`: () m^-2, radiance of the pixel per flux and per
-    sr^-1 of what reflects it; 0 outside the picture."""
+    """How a camera sees a vertex.
+
+    `toward`: unit, to the camera; `distance`: () m. `row`, `column`: () pixels, fractional.
+    `response`: () m^-2, radiance of the pixel per flux and per sr^-1 of the reflection; 0 outside
+    the picture.
+    """
 
     toward: Vec
     distance: Scalar
@@ -143,7 +146,7 @@ def _light_path(
         at = together(at)
         dark = hidden(world.surfaces, met, arrival.toward, arrival.distance)
         reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
-        if world.emitters.lights:  # the camera sees the light before what lies behind it
+        if world.emitters.lights:  # a light in front hides what lies behind it
             camera = Ray(met.hit.point + arrival.distance * arrival.toward, -arrival.toward)
             reaches &= ~(nearest_seen(world.emitters.lights, camera).distance < arrival.distance)
         response = arrival.response * transmitted(absorption, arrival.distance)

@@ -95,9 +95,9 @@ class Paths(eqx.Module):
 
 
 class _Path(eqx.Module):
-    """A path under way: what it looks along, what its light will count, what it has found, the
-    density of its direction (inf where it looks), what absorbs, None where nothing can, and whether
-    it goes on."""
+    """A path under way: its ray, the weight of the light it will find, the radiance found so far,
+    the density of its direction (inf for a camera ray), the absorption around it (None where
+    nothing absorbs), and whether it continues."""
 
     ray: Ray
     weight: Bands
@@ -160,22 +160,23 @@ def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
 
 
 def _simplest(world: World, method: Paths) -> Paths:
-    """The method that needs no densities, where no ray can meet what shines: every weight is 1."""
+    """The simplest method that serves: where no ray can meet an emitter every weight is 1, and no
+    densities are needed."""
     if world.emitters.lights or world.emitters.emission is not None:
         return method
     return dataclasses.replace(method, strategy="lights")
 
 
 def _has_chance_only(world: World) -> bool:
-    """Whether some light can only be found by chance: by way of a mirror or glass, or on a plane
-    that shines, which has no place to draw."""
+    """Whether some light can only be found by BRDF sampling: by way of a mirror or glass, or on a
+    plane that shines, which has no finite area to sample."""
     met_by_mirrors = world.emitters.lights or world.emitters.emission is not None
     mirrors = any(map(is_delta, world.surfaces.materials))
     return bool(met_by_mirrors and mirrors) or world.emitters.endless
 
 
 def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
-    """The path with what it runs into by chance, and the surface that it met."""
+    """The path with the emission that its ray meets, and the surface that it meets."""
     met = meet(world.surfaces, path.ray)
     found, ends = shining_ahead(
         world.emitters,

@@ -42,7 +42,7 @@ from ._world import World, world_of
 
 DEFAULT_RULE = Quadrature(4)
 Rules = tuple[Quadrature, ...]
-_BLOCK = 512  # rays that are followed or passed over together
+_BLOCK = 512  # rays that are followed, or skipped, together
 
 
 class _Tree(eqx.Module):
@@ -143,7 +143,7 @@ def _follow_living(
 
 
 def _followed(world: World, rays: int) -> int:
-    """How many rays of a tree are followed: one where nothing goes on."""
+    """The most rays of a tree that are followed: one where no material continues a ray."""
     check_count("rays", rays, 1)
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
 
@@ -162,7 +162,7 @@ def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
-    """A tree of one ray, with slots enough for those to come."""
+    """A tree of one ray, with slots for the rays to come."""
     slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype
     dark = jnp.zeros((slots, world.bands), dtype)
@@ -177,7 +177,7 @@ def _planted(world: World, ray: Ray, rays: int) -> _Tree:
 
 
 def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
-    """The tree after the ray of it that counts most, its `k`-th, has been followed."""
+    """The tree after its ray of the largest weight, its `k`-th, has been followed."""
     slots, dtype = len(tree.weight), tree.weight.dtype
     next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
     ray = Ray(tree.origin[next_one], tree.direction[next_one])
@@ -223,7 +223,7 @@ def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour 
 
 
 def _direct(world: World, met: Met, back: Vec, absorption: Colour | None, rules: Rules) -> Colour:
-    """Light from all emitters, less what is in shadow."""
+    """Direct light from all emitters, with shadows."""
 
     def shine(toward: Toward) -> Colour:
         shaded = shaded_toward(world.surfaces, met, back, toward.direction, bands=world.bands)

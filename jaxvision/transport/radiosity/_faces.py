@@ -22,7 +22,7 @@ _AXES = ((2, 1), (1, 2), (0, 2), (2, 0), (1, 0), (0, 1))
 
 
 def lengths(shape: Shape) -> list[tuple[float, float]]:
-    """For each part, how long its rows and columns are together, m."""
+    """For each part, its extent along each of its two axes, m."""
     match shape:
         case Quad():
             u, v = (float(np.linalg.norm(edge)) for edge in (shape.edge_u, shape.edge_v))

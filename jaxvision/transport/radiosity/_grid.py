@@ -69,7 +69,7 @@ def parents_of(plan: Plan) -> np.ndarray:
 
 
 def parents_in(face: Face, split: int) -> np.ndarray:
-    """The patch of each cell of one face, counted from its first."""
+    """The patch of each cell of one face, counted from the first patch of the face."""
     rows, columns = (np.arange(count * split) // split for count in (face.rows, face.columns))
     return (rows[:, None] * face.columns + columns).reshape(-1)
 
@@ -125,7 +125,7 @@ def around_place(
     def neighbour(
         share: Scalar, barred: Callable[[Int[Array, ""]], Bool[Array, ""]]
     ) -> tuple[Int[Array, ""], Scalar]:
-        """The step to the other cell, and its weight."""
+        """The step to the neighbouring cell, and the weight of that cell."""
         step = jnp.where(share < 0, -1, 1)
         ahead, behind = barred(step), barred(-step)
         away = jnp.where(behind, 0, -jnp.abs(share))
@@ -146,7 +146,7 @@ def around_place(
         [cell(i, j), cell(i + down, j), cell(i, j + right), cell(i + down, j + right)]
     )
     none = jnp.zeros_like(s)
-    plane = jnp.stack([1 - s - t, s, t, none])  # through three, where the fourth has no say
+    plane = jnp.stack([1 - s - t, s, t, none])  # through three values; the fourth has weight 0
     weights = plane + jnp.where(covered[cells[3]], none, s * t) * jnp.asarray(
         [1, -1, -1, 1], s.dtype
     )

@@ -34,7 +34,7 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     around = [corner - point for corner in corners]
     scale = 1 / reach_of(around)
     around = together([corner * scale for corner in around])
-    # seen from the front the corners turn counterclockwise: the light's own sense is the other
+    # seen from the front the corners run counterclockwise, opposite to the sense of lights
     area = cross(around[2] - around[0], around[3] - around[1])
     front = dot(area, around[0] + around[2]) < 0
     seen = contour_integral(around, normal) / jnp.pi
@@ -64,7 +64,8 @@ def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
 
 
 def bilinear(corners: Sequence[Value], s: Scalar, t: Scalar) -> Value:
-    """What four corners have, in its unit, at a place of the unit square between them."""
+    """Bilinear interpolation, at a place of the unit square, of the values at its four corners, in
+    their unit."""
     a, b, c, d = corners
     return a + s * (b - a) + t * ((d - a) + s * ((c - d) - (b - a)))
 

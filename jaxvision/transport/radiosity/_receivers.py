@@ -37,7 +37,7 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
     patches, elements, parts = patches_at(scene, plan, splits)
     covered = _covered(scene, parts, shapes)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
-    # a mean of ones is 1 but for rounding, and then nothing is left to have a middle
+    # a mean of ones may round to less than 1, and no part would be left to define a centre
     uncovered = jnp.where(uncovered > _LEAST, uncovered, 0)
     uncovered = jnp.where(uncovered < 1 - _LEAST, uncovered, 1)
     parts = eqx.tree_at(lambda p: p.area, parts, jnp.where(covered, 0, parts.area))
@@ -58,12 +58,12 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
 def mean_of_parts(
     values: Float[Array, "parts n"], parts: Patches, plan: Plan
 ) -> Float[Array, "elements n"]:
-    """The mean over each element of what its parts have, in its unit."""
+    """The mean over the parts of each element, in the unit of the values."""
     return by_patch(values, parts, refined(plan, _PARTS))
 
 
 def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
-    """Whether what lies ahead of a patch turns its back, as the inside of a body does."""
+    """Whether the surface in front of a patch shows its back, as the inside of a body does."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:

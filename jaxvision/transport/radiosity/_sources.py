@@ -26,13 +26,13 @@ Table = Float[Array, "surfaces bands"]
 
 
 def diffuse_of(scene: Scene, like: Array) -> Table:
-    """`Lambert.diffuse` of all surfaces, sr^-1, in as many bands as `like`."""
+    """`Lambert.diffuse` of all surfaces, sr^-1, broadcast to the bands of `like`."""
     materials = [surface.material for surface in scene.surfaces]  # `plan_patches` refuses others
     return _stacked([m.diffuse for m in materials if isinstance(m, Lambert)], like)
 
 
 def emission_of(scene: Scene, like: Array) -> Table:
-    """What all surfaces emit, 0 where that is nothing, in as many bands as `like`."""
+    """Emission of all surfaces, 0 for those that emit nothing, broadcast to the bands of `like`."""
     nothing = jnp.zeros(1, like.dtype)
     values = [surface.emission for surface in scene.surfaces]
     return _stacked([nothing if value is None else value for value in values], like)
@@ -44,7 +44,7 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
 
 
 def shapes_of(scene: Scene) -> Sorted:
-    """All shapes, m, made ready for many rays."""
+    """All shapes, m, prepared for many rays."""
     return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
 
@@ -74,11 +74,9 @@ def sources_of(scene: Scene, size: Scalar) -> list[Light]:
 def irradiance_at(
     lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
-    """Irradiance of one point straight from all lights, with shadows: (bands,).
-
-    For a rectangle it is the exact contour integral times the part that its rule finds in sight:
-    the rule matters in half shadows alone, and there visibility has no gradient.
-    """
+    """Direct irradiance of one point, (bands,), with shadows. For a rectangle it is the exact
+    contour integral times the visible part by its rule: the rule matters only in half shadows,
+    where visibility has no gradient."""
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 
@@ -97,7 +95,7 @@ def irradiance_at(
 def _by_nodes(
     light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
-    """The sum over the nodes of a light, (with nothing between, with shadows)."""
+    """The sums over the nodes of a light: (without occlusion, with shadows)."""
     dtype = point.x.dtype
 
     def node_sum(node: tuple[Array, Array]) -> tuple[Colour, Colour]:

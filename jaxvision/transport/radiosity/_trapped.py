@@ -5,10 +5,10 @@ from jaxtyping import Float
 
 from ._grid import Plan, parents_of, surfaces_of
 
-# Of a closed room the mean of the rows of form factors is 1 within what quadrature and shadow rays
-# of single elements are off, divided by the root of their number.
+# In a closed room the mean of the row sums of form factors is 1, within the errors of quadrature
+# and shadow rays of single elements divided by the root of their number.
 _CLOSED = 2e-3
-_BESIDE = 0.5  # an element that sees less than that of the scene stands outside of any room
+_BESIDE = 0.5  # an element that sees less of the scene than this is outside any room
 
 
 def trapping_surface(
@@ -32,7 +32,7 @@ def trapping_surface(
     count = table.shape[1]
     for band in albedo[surface].T:
         loses = band < 1 - 16 * np.finfo(band.dtype).eps
-        while True:  # whoever sees a patch that loses light loses light
+        while True:  # an element that sees a lossy patch loses light itself
             meets = (table @ loses.astype(table.dtype) > 0) & inside
             more = loses | (np.bincount(own[meets], minlength=count) > 0)
             if (more == loses).all():

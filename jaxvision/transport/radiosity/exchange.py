@@ -96,8 +96,9 @@ def form_factor_table(
 
 
 def _in_tiles(patches: Patches) -> Tile:
-    """Patches and their numbers by the tile, the last one repeated to fill up. All that is measured
-    is one array, and all that is counted: each array that is cut costs code of its own."""
+    """Patches and their numbers, tile by tile; the last patch is repeated to fill the last tile.
+    All real numbers are in one array and all whole numbers in another, since each array that is cut
+    adds to the compiled code."""
     count = len(patches.area)
     tiles = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
     leaves = jax.tree.leaves(patches)
@@ -108,7 +109,7 @@ def _in_tiles(patches: Patches) -> Tile:
 
 
 def _unpacked(tile: Tile, like: Patches) -> Numbered:
-    """A tile's patches, of the same structure as others, and their numbers."""
+    """The patches of a tile, with the structure of others, and their numbers."""
     rows = [iter(array) for array in tile]
     leaves, structure = jax.tree.flatten(like)
     of_kind = [next(rows[not jnp.issubdtype(leaf.dtype, jnp.floating)]) for leaf in leaves]
@@ -116,12 +117,10 @@ def _unpacked(tile: Tile, like: Patches) -> Numbered:
 
 
 def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scalar:
-    """The factor as from far away; -1 where the patch is too near for that, and 0 where the element
-    is less than `rounding`, m, in front of it: there the contour is noise.
-
-    One number, not a number and a flag: XLA may compute the two in different places with different
-    rounding, and what then is neither near nor far is lost, or taken for far when it touches.
-    """
+    """The far-field factor; -1 where the patch is too near for it, and 0 where the element is less
+    than `rounding`, m, in front of the patch, where the contour integral is noise. It is one
+    number, not a number and a flag: XLA may compute the two in different places with different
+    rounding, and a pair could then count as neither near nor far."""
     element, patch = receiver[0], sender[0]
     above = [dot(element.normal, corner - element.centre) > 0 for corner in patch.corners]
     front = dot(patch.normal, element.centre - patch.centre) > rounding
@@ -135,14 +134,14 @@ def _near_factor(receiver: Numbered, sender: Numbered) -> Scalar:
     return near_factor(element.centre, element.normal, patch.corners)
 
 
-_TRIES = 6  # a patch cut in half by the horizon is missed once in 2^6
+_TRIES = 6  # all of them miss a patch half below the horizon once in 2^6 times
 _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 
 
 def _visible_part(
     element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted
 ) -> Scalar:
-    """The fraction of rays from an element's centre to places of a patch, m, that nothing stops."""
+    """The fraction of unblocked rays from the centre of an element to places of a patch, m."""
     start = element.centre + element.bulge * element.normal
     size = 4 * largest_of(shapes)
     shift = uniforms(stream, 0, element.area.dtype)[:2]
@@ -162,8 +161,9 @@ def _visible_part(
 def _place_above(
     element: Patches, patch: Patches, shift: Float[Array, "2"], ray: Int[Array, ""]
 ) -> Vec:
-    """A place of a patch for the ray of that number, m, above the element's horizon if one of
-    `_TRIES` is: the factor is that of the part above alone, and so must be its visible fraction."""
+    """A place of a patch, m, for the ray of that number: above the horizon of the element if one of
+    `_TRIES` places is. The factor counts only the part above the horizon, so the visible fraction
+    must as well."""
     above = [dot(element.normal, corner - element.centre) for corner in patch.corners]
     rise = patch.bulge * dot(element.normal, patch.normal)
 

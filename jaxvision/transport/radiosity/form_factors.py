@@ -28,7 +28,7 @@ from ..._vector import Vec, as_vec
 from ...lights import gauss_legendre
 from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon, square_places
 
-_LARGEST = 1e8  # side over distance: its square is still far from overflow in float32
+_LARGEST = 1e8  # side over distance: its square is far from overflow in float32
 
 
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
@@ -122,8 +122,8 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
-    """log(1 - lost), where 1 - lost = remaining: each half where it has its digits. XLA's log1p
-    loses six bits about -0.4 in float64."""
+    """log(1 - lost), where 1 - lost = remaining; each is used where it has the more digits. XLA's
+    log1p loses six bits near -0.4 in float64."""
     small = lost < 0.25
     return jnp.where(small, jnp.log1p(-jnp.where(small, lost, 0)), safe_log(remaining))
 

@@ -225,8 +225,7 @@ def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
 
 
 def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
-    """The irradiance by rays that are as dense as the cosine: the mean of what is sent where they
-    arrive."""
+    """The irradiance from rays of cosine density: the mean of what they find."""
     sent = enclosure.solution.sent
     frame, size = local_frame(met.normal), enclosure.shapes.size
 
@@ -270,5 +269,5 @@ def _around(
 
 
 def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
-    """A spectrum between elements: extrapolated, it is no less than 0."""
+    """A spectrum interpolated between elements; extrapolation is cut off at 0."""
     return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

@@ -87,7 +87,7 @@ def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = Fa
     return Plan(tuple(faces), split)
 
 
-_LEAST = {Sphere: (6, 12), Disc: (2, 12)}  # rows and columns that still make one
+_LEAST = {Sphere: (6, 12), Disc: (2, 12)}  # the fewest rows and columns
 
 
 def _check_surface(number: int, surface: Surface) -> None:
@@ -121,7 +121,7 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
 
 
 def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]:
-    """`patches_of` for several splits, m: as one piece of code."""
+    """`patches_of` for several splits, m, compiled as one piece of code."""
     measured = stored(partial(_measured, plan=plan, splits=tuple(splits)), scene)
     start, results = 0, []
     for split in splits:
@@ -136,7 +136,7 @@ def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]
 
 
 def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
-    """What `Patches` hold that has a length, in their order, for all splits."""
+    """The fields of `Patches` that carry a length, in their order, for all splits."""
     corners, bulge = _cut(scene, plan, splits)
     a, b, c, d = corners
     halves = [cross(b - a, c - a), cross(c - a, d - a)]
@@ -188,8 +188,8 @@ Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge
 
 
 def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
-    """The cells of all faces, split by split: parallelograms at once, as one piece of code, others
-    each by itself."""
+    """The cells of all faces, for each split: all parallelograms together, as one piece of code,
+    and each other face by itself."""
     shapes = [scene.surfaces[face.surface].shape for face in plan.faces]
     straight = np.array([isinstance(shape, Quad | Box) for shape in shapes] * len(splits))
     counts = np.concatenate([np.diff(offsets_of(plan, split=split)) for split in splits])

@@ -70,7 +70,7 @@ def solve_radiosity(
     check_choice("method", method, ("direct", "iterative", "progressive"))
     if method == "progressive":
         return _progressive(table, albedo, sent, tolerance, limit)
-    # absolute, of numbers up to 1: relative to each patch, dark ones would never be done
+    # absolute, for numbers up to 1: a relative tolerance would never be met by dark patches
     iterative = lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
     solver = lineax.LU() if method == "direct" else iterative
 
@@ -79,7 +79,7 @@ def solve_radiosity(
         brightest = jax.lax.stop_gradient(jnp.abs(b).max())
         scale = or_one(brightest)
         operator = lineax.MatrixLinearOperator(matrix)
-        # float32 may not reach the tolerance: what it does reach is the answer
+        # float32 may not reach the tolerance; its best result is then the answer
         return scale * lineax.linear_solve(operator, b / scale, solver, throw=False).value
 
     return jax.vmap(band, in_axes=1, out_axes=1)(albedo, sent)
@@ -198,7 +198,8 @@ def ambient_estimate(
 def _progressive(
     table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
 ) -> PatchSpectra:
-    """`shoot` with the gradient of the exact solution: the transposed equation is shot as well."""
+    """`shoot` with the gradient of the exact solution: the transposed equation is solved in the
+    same way."""
 
     def transport(b: PatchSpectra) -> PatchSpectra:
         return b - albedo * (table @ b)
