@@ -119,6 +119,30 @@ def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
             np.testing.assert_allclose(plain[name], value, 1e-12, 1e-12 * size, err_msg=name)
 
 
+@pytest.mark.slow  # CI runs it
+@pytest.mark.parametrize(
+    "lacks",
+    [
+        "del jax.interpreters.mlir.lower_fun",
+        "jax.interpreters.mlir.lower_fun = lambda function: function",
+        "jax.extend.core.Primitive = None",
+    ],
+)
+def test_a_jax_with_other_internals_is_served_by_the_fallbacks(lacks):
+    program = (
+        f"import jax, jax.extend.core, jax.interpreters.mlir; {lacks}\n"
+        "from jaxvision import _staging; assert _staging.PLAIN"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_the_installed_jax_has_the_internals():
+    from jaxvision import _staging
+
+    forced = os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0")
+    assert _staging.PLAIN is forced
+
+
 @pytest.mark.slow
 def test_the_rooms_own_tests_pass_with_the_fallbacks():
     files = sorted(Path(__file__).parent.glob("test_filters*.py"))
