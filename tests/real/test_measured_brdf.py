@@ -116,7 +116,7 @@ def test_tables_of_the_paints_return_their_samples(cornell):
         assert rms < 0.02
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "part"), [("garnet_red", 0.7), ("acryl_blue", 0.25)])
 def test_an_angle_of_incidence_left_out_is_predicted(cornell, name, part):
     """The samples at 60 degrees from those at the seven others, by the table: nearer than linear

@@ -133,7 +133,7 @@ def test_masking_at_grazing_angles_in_ulps(dtype):
             assert error <= 8 * float(jnp.finfo(dtype).eps) * (truth + exact.number(w[2]) / 4)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
     """alpha cos(theta) down to 1e-9, where two rounded directions no longer tell the facet between

@@ -133,7 +133,7 @@ SPECIAL_GEOMETRY = {
 }
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("geometry", SPECIAL_GEOMETRY)
 @pytest.mark.parametrize("sharpness", [0.0, 1.0, 1e6])
@@ -261,7 +261,7 @@ def test_a_picture_of_everything_awkward_has_finite_gradients(dtype):
 # ------------------------------------------------ sensor
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("level", [0.0, 1e-30, 0.1, 1e4, 1e30])
 def test_sensor_from_no_photon_to_far_too_many(dtype, level):

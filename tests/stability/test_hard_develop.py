@@ -165,7 +165,7 @@ def test_highlights_at_the_cut(dtype):
     assert list(finite_gradients(cut, (known, jnp.ones(3, dtype))))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("spread", [1.0, 1e-1, 1e-2])
 def test_matrices_of_nearly_grey_patches(dtype, spread):
@@ -188,7 +188,7 @@ def test_matrices_of_nearly_grey_patches(dtype, spread):
     assert list(finite_gradients(fit_colour_matrix, (jnp.asarray(camera, dtype), wanted)))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
 def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):

@@ -55,7 +55,7 @@ def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
             assert exact.ulps(value, true) <= 16 + 4 * exponent
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("sigma", [0.0, 1e6])
 def test_gaussian_of_any_width(dtype, sigma):
@@ -84,7 +84,7 @@ def test_normalising_a_kernel_of_sum_nothing(dtype):
     assert_finite((g(f), jax.grad(lambda f: g(f).sum())(f)))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("border", BORDERS)
 def test_one_pixel_and_a_kernel_of_hundreds(dtype, border):

@@ -326,7 +326,7 @@ def met(kind):
 ALLOWED = 2
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("kind", MAKE)
 def test_hits_and_slopes_against_fifty_digits(dtype, kind):
@@ -402,6 +402,7 @@ def rays_that_meet_nothing(kind):
                 yield at - way, way, fields
 
 
+@pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("kind", NOTHING)
 def test_parallel_rays_and_shapes_of_no_extent_meet_nothing(dtype, kind):

@@ -70,7 +70,7 @@ def test_distribution_in_ulps(dtype):
     assert np.max(np.abs(np.asarray(ours, float) - exact)) <= eps(dtype)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("value", [0.0, 0.25, -5.0, 1e-30, jnp.inf])
 def test_pictures_of_one_value(value, dtype):
@@ -116,7 +116,7 @@ def test_integral_image_to_the_last_digit_of_the_pair(dtype):
         )
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_neighbourhood_filters_do_not_depend_on_the_unit(scale, dtype):

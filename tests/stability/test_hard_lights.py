@@ -105,7 +105,7 @@ def irradiance_with_gradient(*arguments):
     return jax.value_and_grad(value, argnums=range(5))(*arguments)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("name", RECEIVERS)
 def test_irradiance_and_its_gradient_against_fifty_digits(dtype, name):
@@ -221,7 +221,7 @@ def draw(sky, point, u):
     return drawn, direction_pdf(sky, point, drawn.direction), gradient
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1 - 2**-24, 1 - 2**-24], [0.5, 0.0]])
 def test_sampling_at_the_ends_of_the_square(dtype, u):

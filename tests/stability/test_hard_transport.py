@@ -63,7 +63,7 @@ def test_gradients_of_an_interface_are_finite(dtype, index):
                 assert jnp.isfinite(leaf).all()
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
     """Radiance 1 from every wall of a box of albedo .5 and emission .5: a leak, or a wall that
