@@ -8,7 +8,5 @@ from .certificate import (
     explain as explain,
     parse as parse,
 )
-from .pruning import (
-    inspect as inspect,
-    prune as prune,
-)
+from .development import lipschitz as lipschitz
+from .pruning import inspect as inspect, prune as prune

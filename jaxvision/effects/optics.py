@@ -228,7 +228,7 @@ def diffraction(
         return irradiance * np.maximum(1 - least, 0), 0.0, why
 
 
-def defocus(view: Ends[View], near: float, far: float, *, stretch: float = 1.0) -> float:
+def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
     """Half the largest circle of confusion, pixels: d z_i |1 / z - 1 / z_f| / 2 over the pitch.
 
     It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so that the
@@ -238,7 +238,7 @@ def defocus(view: Ends[View], near: float, far: float, *, stretch: float = 1.0) 
         view: thin lenses.
         near: m along the axis, the least depth in the picture.
         far: m, the largest; inf is allowed.
-        stretch: by which distortion magnifies small distances at most.
+        wider: by which distortion magnifies small distances at most.
 
     Returns:
         Pixels; inf where things touch the lens.
@@ -257,18 +257,22 @@ def defocus(view: Ends[View], near: float, far: float, *, stretch: float = 1.0) 
                 return INF if radius > 0 else 0.0
             away = abs((0.0 if math.isinf(depth) else 1 / depth) - focus)
             widest = max(widest, radius * image * away / float(lens.pixel_pitch))
-    return clean(widest * stretch)
+    return clean(widest * wider)
 
 
-def _stretch(grids: _Grids) -> float:
+def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
     """By how much distortion magnifies small distances on the sensor at most: the norm of its
-    derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r."""
-    view = grids.view.high
-    if isinstance(view, Orthographic) or view.distortion is None:
+    derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r.
+
+    Args:
+        view: the lens.
+        steepest: r, the largest slope of a chief ray in the picture.
+
+    Returns:
+        Relative, at least 1.
+    """
+    if view.distortion is None:
         return 1.0
-    if not grids.fixed:
-        return INF
-    steepest = float(np.hypot(*grids.slopes()).max())
     radial = np.abs(np.asarray(view.distortion.radial, float))
     order = np.arange(1, radial.size + 1)
     grown = 1 + float(((2 * order + 1) * radial * steepest ** (2 * order)).sum())
@@ -287,7 +291,11 @@ def _defocus_row(
     if samples is None:
         moved, why = 0.0, "the aperture is closed: nothing is blurred"
     else:
-        moved = defocus(view, arriving.near, arriving.far, stretch=_stretch(grids))
+        wider = 1.0
+        if grids.has("distortion"):
+            steepest = float(np.hypot(*grids.slopes()).max())
+            wider = stretch(lens, steepest) if grids.fixed else INF
+        moved = defocus(view, arriving.near, arriving.far, wider=wider)
         why = f"blurred by {2 * moved:.3g} pixels at most, of {arriving.near:.3g} m and beyond"
     if math.isinf(moved):
         why = "things may touch the lens: their blur is not bounded"

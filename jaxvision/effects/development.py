@@ -1,0 +1,249 @@
+"""The stage of development: by how much each step can magnify a change of the raw data.
+
+Nothing is left out of a development but steps that are the identity: promises are made of the raw
+data. What they mean for the picture is told by the factor of each step, its Lipschitz constant in
+the largest norm over pixels: if every number of its input moves by at most d (in mean square, under
+one coupling), every number of its output moves by at most the factor times d. Some steps have none,
+and say why.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..scene import (
+    SRGB,
+    Bilateral,
+    Development,
+    Filmic,
+    Gamma,
+    NonLocalMeans,
+    Reinhard,
+    ToneCurve,
+    WhiteBalance,
+)
+from .certificate import DN, Effect
+from .pixel import INF, refuse_tracers
+from .stages import Draft, Ends, Row
+
+FILMIC_SLOPE = 1.8012  # the largest of the ACES curve, at 0.12
+SRGB_SLOPE = 12.92
+
+
+class Factor(NamedTuple):
+    """By how much a step magnifies a change.
+
+    Attributes:
+        value: the factor, in the unit of the output per unit of the input; inf: there is none.
+        why: what it rests on, or why there is none.
+        identity: whether the step changes no number at all.
+    """
+
+    value: float
+    why: str
+    identity: bool = False
+
+
+def black_level(development: Development) -> Factor:
+    """A shift: 1."""
+    return Factor(1.0, "a shift", float(_known(development.black_level)) == 0)
+
+
+def white_level(development: Development) -> Factor:
+    """1 / (white - black)."""
+    black = 0.0 if development.black_level is None else float(development.black_level)
+    span = float(_known(development.white_level)) - black
+    return Factor(1 / span, "over the span from black to white", span == 1)
+
+
+def demosaicing(development: Development) -> Factor:
+    """Bilinear and normalised interpolation: means, 1. Malvar's filters: absolute sums of 20 / 8 at
+    most. Menon chooses between directions: a small change may choose the other."""
+    how = development.demosaicing
+    assert how is not None
+    match how.method:
+        case "malvar":
+            return Factor(2.5, "absolute sums of Malvar's filters")
+        case "menon":
+            return Factor(INF, "Menon's choice of a direction jumps")
+        case _:
+            return Factor(1.0, "means of neighbours")
+
+
+def white_balance(development: Development) -> Factor:
+    """The largest gain. Gains that the picture decides are ratios of means, which may vanish."""
+    match development.white_balance:
+        case WhiteBalance(gains=gains):
+            gains = np.asarray(gains, float)
+            identity = bool(np.all(gains == 1)) and development.saturation is None
+            return Factor(float(gains.max()), "the largest gain", identity)
+        case _:
+            return Factor(INF, "gains are ratios of means of the picture, which may vanish")
+
+
+def saturation(development: Development) -> Factor:
+    """Clipping: 1, at a level that the gains fix."""
+    return Factor(1.0, "clipping")
+
+
+def denoising(development: Development) -> Factor:
+    """Weights that depend on the picture bring a factor that grows with the neighbourhood: none is
+    claimed. Over a neighbourhood of one pixel the filters are the identity."""
+    how = development.denoising
+    assert isinstance(how, Bilateral | NonLocalMeans)
+    alone = how.radius == 0
+    if alone:
+        return Factor(1.0, "a neighbourhood of one pixel", True)
+    return Factor(INF, "weights depend on the picture: not bounded")
+
+
+def colour_matrix(development: Development) -> Factor:
+    """The largest sum of absolute values of a row."""
+    matrix = np.asarray(_known(development.colour_matrix), float)
+    identity = np.array_equal(matrix, np.eye(3))
+    return Factor(float(np.abs(matrix).sum(1).max()), "row sums of the matrix", identity)
+
+
+def tone_map(development: Development) -> Factor:
+    """The largest slope: Reinhard's falls from 1 to 1 / white^2 or rises to it; a spline that is
+    monotone between its points is nowhere steeper than three times the steepest chord (Fritsch and
+    Carlson, "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980))."""
+    match development.tone_map:
+        case Reinhard(white=None):
+            return Factor(1.0, "largest slope, at 0")
+        case Reinhard(white=white):
+            return Factor(max(1.0, float(_known(white)) ** -2), "largest slope, at 0 or infinity")
+        case Filmic():
+            return Factor(FILMIC_SLOPE, "largest slope, at 0.12")
+        case ToneCurve(inputs=inputs, outputs=outputs):
+            chords = np.diff(np.asarray(outputs, float)) / np.diff(np.asarray(inputs, float))
+            return Factor(3 * float(np.abs(chords).max()), "three times the steepest chord")
+        case other:
+            raise AssertionError(other)
+
+
+def tone(development: Development) -> Factor:
+    """sRGB: its slope at 0. A power below 1 has an infinite slope there, one above 1 far away."""
+    match development.tone:
+        case SRGB():
+            return Factor(SRGB_SLOPE, "slope of sRGB at 0")
+        case Gamma(gamma=gamma) if float(gamma) == 1:
+            return Factor(1.0, "clipping at 0")
+        case Gamma(gamma=gamma) if float(gamma) > 1:
+            return Factor(INF, "the slope of a gamma curve is infinite at 0")
+        case _:
+            return Factor(INF, "the slope of a power above 1 grows without end")
+
+
+def sharpening(development: Development) -> Factor:
+    """f + a (f - g * f) with a g of sum 1: 1 + 2 |a|."""
+    how = development.sharpening
+    assert how is not None
+    amount = abs(float(how.amount))
+    return Factor(1 + 2 * amount, "absolute sum of the kernel", amount == 0)
+
+
+def compression(development: Development) -> Factor:
+    """Rounded coefficients jump."""
+    return Factor(INF, "JPEG rounds its coefficients: they jump")
+
+
+BOUNDS: dict[str, Callable[[Development], Factor]] = {
+    function.__name__: function
+    for function in (
+        black_level,
+        white_level,
+        demosaicing,
+        white_balance,
+        saturation,
+        denoising,
+        colour_matrix,
+        tone_map,
+        tone,
+        sharpening,
+        compression,
+    )
+}
+
+
+def lipschitz(development: Development | None) -> Factor:
+    """By how much a development magnifies a change of the raw data at most.
+
+    Args:
+        development: the steps; None is no step.
+
+    Returns:
+        The product of the factors of its steps, picture per DN, or inf with the steps that have
+        none.
+
+    Raises:
+        ValueError: for a development with traced numbers.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from jaxvision.effects import lipschitz
+        >>> steps = jv.Development(white_level=255.0, tone=jv.SRGB())
+        >>> round(lipschitz(steps).value * 255, 4)
+        12.92
+    """
+    refuse_tracers("development", development)
+    if development is None:
+        return Factor(1.0, "no development", True)
+    factors = {
+        name: bound(development)
+        for name, bound in BOUNDS.items()
+        if getattr(development, name) is not None
+    }
+    unbounded = [factor.why for factor in factors.values() if math.isinf(factor.value)]
+    if unbounded:
+        return Factor(INF, "; ".join(unbounded))
+    value = math.prod(factor.value for factor in factors.values())
+    return Factor(value, "product over its steps", all(f.identity for f in factors.values()))
+
+
+def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
+    """The rows of a development: only steps that are the identity can go.
+
+    Args:
+        development: at both ends of what may change.
+
+    Returns:
+        A row for each step that is present; bounds in DN of the raw data.
+
+    Raises:
+        ValueError: for a development with traced numbers.
+    """
+    refuse_tracers("development", development)
+    low, high = development
+    if low is None or high is None:
+        return ()
+    return tuple(
+        _row(name, bound(low), bound(high))
+        for name, bound in BOUNDS.items()
+        if getattr(high, name) is not None
+    )
+
+
+def _row(name: str, low: Factor, high: Factor) -> Row:
+    factor = low if low.value > high.value else high
+    identity = low.identity and high.identity
+
+    def drop(draft: Draft) -> Draft:
+        steps = draft.camera.development
+        left = None if steps is None else replace(steps, **{name: None})
+        return replace(draft, camera=replace(draft.camera, development=left))
+
+    magnifies = f"magnifies changes {factor.value:.4g} times: {factor.why}"
+    why = "changes no number" if identity else factor.why if factor.value == INF else magnifies
+    bound = 0.0 if identity else INF
+    rank = "exact" if identity else "bound"
+    effect = Effect(f"development.{name}", True, why, bound, unit=DN, rank=rank)
+    return Row(effect, np.asarray(bound), drop if identity else None)
+
+
+def _known(value: Any) -> Any:
+    assert value is not None
+    return value
