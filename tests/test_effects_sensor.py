@@ -142,7 +142,7 @@ def test_traced_numbers_are_refused():
         sensor = s.Sensor(gain=gain)
         sensor_stage(Ends(sensor, sensor), np.ones(1), shape=(2, 2))
 
-    with pytest.raises(ValueError, match="outside of jit"):
+    with pytest.raises(ValueError, match="outside jit"):
         jax.eval_shape(traced, 1.0)
 
 

@@ -116,8 +116,12 @@ class Choice:
             return False
         bounds = [self.bound(row) for row in rows]
         proved, estimated = self._sums(rows, bounds)
-        place = self.place + sum(row.effect.place for row in rows)
-        rare = self.rare + sum(row.effect.rare for row in rows)
+        place, rare = self.place + sum(row.effect.place for row in rows), self.rare
+        few = self.level is None and all(row.effect.rare > 0 for row in rows)
+        if few and proved + estimated > self.goal.value:  # a few pixels may differ by any amount
+            bounds = [0.0] * len(rows)
+            rare += sum(row.effect.rare for row in rows)
+            proved, estimated = self._sums(rows, bounds)
         fits = proved + estimated <= self.goal.value and place <= self.goal.place
         if not fits or rare > self.goal.rare:
             return False

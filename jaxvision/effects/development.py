@@ -25,8 +25,9 @@ from ..scene import (
     ToneCurve,
     WhiteBalance,
 )
+from .boxes import refuse_tracers
 from .certificate import DN, Effect
-from .pixel import INF, refuse_tracers
+from .pixel import INF
 from .stages import Draft, Ends, Row
 
 FILMIC_SLOPE = 1.8012  # the largest of the ACES curve, at 0.12
@@ -189,7 +190,7 @@ def lipschitz(development: Development | None) -> Factor:
         >>> round(lipschitz(steps).value * 255, 4)
         12.92
     """
-    refuse_tracers("development", development)
+    refuse_tracers(development)
     if development is None:
         return Factor(1.0, "no development", True)
     factors = {
@@ -216,7 +217,7 @@ def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
     Raises:
         ValueError: for a development with traced numbers.
     """
-    refuse_tracers("development", development)
+    refuse_tracers(development)
     low, high = development
     if low is None or high is None:
         return ()

@@ -19,8 +19,10 @@ import numpy as np
 
 from ..optics import airy_kernel, aperture_area, chief_slope, sensor_irradiance, sensor_vergence
 from ..scene import Orthographic, Pinhole, ThinLens, View
+from .boxes import refuse_tracers
 from .certificate import IRRADIANCE, Effect
-from .pixel import INF, clean, corners, refuse_tracers
+from .pixel import INF, clean, corners
+from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
 
 # Fields of the views that say where the camera stands and how much light there is: nothing can be
@@ -35,9 +37,6 @@ GEOMETRY = {
     "focus_distance": "goes with view.defocus",
     "aperture": "goes with view.defocus",
 }
-_PARTS = ("rim", "distortion", "diffraction")
-_MIDDLE = math.sqrt(0.5)  # from a pixel's middle to its corner, pixels
-_COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sqrt 5
 
 
 def optics_stage(
@@ -57,7 +56,7 @@ def optics_stage(
     Raises:
         ValueError: for a view with traced numbers.
     """
-    refuse_tracers("view", view)
+    refuse_tracers(view)
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view)
     opening = grids.opening
@@ -73,9 +72,9 @@ def optics_stage(
     if isinstance(view.high, ThinLens):
         rows.append(_defocus_row(view, grids, arriving, radiance, samples))
     if samples is not None:
-        rows.append(_samples_row(view, radiance))
+        rows.append(samples_row(view, radiance))
     if oversampling > 1:
-        rows.append(_oversampling_row(view, opening, radiance, oversampling))
+        rows.append(oversampling_row(view, opening, radiance, oversampling))
     return tuple(rows), OnSensor(irradiance, opening)
 
 
@@ -120,23 +119,25 @@ class _Grids:
         """(h, w) W m^-2 per W m^-2 sr^-1 without some parts, and without diffraction."""
         view = self.without("diffraction", *gone)
         ones = jnp.ones((*view.resolution, 1), view.pixel_pitch.dtype)
-        return np.asarray(jax.jit(sensor_irradiance)(view, ones), float)[..., 0]
+        return np.asarray(_brightness_of(view, ones), float)[..., 0]
 
     def _slopes(self, *gone: str) -> np.ndarray:
         """(2, h + 2, w + 2) slopes of the chief rays, from edge to edge of the picture."""
         view = self.without(*gone)
+        dtype = view.pixel_pitch.dtype
+        rows, columns = (
+            jnp.asarray([-0.5, *range(size), size - 0.5], dtype) for size in view.resolution
+        )
+        return np.stack([np.asarray(x, float) for x in _slopes_at(view, rows, columns)])
 
-        def along(size: int) -> jax.Array:
-            middles = np.arange(size)
-            return jnp.asarray([-0.5, *middles, size - 0.5], view.pixel_pitch.dtype)
 
-        def slope(row: jax.Array, column: jax.Array) -> tuple[jax.Array, jax.Array]:
-            assert not isinstance(view, Orthographic)
-            return chief_slope(view, row, column)
+@jax.jit
+def _slopes_at(view: Pinhole | ThinLens, rows: jax.Array, columns: jax.Array) -> Any:
+    over_columns = jax.vmap(chief_slope, in_axes=(None, None, 0))
+    return jax.vmap(over_columns, in_axes=(None, 0, None))(view, rows, columns)
 
-        over = jax.jit(jax.vmap(jax.vmap(slope, in_axes=(None, 0)), in_axes=(0, None)))
-        rows, columns = view.resolution
-        return np.stack([np.asarray(x, float) for x in over(along(rows), along(columns))])
+
+_brightness_of = jax.jit(sensor_irradiance)
 
 
 def opening_of(view: View) -> float:
@@ -166,7 +167,7 @@ def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
     lost = [grids.brightness(*parts, "rim") - grids.brightness(*parts) for parts in kept]
     most = max(float(x.max()) for x in lost) + _rounding(grids)
     clear = min(float(np.min(grids.brightness(*parts))) for parts in kept)
-    return _times(radiance, most), 0.0, f"the darkest pixel keeps {clear / grids.opening:.3g}"
+    return times(radiance, most), 0.0, f"the darkest pixel keeps {clear / grids.opening:.3g}"
 
 
 def _passes(grids: _Grids, *gone: str) -> bool:
@@ -197,7 +198,7 @@ def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, 
     change = [grids.brightness(*p) - grids.brightness(*p, "distortion") for p in kept]
     most = max(float(np.abs(x).max()) for x in change) + _rounding(grids)
     why = f"light moves by {pixels:.3g} pixels and changes by {most / grids.opening:.3g} of it"
-    return _times(radiance, most), clean(pixels), why
+    return times(radiance, most), clean(pixels), why
 
 
 def diffraction(
@@ -321,43 +322,6 @@ def _to_pinhole(draft: Draft) -> Draft:
     return replace(draft, camera=replace(draft.camera, view=hole))
 
 
-def _samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Rays inside a pixel stand for places up to its corners; its middle takes their place."""
-
-    def drop(draft: Draft) -> Draft:
-        return replace(draft, samples=None)
-
-    lens = isinstance(view.high, ThinLens)
-    why = "a pixel's rays reach its corners"
-    effect = Effect("samples", True, why, 0.0, _MIDDLE, IRRADIANCE)
-    needs = frozenset({"view.defocus"}) if lens else frozenset()
-    return Row(effect, np.zeros_like(radiance), drop, saves=0.5, needs=needs)
-
-
-def _oversampling_row(
-    view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
-) -> Row:
-    """One sample in a pixel's middle for all: none is farther away than those in the corners, and
-    the fall-off by cos^4 changes by 1.04 of the slope at most."""
-
-    def drop(draft: Draft) -> Draft:
-        sensor = draft.camera.sensor
-        assert sensor.pixel_aperture is not None
-        once = replace(sensor, pixel_aperture=replace(sensor.pixel_aperture, oversampling=1))
-        return replace(draft, camera=replace(draft.camera, sensor=once))
-
-    reach = _MIDDLE * (1 - 1 / oversampling)
-    amount = np.zeros_like(radiance)
-    if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
-        steps = [float(v.pixel_pitch) * float(sensor_vergence(v)) for v in corners(view)]
-        amount = _times(radiance, opening * _COS4_SLOPE * reach * max(steps))
-    parts = frozenset(f"view.{p}" for p in _PARTS if getattr(view.high, p, None) is not None)
-    why = f"{oversampling} samples along each side reach {reach:.2g} pixels from the middle"
-    name = "sensor.pixel_aperture.oversampling"
-    effect = Effect(name, True, why, clean(np.max(amount)), reach, IRRADIANCE)
-    return Row(effect, amount, drop, saves=0.5, needs=parts)
-
-
 def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
     """The row of a part of the lens, which goes by becoming None."""
     amount = np.maximum(np.nan_to_num(amount, nan=INF, posinf=INF), 0)
@@ -372,11 +336,6 @@ def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
     effect = Effect(f"view.{name}", True, why, bound, place, IRRADIANCE, rank)
     droppable: Drop | None = drop if math.isfinite(bound + place) else None
     return Row(effect, amount, droppable, saves=0.3)
-
-
-def _times(radiance: np.ndarray, gain: float) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        return radiance * gain
 
 
 def _rounding(grids: _Grids) -> float:

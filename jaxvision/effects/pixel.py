@@ -32,7 +32,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.core import Tracer
 
 from ..scene import (
     ArrheniusDarkCurrent,
@@ -71,14 +70,6 @@ def clean(x: Any) -> float:
     """A bound: not below 0, and inf where it is not a number."""
     number = float(x)
     return INF if math.isnan(number) else max(number, 0.0)
-
-
-def refuse_tracers(name: str, *records: Any) -> None:
-    """Raises `ValueError` for a record whose numbers are not known yet."""
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(records)):
-        raise ValueError(
-            f"{name} must hold known numbers, got traced ones: bound effects outside of jit."
-        )
 
 
 def growth(before: float, by: float) -> float:

@@ -15,6 +15,8 @@ from .bounces import bounce_rows
 from .boxes import Box, ends_of, refuse_tracers
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, concerns
+from .development import development_stage
+from .motion import motion_stage
 from .optics import optics_stage
 from .radiance import scene_stage
 from .sensor import sensor_stage
@@ -30,9 +32,11 @@ def _chain(
     *,
     depth: int | None,
     samples: PixelSamples | None,
+    motion: Any,
+    moments: int,
     whole: bool,
 ) -> Chain:
-    """The rows from the scene to the raw numbers; of a bare view those of scene and lens."""
+    """The rows from the scene to the picture; of a bare view those of scene and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving, sums = scene_stage(scene, view, depth=depth)
     rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
@@ -42,9 +46,11 @@ def _chain(
     rows += of_lens
     if not whole:
         return Chain(rows, on_sensor.opening)
+    rows += motion_stage(scene, view, motion, sensor=sensor, moments=moments)
     shape = view.low.resolution
     of_sensor, response = sensor_stage(sensor, on_sensor.irradiance, shape=shape)
-    return Chain(rows + of_sensor, on_sensor.opening, response.dn, response.dark)
+    rows += of_sensor + development_stage(camera.of("development"))
+    return Chain(rows, on_sensor.opening, response.dn, response.dark)
 
 
 def _camera_of(camera: Camera | View) -> Camera:
@@ -99,6 +105,8 @@ def inspect(
         *ends_of(scene, _camera_of(camera), free),
         depth=depth,
         samples=samples,
+        motion=motion,
+        moments=moments,
         whole=isinstance(camera, Camera),
     )
     named = frozenset(free or ())
@@ -160,6 +168,8 @@ def prune(
         *ends_of(scene, own, free),
         depth=depth,
         samples=samples,
+        motion=motion,
+        moments=moments,
         whole=whole,
     )
     if goal.unit == "relative":

@@ -14,8 +14,9 @@ import numpy as np
 
 from ..scene import Sensor, ShotNoise
 from . import sensor_charge, sensor_light, sensor_reading
+from .boxes import refuse_tracers
 from .certificate import DN, Effect
-from .pixel import Bound, Pixel, clean, pixel_of, refuse_tracers, share_of_light
+from .pixel import Bound, Pixel, clean, pixel_of, share_of_light
 from .stages import Draft, Ends, Gone, Response, Row
 
 QUANTISATION = 1 / 12  # DN^2, variance of rounding
@@ -70,7 +71,7 @@ def sensor_stage(
     Raises:
         ValueError: for a sensor with traced numbers.
     """
-    refuse_tracers("sensor", sensor)
+    refuse_tracers(sensor)
     light = np.asarray(irradiance, float)
 
     @cache

@@ -1,0 +1,250 @@
+"""The stage of motion: how far anything moves in the picture during an exposure.
+
+A motion is a function of time, asked at the few moments that are rendered: those are looked at, all
+of them. A body is the hull of its corners, moved with them: x' = sum w_i x'_i wherever x = sum w_i
+x_i. With X, Z across and along the axis of the camera, a point in view (of slope up to M) moves by
+
+    |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
+
+over the pitch and times the distance to the sensor in pixels. What light does on the way is not
+bounded: a body that turns, or passes a lamp, changes its shading and the shadows around it. So the
+bound is an estimate, unless nothing moves at all.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..lights import EnvironmentMap, LightFieldLight, RectangleLight
+from ..optics import chief_slope, sensor_vergence
+from ..scene import (
+    Orthographic,
+    Scene,
+    Sensor,
+    TriangleMesh,
+    View,
+)
+from ..sensor import exposure_slots
+from .bodies import corners as corners_of
+from .boxes import refuse_tracers
+from .certificate import IRRADIANCE, Effect
+from .optics import stretch
+from .pixel import INF, clean
+from .stages import Draft, Ends, Row
+
+Motion = Callable[[Scene, View, jax.Array], tuple[Scene, View]]
+
+
+def motion_stage(
+    scene: Ends[Scene],
+    view: Ends[View],
+    motion: Motion | None,
+    *,
+    sensor: Ends[Sensor],
+    moments: int | None,
+) -> tuple[Row, ...]:
+    """The rows of a motion and of a rolling shutter.
+
+    Args:
+        scene: at rest, at both ends of what may change.
+        view: likewise.
+        motion: as in `capture`, or None.
+        sensor: exposure time and shutter, at both ends.
+        moments: how many moments of the exposure are rendered.
+
+    Returns:
+        "motion" if there is one, and "sensor.shutter" if there is one.
+
+    Raises:
+        ValueError: for records with traced numbers.
+    """
+    refuse_tracers(scene, view, sensor)
+    shutter = sensor.high.shutter
+    if motion is None:
+        why = "nothing moves: all rows see the same"
+        return () if shutter is None else (_shutter_row(0.0, why, True),)
+    ends_agree = all(_same(end.low, end.high) for end in (scene, view, sensor))
+    if not ends_agree or sensor.high.exposure_time is None:
+        rolling = global_ = INF
+        still, why = False, "what may change may move otherwise"
+    else:
+        rows = view.high.resolution[0]
+        rolling, still, why = moved(
+            motion, scene.high, view.high, moments_of(sensor.high, rows, moments or 1)
+        )
+        once = replace(sensor.high, shutter=None)
+        global_, still_once, _ = moved(
+            motion, scene.high, view.high, moments_of(once, rows, moments or 1)
+        )
+        still = still and still_once
+    found = [_motion_row(rolling, why, still)]
+    if shutter is not None:
+        found.append(_shutter_row(rolling + global_, why, still))
+    return tuple(found)
+
+
+def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
+    """The times at which a motion is asked.
+
+    Args:
+        sensor: with an exposure time.
+        rows: of the picture.
+        moments: how many.
+
+    Returns:
+        (moments,) s.
+    """
+    assert sensor.exposure_time is not None
+    times, _ = exposure_slots(sensor.shutter, sensor.exposure_time, rows=rows, slots=moments)
+    return np.asarray(times, float)
+
+
+def moved(
+    motion: Motion, scene: Scene, view: View, times: Sequence[float] | np.ndarray
+) -> tuple[float, bool, str]:
+    """How far anything moves from where it rests.
+
+    Args:
+        motion: as in `capture`.
+        scene: at rest.
+        view: at rest.
+        times: s, all at which the motion is asked.
+
+    Returns:
+        Pixels, inf where it is not bounded; whether nothing at all changes; and why.
+    """
+    farthest, still = 0.0, True
+    dtype = view.pixel_pitch.dtype
+    for time in times:
+        now, seen = motion(scene, view, jnp.asarray(time, dtype))
+        if _same((scene, view), (now, seen)):
+            continue
+        still = False
+        pixels, why = _between(scene, view, now, seen)
+        if pixels == INF:
+            return INF, False, why
+        farthest = max(farthest, pixels)
+    if still:
+        return 0.0, True, "nothing moves at any moment of the exposure"
+    return farthest, False, f"{farthest:.3g} pixels from rest; shading on the way is not bounded"
+
+
+def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
+    """Pixels between a scene at rest and at one moment."""
+    if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
+        return INF, "the motion changes kinds, not only numbers"
+    if not _same(_without_places(scene, view), _without_places(now, seen)):
+        return INF, "the motion changes light or materials, not only places"
+    turned = not _same(view, seen)
+    bodies: list[tuple[Any, Any]] = [
+        (a.shape, b.shape) for a, b in zip(scene.surfaces, now.surfaces, strict=True)
+    ]
+    if turned:
+        for light in scene.lights:
+            if isinstance(light, RectangleLight):
+                bodies.append((light, light))
+            elif isinstance(light, EnvironmentMap | LightFieldLight):
+                return INF, "a sky or a light field turns about a moving camera"
+    farthest = 0.0
+    for rest, moment in bodies:
+        if not turned and _same(rest, moment):
+            continue
+        points, others = _points(rest), _points(moment)
+        if points is None or others is None:
+            return INF, "an endless plane moves"
+        farthest = max(farthest, _displacement(view, seen, points, others))
+    if farthest == INF:
+        return INF, "something passes the camera"
+    return farthest, ""
+
+
+def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray) -> float:
+    """Pixels by which a hull of corners (n, 3) m moves in the picture at most."""
+    rest, now = _in_camera(view, points), _in_camera(seen, others)
+    across = float(np.hypot(*(now - rest)[:, :2].T).max())
+    if isinstance(view, Orthographic):
+        return across / float(view.pixel_pitch)
+    nearest = float(min(rest[:, 2].min(), now[:, 2].min()))
+    if nearest <= 0:
+        return INF
+    steepest = steepest_slope(view)
+    along = float(np.abs(now[:, 2] - rest[:, 2]).max())
+    per_slope = float(view.pixel_pitch) * float(sensor_vergence(view))
+    pixels = (across + steepest * along) / nearest / per_slope
+    return clean(pixels * stretch(view, steepest))
+
+
+def steepest_slope(view: View) -> float:
+    """Slope of the chief ray of the picture's farthest corner; with distortion, of any pixel on its
+    border.
+
+    Args:
+        view: a pinhole or a lens.
+    """
+    assert not isinstance(view, Orthographic)
+    height, width = view.resolution
+    across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
+    rows = np.concatenate([0 * across - 0.5, 0 * across + height - 0.5, down, down])
+    columns = np.concatenate([across, across, 0 * down - 0.5, 0 * down + width - 0.5])
+    if view.distortion is None:
+        rows, columns = rows[[0, width]], columns[[0, width]]
+    dtype = view.pixel_pitch.dtype
+    slope = jax.vmap(lambda row, column: chief_slope(view, row, column))
+    x, y = slope(jnp.asarray(rows, dtype), jnp.asarray(columns, dtype))
+    return float(np.hypot(np.asarray(x, float), np.asarray(y, float)).max())
+
+
+def _in_camera(view: View, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) m along right, down and forward of a camera."""
+    return (points - np.asarray(view.position, float)) @ np.asarray(view.rotation, float).T
+
+
+def _points(shape: Any) -> np.ndarray | None:
+    """Corners (n, 3) m that move with a shape; None for an endless one."""
+    if isinstance(shape, TriangleMesh):
+        return np.asarray(shape.vertices, float)
+    if isinstance(shape, RectangleLight):
+        corner, u, v = (np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v))
+        return corner + np.stack([0 * u, u, v, u + v])
+    return corners_of(shape)
+
+
+def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
+    """What a motion that only moves things leaves as it is."""
+    surfaces = [(s.material, s.emission) for s in scene.surfaces]
+    optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}
+    return scene.lights, scene.ambient, surfaces, optics
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two trees of records hold the same numbers."""
+    leaves, tree = jax.tree.flatten(a)
+    others, other = jax.tree.flatten(b)
+    return tree == other and all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
+
+
+def _motion_row(pixels: float, why: str, still: bool) -> Row:
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, motion=None, moments=None)
+
+    return _row("motion", pixels, why, still, drop, 0.7)
+
+
+def _shutter_row(pixels: float, why: str, still: bool) -> Row:
+    def drop(draft: Draft) -> Draft:
+        sensor = replace(draft.camera.sensor, shutter=None)
+        return replace(draft, camera=replace(draft.camera, sensor=sensor))
+
+    return _row("sensor.shutter", pixels, why, still, drop, 0.02)
+
+
+def _row(
+    name: str, pixels: float, why: str, still: bool, drop: Callable[[Draft], Draft], saves: float
+) -> Row:
+    rank = "exact" if still else "estimate"
+    effect = Effect(name, True, why, 0.0, pixels, IRRADIANCE, rank)
+    return Row(effect, np.zeros(1), drop if pixels < INF else None, saves=saves)

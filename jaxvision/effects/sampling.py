@@ -1,0 +1,74 @@
+"""Samples inside a pixel: what one sample in its middle leaves out, as a displacement in pixels.
+
+The mean over a pixel is of what stands within half of its diagonal.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..optics import sensor_vergence
+from ..scene import Orthographic, ThinLens, View
+from .certificate import IRRADIANCE, Effect
+from .pixel import clean, corners
+from .stages import Draft, Ends, Row
+
+_PARTS = ("rim", "distortion", "diffraction")
+_MIDDLE = math.sqrt(0.5)  # from a pixel's middle to its corner, pixels
+_COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sqrt 5
+
+
+def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
+    """Rays inside a pixel stand for places up to its corners; its middle takes their place.
+
+    Args:
+        view: at both ends of what may change; a lens must have stopped blurring before.
+        radiance: (bands,) W m^-2 sr^-1.
+    """
+
+    def drop(draft: Draft) -> Draft:
+        return replace(draft, samples=None)
+
+    lens = isinstance(view.high, ThinLens)
+    why = "a pixel's rays reach its corners"
+    effect = Effect("samples", True, why, 0.0, _MIDDLE, IRRADIANCE)
+    needs = frozenset({"view.defocus"}) if lens else frozenset()
+    return Row(effect, np.zeros_like(radiance), drop, saves=0.5, needs=needs)
+
+
+def oversampling_row(
+    view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
+) -> Row:
+    """One sample in a pixel's middle for all: none is farther away than those in the corners, and
+    the fall-off by cos^4 changes by 1.04 of the slope at most.
+
+    Args:
+        view: at both ends of what may change, without parts that act between pixels.
+        opening: W m^-2 per W m^-2 sr^-1.
+        radiance: (bands,) W m^-2 sr^-1.
+        oversampling: samples along each side.
+    """
+
+    def drop(draft: Draft) -> Draft:
+        sensor = draft.camera.sensor
+        assert sensor.pixel_aperture is not None
+        once = replace(sensor, pixel_aperture=replace(sensor.pixel_aperture, oversampling=1))
+        return replace(draft, camera=replace(draft.camera, sensor=once))
+
+    reach = _MIDDLE * (1 - 1 / oversampling)
+    amount = np.zeros_like(radiance)
+    if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
+        steps = [float(v.pixel_pitch) * float(sensor_vergence(v)) for v in corners(view)]
+        amount = times(radiance, opening * _COS4_SLOPE * reach * max(steps))
+    parts = frozenset(f"view.{p}" for p in _PARTS if getattr(view.high, p, None) is not None)
+    why = f"{oversampling} samples along each side reach {reach:.2g} pixels from the middle"
+    name = "sensor.pixel_aperture.oversampling"
+    effect = Effect(name, True, why, clean(np.max(amount)), reach, IRRADIANCE)
+    return Row(effect, amount, drop, saves=0.5, needs=parts)
+
+
+def times(radiance: np.ndarray, gain: float) -> np.ndarray:
+    """A product in which 0 times infinity is not a number, without a warning."""
+    with np.errstate(invalid="ignore"):
+        return radiance * gain
