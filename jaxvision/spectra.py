@@ -7,11 +7,14 @@ value times width of the band. Tables for these functions (illuminants, reflecta
 observers) come from `colour_data`.
 """
 
+from fractions import Fraction
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._numerics import or_one
+from ._numerics import difference_of_products, or_one
 from ._types import Scalar, Spectrum, check_choice, print_by_name
 
 Wavelengths = Float[Array, " bands"]
@@ -20,7 +23,7 @@ print_by_name(globals(), "Wavelengths", "Responses")
 
 LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
 _TWO_H_C_SQUARED = 1.1910429723971884e-16  # W m^2, the SI of 2019
-_H_C_OVER_K = 1.4387768775039337e-2  # m K
+_H_C_OVER_K = Fraction("6.62607015e-34") * 299792458 / Fraction("1.380649e-23")  # m K
 
 # CIE 167:2005: the polynomial's coefficients from six neighbours, and two values past each end.
 _SPRAGUE = (
@@ -199,10 +202,23 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         >>> round(float(np.pi * L / 5000**4 * 1e8), 3)  # Stefan-Boltzmann constant, 5.670e-8
         5.67
     """
-    warm = temperature > 0
-    x = _H_C_OVER_K / (wavelengths * or_one(temperature))
-    radiance = (_TWO_H_C_SQUARED * 1e30) / (1e6 * wavelengths) ** 5 * jnp.exp(-x) / -jnp.expm1(-x)
-    return jnp.where(warm, radiance, 0)
+    cold, kelvin = temperature <= 0, or_one(temperature)
+    x = float(_H_C_OVER_K) / (wavelengths * kelvin)
+    rare = jnp.exp(-x) * (1 - _lost_of_exponent(x, wavelengths, kelvin))
+    scaled = 2**20 * wavelengths  # exact, and its fifth power is in range
+    radiance = (_TWO_H_C_SQUARED * 2.0**100) / scaled**5 * rare / -jnp.expm1(-x)
+    return jnp.where(cold, 0, radiance)
+
+
+def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
+    """h c / (lambda k T) - x, what rounding has taken from it, which the exponential magnifies by
+    its own size; no unit, a constant to gradients."""
+    product, one = wavelengths * kelvin, jnp.ones_like(wavelengths)
+    nearest = np.asarray(float(_H_C_OVER_K), x.dtype)
+    lost = difference_of_products(nearest * one, one, x, product)
+    lost = lost - x * difference_of_products(wavelengths, kelvin * one, product, one)
+    lost = (lost + float(_H_C_OVER_K - Fraction(float(nearest)))) / product
+    return jax.lax.stop_gradient(jnp.where(jnp.isfinite(lost), lost, 0))
 
 
 def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths:

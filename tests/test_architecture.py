@@ -18,7 +18,7 @@ FLOORS = [
     {"_primitives"},
     {"errors", "_types", "_staging"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
-    {"_numerics"},
+    {"_numerics", "_chebyshev"},
     {"spectra", "hemisphere", "padding", "_powers"},
     {"geometry", "colour_data"},
     {"lights", "brdf", "filters"},

@@ -73,6 +73,32 @@ def test_conductors_in_ulps(dtype, index):
         assert exact.ulps(value, truth) <= 32
 
 
+@both_precisions
+def test_where_most_is_reflected_in_ulps(dtype):
+    """At grazing angles R = 1 - T has the digits of T, which is small; metals at every angle."""
+    cosines = jnp.asarray(np.geomspace(1e-8, 0.1, 30), dtype)
+    for eta, k in ((1.5, 0.0), (2.4, 0.0), (0.2, 3.1), (3.0, 20.0), (0.05, 0.05)):
+        index, absorbed = jnp.asarray([eta], dtype), jnp.asarray([k], dtype)
+        got = [jax.vmap(fresnel_conductor, (0, None, None))(cosines, index, absorbed)[:, 0]]
+        got += [] if k else [jax.vmap(fresnel_dielectric, (0, None))(cosines, index)[:, 0]]
+        for i, c in enumerate(cosines):
+            truth = amplitudes(*map(exact.number, (c, index[0], absorbed[0])))
+            if truth > 0.51:
+                assert all(exact.ulps(found[i], truth) <= 3 for found in got), (eta, k, c)
+
+
+def test_nan_reflects_nothing_and_no_index_is_too_large():
+    for dtype in (jnp.float32, jnp.float64):
+        nan, half = jnp.asarray(jnp.nan, dtype), jnp.asarray(0.5, dtype)
+        one, huge = jnp.ones(1, dtype), jnp.asarray([1e30], dtype)
+        for c, eta, k in ((nan, one, one), (half, nan[None], one), (half, one, nan[None])):
+            assert jnp.isnan(fresnel_conductor(c, eta, k)).all()
+            assert jnp.isnan(fresnel_dielectric(c, eta + 0 * k)).all()
+        assert fresnel_dielectric(half, huge) == pytest.approx(1)
+        assert fresnel_conductor(half, huge, one) == pytest.approx(1)
+        assert fresnel_conductor(half, one, huge) == pytest.approx(1)
+
+
 def test_known_angles():
     """Normal incidence on glass 4 %, no p-polarised light at Brewster's angle, all beyond the
     critical one."""

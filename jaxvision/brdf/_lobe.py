@@ -3,11 +3,20 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import arctan2, divide, gauss_legendre, safe_log, safe_sqrt, smallest_divisor
+from .._numerics import (
+    arctan2,
+    divide,
+    gauss_legendre,
+    reciprocal,
+    safe_log,
+    safe_sqrt,
+    smallest_divisor,
+)
 from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec, where
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
@@ -53,8 +62,10 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     """The part of samples that the diffuse albedo deserves beside the specular one; a half where
     both are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
-    both = body + lobe
-    return divide(body, both, otherwise=0.5)
+    # of their size, so that the square of a tiny albedo is in range
+    size = jax.lax.stop_gradient(jnp.maximum(body, lobe))
+    scale = reciprocal(size)
+    return divide(body * scale, body * scale + lobe * scale, ~(size <= 0), otherwise=0.5)
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:

@@ -22,6 +22,7 @@ bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinke
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -182,7 +183,7 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
     pixels = image.reshape(-1, 3)
     weight = jnp.ones_like(pixels[:, 0]) if valid is None else valid.reshape(-1).astype(image.dtype)
     moments = (weight[:, None] * pixels).T @ pixels / jnp.maximum(weight.sum(), 1)
-    sizes, axes = jnp.linalg.eigh(moments)
+    sizes, axes = _eigh(moments)
     return axes[:, 0], safe_sqrt(sizes)
 
 
@@ -194,10 +195,28 @@ def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, S
     least squares: the direction of smallest sum of (normal . c)^2.
     """
     moments = normals.T @ normals
-    sizes, axes = jnp.linalg.eigh(moments)
+    sizes, axes = _eigh(moments)
     colour = axes[:, 0]
     total = jnp.maximum(sizes[2], smallest_divisor(sizes.dtype))
     return jnp.where(colour.sum() < 0, -colour, colour), safe_sqrt(sizes[1] / total)
+
+
+@jax.custom_jvp
+def _eigh(matrix: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
+    """Eigenvalues, ascending, and eigenvectors, the columns, of a symmetric matrix. Vectors of one
+    eigenvalue, which are any basis of their plane, do not turn into one another."""
+    sizes, axes = jnp.linalg.eigh(matrix)
+    return sizes, axes
+
+
+@_eigh.defjvp
+def _eigh_jvp(primals, tangents):
+    """dlambda_i = v_i . dM v_i and dv_j = sum_i v_i (v_i . dM v_j) / (lambda_j - lambda_i)."""
+    sizes, axes = _eigh(*primals)
+    turned = axes.T @ tangents[0] @ axes
+    apart = sizes[None, :] - sizes[:, None]
+    alike = jnp.abs(apart) <= 4 * jnp.finfo(sizes.dtype).eps * jnp.abs(sizes).max()
+    return (sizes, axes), (jnp.diagonal(turned), axes @ divide(turned, apart, ~alike))
 
 
 def _as_row(colour: Colour, image: Pixels) -> Pixels:

@@ -1,9 +1,9 @@
 """Fresnel reflectance of a smooth interface for unpolarised light, (bands,), no unit, in [0, 1].
 
 `cos_theta` is the cosine between the ray and the interface's normal; below 0 counts as 0, above 1
-as 1. Indices of refraction are relative to the side the light comes from. Rearranged so that
-nothing cancels, near equal indices and at grazing angles too; at an angle of 90 degrees every
-interface reflects all.
+as 1. Indices of refraction are relative to the side the light comes from; above 1e9 in float32 and
+1e76 in float64 they count as that. Rearranged so that nothing cancels, near equal indices and at
+grazing angles too; at an angle of 90 degrees every interface reflects all.
 """
 
 import equinox as eqx
@@ -94,17 +94,24 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
     """
-    c = jnp.clip(cos_theta, 0, 1)
-    contrast = (eta - 1) * (eta + 1)
+    c, eta = jnp.clip(cos_theta, 0, 1), _index(eta)
+    square, contrast = eta * eta, (eta - 1) * (eta + 1)
     g_squared = contrast + c * c
-    passes = g_squared > 0
+    passes = ~(g_squared <= 0)
     g = safe_sqrt(g_squared)
-    s_sum = or_one(c + g, passes)
-    p_sum = or_one(eta * eta * c + g, passes)
+    s_sum, p_sum = or_one(c + g, passes), or_one(square * c + g, passes)
     # divided twice: of equal indices at grazing angles the square's own gradient would overflow
     r_s = contrast / s_sum / s_sum
-    r_p = contrast * (c * c * (eta * eta + 1) - 1) / p_sum / p_sum
-    return jnp.where(passes, (r_s * r_s + r_p * r_p) / 2, 1)
+    r_p = contrast * (c * c * (square + 1) - 1) / p_sum / p_sum
+    reflected = (r_s * r_s + r_p * r_p) / 2
+    # the part that passes has the digits where little does: 1 - r_s^2 = 4 c g / (c + g)^2
+    passed = 2 * ((c / s_sum) * (g / s_sum) + (square * c / p_sum) * (g / p_sum))
+    return jnp.where(passes, jnp.where(reflected < 0.5, reflected, 1 - passed), 1)
+
+
+def _index(x: Colour) -> Colour:
+    """An index, or a part of one, at most as large as its fourth power can be held; no unit."""
+    return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
@@ -123,7 +130,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 
     Source: Born & Wolf, Principles of Optics, section 14.2.
     """
-    c = jnp.clip(cos_theta, 0, 1)
+    c, eta, k = jnp.clip(cos_theta, 0, 1), _index(eta), _index(k)
     s_squared = (1 - c) * (1 + c)
     contrast, half_imaginary = (eta - 1) * (eta + 1) - k * k, eta * k
     # eta^2 - k^2 - s^2 from whichever of s^2 and c^2 is the smaller: 1 - s^2 may cancel eta^2.
@@ -137,14 +144,16 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     # a^2 - c^2 = contrast + b^2, for near equal indices a and c are nearly equal too.
     apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
-    def ratio(difference: Colour, total: Colour, other: Colour) -> Colour:
+    def ratio(difference: Colour, total: Colour, other: Colour, missing: Colour) -> Colour:
+        """(difference^2 + other^2) / (total^2 + other^2); from `missing`, which the first square
+        lacks of the second, where that is the smaller part."""
         below = total * total + other * other
-        positive = below > 0
         above = difference * difference + other * other
-        return divide(above, below, where=positive, otherwise=1)
+        part = divide(jnp.where(2 * above < below, above, -missing), below, otherwise=0)
+        return jnp.where(2 * above < below, part, 1 + part)
 
-    r_s = ratio(apart, a + c, b)
-    return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c)) / 2
+    r_s = ratio(apart, a + c, b, 4 * a * c)
+    return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c, 4 * a * c * s_squared)) / 2
 
 
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:

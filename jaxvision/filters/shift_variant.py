@@ -261,7 +261,7 @@ def _radial(
     (total, weights), _ = lax.scan(add_octet, start, (jnp.asarray(octets[0]), distance, share))
     weights = weights[None, :, None]
     middle = wide[:, radius : radius + h, :, radius : radius + w]
-    return restore(divide(total, weights, weights > smallest_divisor(weights.dtype), middle))
+    return restore(divide(total, weights, ~(weights <= smallest_divisor(weights.dtype)), middle))
 
 
 def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

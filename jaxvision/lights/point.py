@@ -53,7 +53,7 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
     where both are one."""
     toward = position - point
     square = dot(toward, toward)
-    apart = square > smallest_divisor(square.dtype) ** 2
+    apart = ~(square <= smallest_divisor(square.dtype) ** 2)
     nearness = jnp.where(apart, jax.lax.rsqrt(or_one(square, apart)), 0)
     return toward * nearness, square * nearness, nearness
 

@@ -10,6 +10,7 @@ in (8 / x)^2 (Abramowitz and Stegun, Handbook of Mathematical Functions, 9.2.5).
 
 import jax.numpy as jnp
 
+from .._chebyshev import chebyshev
 from .._types import Scalars
 
 _NEAR = (
@@ -63,20 +64,12 @@ _ACROSS = (
 def jinc(square: Scalars) -> Scalars:
     """2 J_1(x) / x as a function of `square` = x^2 >= 0; at 0 it is 1, with derivative -1 / 8."""
     near = square < 64
-    low = _chebyshev(_NEAR, jnp.where(near, square, 0) / 32 - 1)
+    low = chebyshev(_NEAR, jnp.where(near, square, 0) / 32 - 1)
     x = jnp.sqrt(jnp.where(near, 64, square))
     w = 8 / x
-    in_phase = _chebyshev(_IN_PHASE, 2 * w * w - 1)
-    across = w * _chebyshev(_ACROSS, 2 * w * w - 1)
+    in_phase = chebyshev(_IN_PHASE, 2 * w * w - 1)
+    across = w * chebyshev(_ACROSS, 2 * w * w - 1)
     # sqrt(2) times the cosine and the sine of x - 3 pi / 4, without rounding the difference
     cosine, sine = jnp.sin(x) - jnp.cos(x), -jnp.sin(x) - jnp.cos(x)
     high = 2 / (x * jnp.sqrt(jnp.pi * x)) * (in_phase * cosine - across * sine)
     return jnp.where(near, low, high)
-
-
-def _chebyshev(coefficients: tuple[float, ...], t: Scalars) -> Scalars:
-    """The sum of c_k T_k(t), by Clenshaw's recurrence."""
-    b, after = jnp.zeros_like(t), jnp.zeros_like(t)
-    for c in coefficients[:0:-1]:
-        b, after = 2 * t * b - after + c, b
-    return t * b - after + coefficients[0]

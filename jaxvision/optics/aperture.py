@@ -118,7 +118,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
     check_count("size", size, 1, odd=True)
     radius = jnp.asarray(radius)
     # a kernel of a hundredth of a pixel is a point and does not lose digits
-    radius = jnp.where(jnp.abs(radius) > _SMALLEST, radius, _SMALLEST)
+    radius = jnp.where(jnp.abs(radius) <= _SMALLEST, _SMALLEST, radius)
     edges = jnp.asarray(np.arange(size + 1) - size / 2, radius.dtype)
     match aperture:
         case CircularAperture():
@@ -130,7 +130,7 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
             x, y = aperture_corners(aperture, radius.dtype)
             covered = _polygon_in_pixels(edges, radius * x, radius * y)
     total = covered.sum()
-    return covered / or_one(total, total > smallest_divisor(total.dtype))
+    return covered / or_one(total, ~(total <= smallest_divisor(total.dtype)))
 
 
 _SMALLEST = 0.01

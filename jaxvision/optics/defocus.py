@@ -145,7 +145,7 @@ def layered_defocus(
     blur = _blur(view, depth)
     low, high = blur.min(), blur.max()
     span = high - low
-    position = divide(blur - low, span, span > smallest_divisor(span.dtype)) * (layers - 1)
+    position = divide(blur - low, span, ~(span <= smallest_divisor(span.dtype))) * (layers - 1)
 
     around = jnp.full((2 * radius + 1,) * 2, 1 / (2 * radius + 1) ** 2, picture.dtype)
     light = jnp.zeros((), picture.dtype)
@@ -164,7 +164,7 @@ def layered_defocus(
         light = light + seen * blurred[..., :-2]
         # an empty layer covers nothing here, even where its blur makes nearer layers look dense
         covered = covered + seen * own
-    return divide(light, covered, covered > smallest_divisor(covered.dtype), picture)
+    return divide(light, covered, ~(covered <= smallest_divisor(covered.dtype)), picture)
 
 
 def chromatic_defocus(

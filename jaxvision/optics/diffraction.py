@@ -127,7 +127,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> I
         (..., h, w, bands) W m^-2.
     """
     # a closed aperture passes no light to spread
-    f_number = jnp.where(jnp.isfinite(view.f_number), view.f_number, 1)
+    f_number = jnp.where(jnp.isinf(view.f_number), 1, view.f_number)
     working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
     kernel = airy_kernel(diffraction.wavelength, working, view.pixel_pitch, size=diffraction.size)
     # rounding in a transform may leave negative light

@@ -117,7 +117,8 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
     share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
     begin = (0, *start, share, jnp.ones((), bool))
     _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)
-    lost = jnp.isnan(x) | jnp.isnan(y)
+    numbers = (x, y, *jax.tree.leaves(distortion))
+    lost = jnp.stack([jnp.isnan(number).any() for number in numbers]).any()
     return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)
 
 
@@ -170,5 +171,5 @@ def _solve(
     """The step whose image under the derivative of `distort` is (right, down); 0 at a fold."""
     a, b, c = _jacobian(distortion, x, y)
     area = a * c - b * b
-    inverse = divide(1, area, jnp.abs(area) > smallest_divisor(area.dtype))
+    inverse = divide(1, area, ~(jnp.abs(area) <= smallest_divisor(area.dtype)))
     return (c * right - b * down) * inverse, (a * down - b * right) * inverse

@@ -20,7 +20,7 @@ from ..scene import Orthographic, ThinLens, View
 from .aperture import aperture_area
 from .diffraction import diffracted
 from .distortion import distortion_area
-from .views import chief_slope, cos_to_axis, pixel_grid, sensor_vergence
+from .views import chief_slope, pixel_grid, sensor_vergence
 from .vignetting import clear_fraction
 
 
@@ -56,12 +56,14 @@ def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) 
         opening = jnp.pi / (4 * view.f_number**2)
     if isinstance(view, Orthographic):
         return radiance * opening
-    light = opening * cos_to_axis(view, row, column) ** 4
+    x, y = chief_slope(view, row, column)
+    cos_squared = 1 / (1 + x * x + y * y)
+    light = opening * cos_squared * cos_squared
     if isinstance(view, ThinLens) and view.rim is not None:
         light = light * clear_fraction(view, row, column)
     if view.distortion is not None:
-        spread = distortion_area(view.distortion, *chief_slope(view, row, column))
-        light = divide(light, spread, spread > smallest_divisor(spread.dtype))
+        spread = distortion_area(view.distortion, x, y)
+        light = divide(light, spread, ~(spread <= smallest_divisor(spread.dtype)))
     return radiance * light
 
 

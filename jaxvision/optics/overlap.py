@@ -77,6 +77,8 @@ def overlap_of_disc_and_polygon(
         () m^2.
     """
     x, y = corner_right - right, corner_down - down
+    # a disc that holds all corners shares the whole polygon; its square may be out of range
+    radius = jnp.minimum(radius, 2 * jnp.maximum(jnp.abs(x), jnp.abs(y)).max())
     return jax.vmap(_side, in_axes=(None, 0, 0, 0, 0))(
         radius, x, y, jnp.roll(x, -1), jnp.roll(y, -1)
     ).sum()
@@ -100,10 +102,10 @@ def _segment(alpha: Scalars) -> Scalars:
     """alpha - sin alpha cos alpha = (t - sin t) / 2 of t = 2 alpha, by the series
     t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...))) where the two nearly cancel."""
     t = 2 * alpha
-    small = t < 1
+    small = t < 2
     square = jnp.where(small, t * t, 0)
     series = jnp.ones_like(square)
-    for k in range(18, 2, -2):
+    for k in range(28 if t.dtype == jnp.float64 else 18, 2, -2):
         series = 1 - square / (k * (k + 1)) * series
     return jnp.where(small, t * square / 6 * series, t - jnp.sin(t)) / 2
 
@@ -111,7 +113,7 @@ def _segment(alpha: Scalars) -> Scalars:
 def _side(radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
-    some = square > smallest_divisor(square.dtype) ** 2
+    some = ~(square <= smallest_divisor(square.dtype) ** 2)
     scale = or_one(square, some)
     nearest = -(x0 * along_x + y0 * along_y) / scale
     beside = (x0 * along_y - y0 * along_x) / scale

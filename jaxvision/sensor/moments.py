@@ -12,11 +12,16 @@ Blooming has no closed form and is left out.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax.scipy.special import ndtr
-from jax.scipy.stats import norm
 
 from .._types import Scalar, Scalars
 from ..scene import Sensor
+from ._clipped_gaussian import (
+    in_narrow_window,
+    is_narrow,
+    tail_mean,
+    tail_square,
+    tail_variance,
+)
 from .adc import amplified, largest_number
 from .ccd import counted_variance, transferred, transferred_variance
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
@@ -158,27 +163,67 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         0.398942
     """
     mean, variance = moments
-    noisy = variance > 0
+    noisy = ~(variance <= 0)
     sigma = jnp.sqrt(jnp.where(noisy, variance, 1))
     clipped = mean
     if low is not None:
         clipped = jnp.maximum(clipped, low)
     if high is not None:
         clipped = jnp.minimum(clipped, high)
-    moved, spread, losses = clipped, jnp.ones_like(mean), []
-    for end, sign in ((low, 1), (high, -1)):
-        if end is None:
-            continue
-        clips = jnp.isfinite(end)
-        inside = jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
-        moved = moved + sign * sigma * _tail_mean(-jnp.abs(inside))
-        spread = spread - 2 * ndtr(-inside) + _tail_variance(-inside)
-        losses.append(_tail_mean(-inside))
-    if len(losses) == 2:
-        spread = spread + 2 * losses[0] * losses[1]
-    return Moments(
-        jnp.where(noisy, moved, clipped), jnp.where(noisy, sigma**2 * jnp.maximum(spread, 0), 0)
+    if low is None or high is None:
+        moved, spread = _at_one_end(mean, sigma, clipped, low=low, high=high)
+    else:
+        moved, spread = _at_both_ends(mean, sigma, clipped, low, high)
+    return Moments(jnp.where(noisy, moved, clipped), jnp.where(noisy, spread, 0))
+
+
+def _at_one_end(
+    mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
+) -> tuple[Scalars, Scalars]:
+    """Mean and variance of a Gaussian variable clipped at one end, or at none."""
+    if low is None and high is None:
+        return mean, sigma * sigma
+    sign, end = (1, low) if low is not None else (-1, high)
+    inside = _inside(mean, sigma, end, sign)
+    moved = clipped + sign * sigma * tail_mean(-jnp.abs(inside))
+    return moved, sigma * sigma * tail_variance(inside)
+
+
+def _at_both_ends(
+    mean: Scalars, sigma: Scalars, clipped: Scalars, low: Scalar, high: Scalar
+) -> tuple[Scalars, Scalars]:
+    """Mean and variance of a Gaussian variable clipped to [low, high].
+
+    The clipped variable is low + sigma (A - B) with A = max(Z + p, 0), B = max(Z - q, 0), where p
+    and q are the distances of the mean from the ends in standard deviations; where B > 0, A is
+    B + p + q. The nearer end is taken as the low one. Noise much wider than the window has its own
+    series, as here everything would cancel.
+    """
+    p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
+    moved = clipped + sigma * (tail_mean(-jnp.abs(p)) - tail_mean(-jnp.abs(q)))
+    near, far = jnp.minimum(p, q), jnp.maximum(p, q)
+    lost = tail_mean(-far)
+    both = tail_square(-far) + (near + far) * lost - tail_mean(near) * lost
+    spread = jnp.maximum(tail_variance(near) + tail_variance(-far) - 2 * both, 0)
+
+    bounded = jnp.isfinite(low) & jnp.isfinite(high)
+    first, last = jnp.where(bounded, low, 0), jnp.where(bounded, high, 0)
+    middle = (first + last) / 2 - mean
+    width, offset = (last - first) / sigma, jnp.abs(middle) / sigma
+    narrow = bounded & is_narrow(width, offset)
+    part, square = in_narrow_window(jnp.where(narrow, width, 0), jnp.where(narrow, offset, 0))
+    within = (last - first) * part
+    within = jnp.where(middle < 0, last - within, first + within)
+    return (
+        jnp.where(narrow, within, moved),
+        jnp.where(narrow, (last - first) ** 2 * square, sigma * sigma * spread),
     )
+
+
+def _inside(mean: Scalars, sigma: Scalars, end: Scalar, sign: int) -> Scalars:
+    """How far inside an end the mean lies, in standard deviations; `sign` 1 for the low end."""
+    clips = ~jnp.isinf(end)
+    return jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
 
 
 def _charge(sensor: Sensor, irradiance: Light) -> Moments:
@@ -216,15 +261,3 @@ def _signal(sensor: Sensor, read: Moments) -> Moments:
     if sensor.bits is not None:
         variance = variance + QUANTISATION_VARIANCE
     return Moments(amplified(sensor, read.mean), variance)
-
-
-def _tail_mean(t: Scalars) -> Scalars:
-    """E[max(Z + t, 0)] of a standard Gaussian Z."""
-    return t * ndtr(t) + norm.pdf(t)
-
-
-def _tail_variance(t: Scalars) -> Scalars:
-    """Var[max(Z + t, 0)] of a standard Gaussian Z, keeping its digits at large |t|."""
-    below = -jnp.abs(t)
-    rare = (below**2 + 1) * ndtr(below) + below * norm.pdf(below) - _tail_mean(below) ** 2
-    return jnp.where(t > 0, 1 - 2 * ndtr(below) + rare, rare)

@@ -5,10 +5,11 @@ frequency, which returns as aliases; a full one attenuates it. A microlens widen
 Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import safe_sqrt
+from .._numerics import safe_sqrt, sine_cosine, smallest_divisor
 from .._types import Image, Scalar, Scalars
 from ..scene import PixelAperture
 
@@ -76,7 +77,31 @@ def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
         >>> round(float(jv.sensor.aperture_mtf(full, jnp.array(0.5))), 4)  # 2 / pi
         0.6366
     """
-    return jnp.sinc(safe_sqrt(light_share(aperture)) * frequency)
+    return _sinc(safe_sqrt(light_share(aperture)) * frequency)
+
+
+@jax.custom_jvp
+def _sinc(x: Scalars) -> Scalars:
+    """sin(pi x) / (pi x), which keeps its digits beside its zeros."""
+    low = jnp.abs(x) < smallest_divisor(x.dtype)
+    sine, _ = sine_cosine(jnp.where(low, 0.5, x) / 2)
+    return jnp.where(low, 1, sine / (jnp.pi * jnp.where(low, 1, x)))
+
+
+@_sinc.defjvp
+def _sinc_jvp(primals, tangents):
+    """(cos(pi x) - sinc(x)) / x; near 0, where that cancels, the series
+    -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7) (...))) of z = (pi x)^2."""
+    (x,), (change,) = primals, tangents
+    near = jnp.abs(x) < 0.5
+    z = jnp.square(jnp.pi * jnp.where(near, x, 0))
+    series = jnp.ones_like(z)
+    for k in range(20, 0, -2):
+        series = 1 - z / (k * (k + 3)) * series
+    _, cosine = sine_cosine(x / 2)
+    value = _sinc(x)
+    far = (cosine - value) / jnp.where(near, 1, x)
+    return value, jnp.where(near, -(jnp.pi**2) / 3 * x * series, far) * change
 
 
 def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:

@@ -161,7 +161,7 @@ def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Towa
     place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
-    nearness = divide(1, distance, distance > smallest_divisor(distance.dtype))
+    nearness = divide(1, distance, ~(distance <= smallest_divisor(distance.dtype)))
     direction = toward * nearness
     cosine = -dot(place.normal, direction)
     cosine = jnp.where(emitter.two_sided, jnp.abs(cosine), jnp.maximum(cosine, 0))

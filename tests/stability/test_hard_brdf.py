@@ -322,3 +322,45 @@ def test_separation_of_degenerate_pictures_is_finite(dtype):
     for leaf in jax.tree.leaves((degenerate, jax.jit(slope)(rows), firmness)):
         assert jnp.isfinite(leaf).all()
         assert leaf.dtype == dtype
+
+
+@both_precisions
+def test_slopes_of_the_share_of_a_tiny_albedo(dtype):
+    """The square of 1e-30 is out of float32's range; the share of what is all there is is 1."""
+    up = jnp.asarray([0, 0, 1], dtype)
+    zero, n = jnp.zeros(1, dtype), jnp.ones((), dtype)
+
+    @jax.jit
+    @jax.grad
+    def slope(k):
+        families = (PhongBRDF(k, zero, n), BlinnBRDF(k, zero, n), PhongBRDF(k, 2 * k, n))
+        return sum(brdf.pdf(material, up, up) for material in families)
+
+    assert jnp.isfinite(slope(jnp.asarray([1e-30], dtype))).all()
+
+
+@both_precisions
+def test_slopes_of_planes_that_share_an_axis(dtype):
+    """Equal eigenvalues: of one plane twice, of none, and of a black picture."""
+
+    def total(normals):
+        colour, spread = illuminant_from_planes(normals)
+        return colour.sum() + spread
+
+    twice = jnp.asarray([[1, 0, 0], [1, 0, 0]], dtype)
+    slopes = jax.jit(jax.vmap(jax.grad(total)))(jnp.stack([twice, 0 * twice]))
+    assert jnp.isfinite(slopes).all()
+    black = jnp.zeros((2, 2, 3), dtype)
+    assert jnp.isfinite(jax.grad(lambda x: sum(map(jnp.sum, plane_normal(x))))(black)).all()
+
+
+def test_slopes_of_planes_are_the_differences():
+    normals = jnp.asarray(RNG.normal(size=(4, 3)))
+
+    def first(normals):
+        return illuminant_from_planes(normals)[0][0]
+
+    slope = np.asarray(jax.grad(first)(normals))
+    step = 1e-6 * RNG.normal(size=(4, 3))
+    ahead, behind = (float(first(normals + sign * step)) for sign in (1, -1))
+    np.testing.assert_allclose((slope * step).sum(), (ahead - behind) / 2, rtol=1e-6)

@@ -365,3 +365,31 @@ def test_undistortion_there_and_back_to_the_last_digits(dtype):
     values, slopes = each(lambda t: optics.undistort(lens, t, t / 2)[0], beyond)
     assert_finite((values, slopes))
     np.testing.assert_array_equal(slopes[0], 0)
+
+
+@both_precisions
+def test_the_cosine_law_in_ulps(dtype):
+    """1 / (1 + tan^2)^2 without a square root: to 89 degrees off the axis."""
+    view = s.Pinhole(np.zeros(3), EYE, 0.05, 1e-3, resolution=(1, 1), f_number=8.0)
+    view = as_dtype(view, dtype)
+    columns = jnp.asarray([0, 1, 7, 20, 50.5, 151.4, 3000], dtype)
+    one, zero = jnp.ones(1, dtype), jnp.zeros((), dtype)
+    got = jax.vmap(lambda c: optics.pixel_irradiance(view, one, zero, c)[0])(columns)
+    for column, value in zip(columns, got, strict=True):
+        tangent = exact.number(column) * exact.number(view.pixel_pitch)
+        tangent = tangent / exact.number(view.focal_length)
+        truth = mp.pi / 4 / 64 / (1 + tangent**2) ** 2
+        assert exact.ulps(value, truth) <= 8
+
+
+@both_precisions
+def test_nan_and_discs_without_bounds(dtype):
+    """NaN makes no area, no contrast and no light 0; a disc of any size shares the whole square."""
+    nan, one = jnp.asarray(jnp.nan, dtype), jnp.ones((), dtype)
+    for arguments in ((nan, one, one), (one, nan, one), (one, one, nan)):
+        assert jnp.isnan(optics.overlap_of_discs(*arguments))
+        assert jnp.isnan(optics.diffraction_mtf(*arguments))
+    x, y = jnp.asarray([[1, -1, -1, 1], [1, 1, -1, -1]], dtype)
+    zero, huge = jnp.zeros((), dtype), jnp.asarray(1e30, dtype)
+    area = jax.value_and_grad(optics.overlap_of_disc_and_polygon, argnums=2)
+    assert area(zero, zero, huge, x, y) == (4, 0)

@@ -17,6 +17,7 @@ from jaxvision import as_dtype
 from jaxvision import scene as s
 from jaxvision.sensor import (
     Moments,
+    aperture_mtf,
     bloomed,
     censored,
     clipped_moments,
@@ -93,21 +94,77 @@ def test_every_effect_from_no_photon_to_far_too_many(dtype):
             assert (moments[1] < 1e-6).all()
 
 
+def of_clipped(mean, sigma, low=None, high=None):
+    """Mean and variance of a Gaussian variable clipped to [low, high], from its tails."""
+    ends = [(sign, end) for sign, end in ((1, low), (-1, high)) if end is not None]
+    first, second = mean, sigma**2 + mean**2
+    for sign, end in ends:
+        t = sign * (end - mean) / sigma  # the part beyond the end moves to it
+        lost, bell = mp.ncdf(t), mp.npdf(t)
+        first += (end - mean) * lost + sign * sigma * bell
+        second += (end**2 - mean**2 - sigma**2) * lost + sigma * (
+            2 * mean * sign + sigma * t
+        ) * bell
+    return first, second - first**2
+
+
 @both_precisions
-@pytest.mark.parametrize("distance", [-30.0, -6.0, -1.0, 0.0, 1.0, 6.0, 30.0])
-def test_clipped_moments_keep_their_digits(dtype, distance):
-    """A Gaussian `distance` deviations inside [0, inf): mean and variance in eps of what they would
-    be unclipped, far beyond either side."""
-    sigma = jnp.asarray(3.0, dtype)
-    mean = jnp.asarray(distance, dtype) * sigma
-    got = censored(Moments(mean, sigma**2), low=jnp.zeros((), dtype))
-    t = exact.number(mean) / exact.number(sigma)
-    phi, below = mp.npdf(t), mp.ncdf(t)
-    first = t * below + phi
-    second = (t**2 + 1) * below + t * phi - first**2
-    sd = exact.number(sigma)
-    assert abs(exact.number(got.mean) - sd * first) <= 8 * eps(dtype) * (sd + abs(sd * first))
-    assert abs(exact.number(got.variance) - sd**2 * second) <= 16 * eps(dtype) * sd**2
+@pytest.mark.parametrize("ends", [(0.0, None), (None, 0.0), (0.0, 40.0)])
+def test_clipped_moments_keep_their_digits(dtype, ends):
+    """From 11 deviations outside the window to as many inside, relative to what is left of them;
+    the distance in deviations is rounded to eps, which moves the tail by its square times that."""
+    sigma, (low, high) = 3.0, ends
+    mean = jnp.asarray([-33, -16.2, -9, -3, -1e-3, 0, 0.1, 1, 20, 23, 39.9, 42, 60], dtype)
+    variance = jnp.full_like(mean, sigma**2)
+    low, high = (None if end is None else jnp.asarray(end, dtype) for end in ends)
+    got = jax.jit(lambda m, v: censored(Moments(m, v), low=low, high=high))(mean, variance)
+    for m, *found in zip(mean, *got, strict=True):
+        with mp.workdps(120):
+            true = of_clipped(exact.number(m), mp.mpf(sigma), *ends)
+        nearest = min((abs(exact.number(m) - end) for end in ends if end is not None), default=0)
+        for value, truth in zip(found, true, strict=True):
+            if abs(truth) > 1e-30:
+                bound = 8 + 2 * (nearest / sigma) ** 2
+                assert abs(exact.number(value) - truth) <= bound * eps(dtype) * abs(truth), m
+
+
+@both_precisions
+def test_clipped_moments_of_noise_wider_than_the_window(dtype):
+    """Down to a millionth of a deviation: half of the values at each end, a variance of 1/4."""
+    cases = [(0.5, 0.3), (-1, 2), (0.2, 8), (3, 9), (-1e3, 1e3), (70, 30), (0.4, 1e6), (-1e3, 1e6)]
+    mean, sigma = jnp.asarray(cases, dtype).T
+    ends = jnp.asarray([0, 1], dtype)
+
+    @jax.jit
+    def clipped(mean, variance):
+        return tuple(censored(Moments(mean, variance), low=ends[0], high=ends[1]))
+
+    variance = jnp.square(sigma)
+    for m, v, *found in zip(mean, variance, *clipped(mean, variance), strict=True):
+        with mp.workdps(120):
+            true = of_clipped(exact.number(m), mp.sqrt(exact.number(v)), 0, 1)
+        for value, truth in zip(found, true, strict=True):
+            assert abs(exact.number(value) - truth) <= 16 * eps(dtype) * truth, (m, v)
+    slopes = jax.jit(jax.vmap(jax.jacrev(clipped, (0, 1))))(mean, variance.at[0].set(0))
+    assert_finite(slopes)
+
+
+@both_precisions
+def test_the_pixels_contrast_beside_its_zeros(dtype):
+    """Whole frequencies are zeros, beside which sin(pi f) is of the size of their distance; at 0
+    the slope is that of 1 - (pi f)^2 / 6."""
+    f = np.concatenate(
+        [[1e-20, 1e-4, 0.3, 0.49, 0.51], 1 + np.geomspace(1e-6, 0.4, 9), [2 - 1e-5, 3.3]]
+    )
+    f = jnp.asarray(f, dtype)
+    full = s.PixelAperture(jnp.ones((), dtype))
+    both = jax.jit(jax.vmap(jax.value_and_grad(lambda f: aperture_mtf(full, f))))
+    for x, value, slope in zip(f, *both(f), strict=True):
+        q = mp.pi * exact.number(x)
+        assert exact.ulps(value, mp.sin(q) / q) <= 4
+        truth = mp.pi * (mp.cos(q) - mp.sin(q) / q) / q
+        assert abs(exact.number(slope) - truth) <= 8 * eps(dtype) * max(abs(truth), abs(q) ** -2)
+    assert jnp.isnan(aperture_mtf(full, jnp.asarray(jnp.nan, dtype)))
 
 
 @both_precisions
