@@ -1,6 +1,12 @@
 # What `import fitting` offers, each name where it is defined: read by type checkers, and by
 # `__init__.py`, which loads a name when it is first used.
 
+from .fits.budget import (
+    Budget as Budget,
+)
+from .fits.plan import (
+    Plan as Plan,
+)
 from .fits.result import (
     Bands as Bands,
     Fit as Fit,

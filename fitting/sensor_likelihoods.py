@@ -20,6 +20,7 @@ from jaxvision import Sensor
 from jaxvision.errors import InputError
 from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
 from jaxvision.sensor.adc import largest_number
+from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
 from .inference.likelihoods import Censored, is_concrete
 
@@ -73,6 +74,23 @@ class SensorNoise(eqx.Module):
         signal = Censored(deviation).draw(key, self._mean(prediction))
         bits = sensor.bits
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
+
+    def noise_sources(self, prediction: Array) -> dict[str, Array]:
+        """Variance of a datum by what it comes from.
+
+        Args:
+            prediction: (..., bands) light.
+
+        Returns:
+            (..., bands) DN^2 of the photons, and the dark current's electrons with them, of the
+            read-out and of rounding.
+        """
+        sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
+        whole = signal_variance(sensor, prediction)
+        gain = jnp.ones(()) if sensor.gain is None else sensor.gain
+        read = jnp.broadcast_to(gain**2 * read_out_variance(sensor, dtype=whole.dtype), whole.shape)
+        rounding = jnp.full_like(whole, 0 if sensor.bits is None else QUANTISATION_VARIANCE)
+        return {"photons": whole - read - rounding, "read noise": read, "rounding": rounding}
 
     def _mean(self, prediction: Array) -> Array:
         """Signal before it is clipped, DN."""

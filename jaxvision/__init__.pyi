@@ -21,6 +21,7 @@ from . import (
     io as io,
     lights as lights,
     matting as matting,
+    material_files as material_files,
     measured_files as measured_files,
     mesh_files as mesh_files,
     optics as optics,
@@ -126,6 +127,7 @@ from .brdf.torrance_sparrow import (
 )
 from .camera_files import (
     read_camera as read_camera,
+    write_camera as write_camera,
     shipped_cameras as shipped_cameras,
 )
 from .colour_filters import (
@@ -196,6 +198,10 @@ from .lights.orders import (
 )
 from .lights.polygon import (
     rectangle_irradiance as rectangle_irradiance,
+)
+from .material_files import (
+    read_material as read_material,
+    write_material as write_material,
 )
 from .measured_files import (
     read_measured as read_measured,

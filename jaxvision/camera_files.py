@@ -20,19 +20,16 @@ of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
 from importlib.resources import files
 from pathlib import Path
-from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
 from .colour_data import camera_sensitivities, wavelength_grid
-from .colour_filters import bayer
-from .errors import InputError, nearest
+from .errors import InputError
+from .record_files import check_keys, record_of, table_of, with_draws, write_draws, write_tables
 from .scene import Camera
 
 _TABLES = ("view", "sensor", "development")
@@ -54,7 +51,10 @@ def shipped_cameras() -> tuple[str, ...]:
 
 
 def read_camera(
-    source: str | os.PathLike[str], *, wavelengths: Float[Array, " bands"] | None = None
+    source: str | os.PathLike[str],
+    *,
+    wavelengths: Float[Array, " bands"] | None = None,
+    draws: int | None = None,
 ) -> Camera:
     """Reads a camera from a TOML file, or a shipped camera by its name.
 
@@ -62,9 +62,11 @@ def read_camera(
         source: path of the file, or one of `shipped_cameras`.
         wavelengths: (bands,) m, instead of those of the file, for a camera with measured spectral
             sensitivities.
+        draws: how many of the draws of a fitted camera, which lie beside its file; None for the
+            best fit.
 
     Returns:
-        The camera.
+        The camera; with draws, every number of it has a leading axis, for `jax.vmap`.
 
     Raises:
         InputError: there is no such file, it is not TOML, or it holds an unknown key or a value
@@ -78,7 +80,7 @@ def read_camera(
 
     file = _found(source)
     content, place = read_toml(file, "camera"), str(file)
-    _check_keys(place, "", content, (*_TABLES, "bands", "about"))
+    check_keys(place, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
             raise InputError(f"{place}: the table [{name}] is missing; add it.")
@@ -87,7 +89,40 @@ def read_camera(
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])
     tables["sensor"] = _with_sensitivities(place, content["sensor"], wavelengths)
-    return _record(place, "", Camera, tables)
+    camera = record_of(place, "", Camera, tables)
+    return camera if draws is None else with_draws(file, camera, draws)
+
+
+def write_camera(
+    camera: Camera, file: str | os.PathLike[str], *, draws: Camera | None = None, about: str = ""
+) -> None:
+    """Writes a camera that `read_camera` reads back, bit-equal.
+
+    Args:
+        camera: the best fit, say.
+        file: ending in .toml; missing folders are made.
+        draws: the same camera with a leading axis at every number, one draw each; they are written
+            beside the file, ending in .npz.
+        about: a word on where it comes from.
+
+    Raises:
+        InputError: for draws of another camera, and a file of another ending.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file, camera = mkdtemp() + "/mine.toml", jv.read_camera("ideal")
+        >>> jv.write_camera(camera, file)
+        >>> float(jv.read_camera(file).sensor.gain) == float(camera.sensor.gain)
+        True
+    """
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a camera file ends in .toml.")
+    content = table_of(camera)
+    del content["kind"]
+    write_tables(path, ({"about": about} if about else {}) | content)
+    if draws is not None:
+        write_draws(path, camera, draws)
 
 
 def _found(source: str | os.PathLike[str]) -> Path:
@@ -105,7 +140,7 @@ def _found(source: str | os.PathLike[str]) -> Path:
 def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:
     if not isinstance(table, Mapping):
         raise InputError(f"{place}: bands must be a table of first, last and step.")
-    _check_keys(place, "bands", table, _BANDS)
+    check_keys(place, "bands", table, _BANDS)
     if any(not isinstance(table.get(name), int | float) for name in _BANDS):
         raise InputError(f"{place}: bands needs the numbers first, last and step in m; give them.")
     try:
@@ -142,93 +177,3 @@ def _with_sensitivities(
         table["photon_conversion"] = {"wavelength": wavelengths} | dict(conversion)
     table["colour_filter"] = colours
     return table
-
-
-def _record(place: str, where: str, kind: type, table: Mapping[str, Any]) -> Any:
-    """The record of that kind from its table; tables within it become records too."""
-    hints = get_type_hints(kind)
-    known = {field.name: field for field in fields(kind)}
-    _check_keys(place, where, table, known)
-    values = {}
-    for name, value in table.items():
-        inside = f"{where}.{name}".lstrip(".")
-        if isinstance(value, Mapping):
-            values[name] = _chosen_record(place, inside, hints[name], value)
-        elif _holds_records_only(hints[name]):
-            kinds = " or ".join(kind.__name__ for kind in _records(hints[name]))
-            raise InputError(
-                f"{place}: {inside} must be the table of a {kinds}, got {value!r}; head it "
-                f"[{inside}]."
-            )
-        elif known[name].metadata.get("static"):
-            values[name] = _static(place, inside, value)
-        else:
-            values[name] = _number(place, inside, value)
-    for name, field in known.items():
-        required = field.default is MISSING and field.default_factory is MISSING
-        if required and name not in values:
-            raise InputError(f"{place}: {where}.{name} is missing; add it.")
-    try:
-        return kind(**values)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{place}: {error}") from error
-
-
-def _chosen_record(place: str, where: str, annotation: Any, table: Mapping[str, Any]) -> Any:
-    """The record of a field: the only kind possible, or the one that the key `kind` names."""
-    kinds = {kind.__name__: kind for kind in _records(annotation)}
-    if not kinds:
-        raise InputError(f"{place}: {where} is a number, not a table; write {where} = ....")
-    rest = dict(table)
-    name = rest.pop("kind", next(iter(kinds)) if len(kinds) == 1 else None)
-    if name is None:
-        raise InputError(f"{place}: {where}.kind is missing; use one of {', '.join(kinds)}.")
-    if not isinstance(name, str) or name not in kinds:
-        hint = nearest(str(name), kinds)
-        raise InputError(f"{place}: {where}.kind = {name!r} is unknown; {hint}.")
-    return _record(place, where, kinds[name], rest)
-
-
-def _records(annotation: Any) -> tuple[type, ...]:
-    """The records in an annotation, which may be a union."""
-    if get_origin(annotation) in (Union, UnionType):
-        return tuple(kind for part in get_args(annotation) for kind in _records(part))
-    is_record = isinstance(annotation, type) and issubclass(annotation, eqx.Module)
-    return (annotation,) if is_record else ()
-
-
-def _holds_records_only(annotation: Any) -> bool:
-    """Whether a field, apart from None, holds nothing but records."""
-    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
-    return all(part is type(None) or _records(part) for part in parts)
-
-
-def _number(place: str, where: str, value: Any) -> Any:
-    array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
-    numbers = array.ravel().tolist()
-    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in numbers):
-        raise InputError(f"{place}: {where} = {value!r} must be a number or numbers; correct it.")
-    try:
-        return np.reshape([float(x) for x in numbers], array.shape)
-    except OverflowError as error:
-        raise InputError(f"{place}: {where} is out of the range of numbers; correct it.") from error
-
-
-def _static(place: str, where: str, value: Any) -> Any:
-    """A static value as its record has it: lists become tuples, and "RGGB" its pattern."""
-    if where.endswith(".pattern") and isinstance(value, str):
-        try:
-            return bayer(value)
-        except ValueError as error:
-            raise InputError(f"{place}: {where}: {error}") from error
-    if isinstance(value, list):
-        return tuple(_static(place, where, part) for part in value)
-    return value
-
-
-def _check_keys(place: str, where: str, table: Mapping[str, Any], known: Any) -> None:
-    for key in table:
-        if key not in known:
-            name = f"{where}.{key}".lstrip(".")
-            hint = nearest(key, known)
-            raise InputError(f"{place}: {name} is not a key of a camera file; {hint}.")

@@ -15,6 +15,8 @@ EAGER = {
     "jaxvision.errors",
     "jaxvision.accuracy",
     "jaxvision.camera_files",
+    "jaxvision.material_files",
+    "jaxvision.record_files",
     "jaxvision.mesh_files",
     "jaxvision.render_command",
     "jaxvision.render_command.job",

@@ -1,6 +1,6 @@
 """`Fit`: what a fit gives its user."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxvision.errors import InputError
+from jaxvision.errors import InputError, nearest
 
 from ..inference.estimates import Estimate
 from ..inference.likelihoods import with_noise_scaled
 from ..inference.misfit import Misfit
 from ..inference.posterior import Posterior, estimates
-from ..inference.problem import Problem, give, likelihood_at, prediction, values_from
+from ..inference.problem import (
+    Problem,
+    give,
+    likelihood_at,
+    prediction,
+    records_at,
+    values_from,
+)
 from ..inference.search import Optimum
 from ..report.formatting import format_interval, format_unit, format_value
+from .budget import Budget, Noise, budget
+from .information import Target
+from .plan import Plan, plan
 from .words import agreeing, prior_share
 
 LEVELS = (0.16, 0.84, 0.025, 0.975)
@@ -100,6 +110,45 @@ class Fit:
             begin += size
         return found
 
+    def record(self, name: str) -> Any:
+        """A record with the best fit in place, such as a camera.
+
+        Args:
+            name: of the record, as the problem has it.
+
+        Returns:
+            The record.
+
+        Raises:
+            InputError: for a name that is none.
+        """
+        return self._record_of(name, jnp.asarray(self.posterior.mode))
+
+    def records(self, name: str, *, draws: int = 200) -> Any:
+        """Draws of a record: it, with a leading axis at every number.
+
+        `jax.vmap` over it carries the uncertainty through any function of the record, and
+        `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` keeps it.
+
+        Args:
+            name: of the record, as the problem has it.
+            draws: how many.
+
+        Returns:
+            The record; every number has the shape (draws, ...).
+
+        Raises:
+            InputError: for a name that is none.
+        """
+        thinned = jnp.asarray(_thinned(self.posterior, draws))
+        return eqx.filter_vmap(lambda natural: self._record_of(name, natural))(thinned)
+
+    def _record_of(self, name: str, natural: Array) -> Any:
+        records = records_at(self.problem, values_from(self.problem, natural))
+        if name not in records:
+            raise InputError(f"There is no record {name!r}; {nearest(name, records)}.")
+        return jax.tree.map(jnp.asarray, records[name])
+
     def derived(self, function: Callable[..., Any], *, draws: int = 1000) -> Bands:
         """Something that follows from the parameters, with intervals: the draws pushed through it.
 
@@ -143,6 +192,62 @@ class Fit:
         return _bands(
             np.asarray(_simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )
+
+    def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
+        """What to measure next: candidates ranked by how far they would narrow a quantity.
+
+        Args:
+            candidates: inputs of each by name, as `predict` takes them.
+            target: what is to be known better: a free number by its name or the last part of its
+                path, or a JAX function to one number.
+            repeats: how often each would be measured.
+
+        Returns:
+            Expected standard deviation of the target after each, the smallest first.
+
+        Raises:
+            InputError: for inputs that predict cannot use, and a target that is none.
+
+        Example:
+            >>> from fitting import Gaussian, Parameter, Problem, fit
+            >>> line = Problem(
+            ...     {"base": Parameter(start=0.0), "slope": Parameter(start=0.0)},
+            ...     predict=lambda base, slope, inputs: base + slope * inputs,
+            ...     likelihood=Gaussian(sd=0.1),
+            ...     data=[1.0, 2.1],
+            ...     inputs=np.array([0.0, 1.0]),
+            ... )
+            >>> places = {"at 0.5": np.array([0.5]), "at 3": np.array([3.0])}
+            >>> fit(line).plan(places, target="slope").best
+            'at 3'
+        """
+        return plan(self, candidates, target, repeats=repeats)
+
+    def budget(
+        self,
+        target: Target,
+        *,
+        noise: Noise | None = None,
+        nuisances: Mapping[str, Sequence[str]] | None = None,
+    ) -> Budget:
+        """Where the uncertainty of a quantity comes from.
+
+        Args:
+            target: a free number by its name or the last part of its path, or a JAX function to
+                one number.
+            noise: variance of a datum by source, in the square of the data's unit: a number, an
+                array of the data's shape, or a function of the prediction; None takes those of the
+                sensor of `SensorNoise`, or all noise as one source.
+            nuisances: names of parameters whose priors count as one source, by its name
+                ({"lights": [...]}); every other parameter with a prior is a source of its own.
+
+        Returns:
+            Shares of the variance, which sum to 1.
+
+        Raises:
+            InputError: for sources that exceed the noise of the likelihood, and unknown names.
+        """
+        return budget(self, target, noise=noise, nuisances=nuisances)
 
     def to_arviz(self) -> Any:
         """The draws as ArviZ' InferenceData: array parameters keep their dimensions.

@@ -1,0 +1,215 @@
+"""Where an interval comes from: the variance of a quantity, divided by its sources.
+
+The best fit is, to first order, linear in the data and in the means of the priors. With the
+posterior covariance C, datum i of Fisher information F_i and variance v_i = sum_k v_ik, and a prior
+information P_m of each nuisance, a quantity of gradient g has the variance
+
+    g^T C g = sum_k g^T C (sum_i v_ik / v_i F_i) C g + sum_m g^T C P_m C g,
+
+each term what would be gone if its source had not been there when the data were taken, the weights
+of the fit unchanged (law of propagation: JCGM 100:2008, "Guide to the expression of uncertainty in
+measurement", 5.1). What a misfit adds to the covariance is the model's share.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError, nearest
+
+from ..inference.likelihoods import Clustered
+from ..inference.problem import Problem
+from .information import Target, expected_information, slope_of
+from .plan import in_words
+from .widening import predicted_at
+
+if TYPE_CHECKING:
+    from .result import Fit
+
+REST = "other noise"
+MODEL = "model"
+SURPLUS = 1e-6  # of a variance by which its sources may exceed it, for rounding
+Noise = Mapping[str, float | Array | np.ndarray | Callable[[Array], Any]]
+
+
+@dataclass(frozen=True)
+class Share:
+    """One source of uncertainty.
+
+    Attributes:
+        source: in words.
+        share: of the variance; all of them sum to 1.
+        sd: standard deviation that it alone would leave, in the unit of the target.
+    """
+
+    source: str
+    share: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The sources of a quantity's uncertainty, the largest first. Print it.
+
+    Attributes:
+        target: in words.
+        value: at the best fit, in its unit.
+        sd: its standard deviation.
+        shares: of its variance.
+    """
+
+    target: str
+    value: float
+    sd: float
+    shares: tuple[Share, ...]
+
+    def of(self, source: str) -> float:
+        """Share of one source.
+
+        Args:
+            source: its name.
+
+        Returns:
+            Of the variance.
+
+        Raises:
+            InputError: for a source that is none.
+        """
+        known = {share.source: share.share for share in self.shares}
+        if source not in known:
+            raise InputError(f"No source {source!r}; {nearest(source, known)}.")
+        return known[source]
+
+    def __str__(self) -> str:
+        width = max(len(share.source) for share in self.shares)
+        rows = [
+            f"  {s.source.ljust(width)}  {100 * s.share:6.1f} %  ± {s.sd:.3g}" for s in self.shares
+        ]
+        return "\n".join([f"{self.target} = {self.value:.5g} ± {self.sd:.2g}, from", *rows])
+
+
+def budget(
+    fit: "Fit",
+    target: Target,
+    *,
+    noise: Noise | None = None,
+    nuisances: Mapping[str, Sequence[str]] | None = None,
+) -> Budget:
+    """Divides the variance of a quantity by its sources.
+
+    Args:
+        fit: of the data.
+        target: a free number by its name, or a JAX function to one number.
+        noise: variance of a datum by source, in the square of the data's unit: a number, an array
+            of the data's shape, or a function of the prediction; what they leave of the
+            likelihood's variance is "other noise". None takes those of the sensor of `SensorNoise`
+            (photons, read noise, rounding), or all as one.
+        nuisances: names of parameters whose priors count as one source, by its name; every other
+            parameter with a prior is a source of its own.
+
+    Returns:
+        The budget, whose shares sum to 1.
+
+    Raises:
+        InputError: for sources that exceed the noise of the likelihood, and unknown names.
+    """
+    problem, vector = fit.problem, fit.optimum.vector
+    value, slope = slope_of(problem, target, vector)
+    named = _shares_of_data(problem, vector, noise)
+    parts = expected_information(
+        problem, vector, np.stack(list(named.values())), seed=fit.posterior.seed
+    )
+    prior = fit.optimum.prior_information
+    stated = np.linalg.inv(parts.sum(axis=0) / fit.noise**2 + prior)
+    along = stated @ slope
+    terms = {
+        name: float(along @ part @ along) / fit.noise**4
+        for name, part in zip(named, parts, strict=True)
+    }
+    model = sum(terms.values()) * (fit.noise**2 - 1)
+    terms |= _of_priors(problem, prior, along, nuisances or {})
+    model += _of_groups(fit, slope, stated)
+    if model:
+        terms[MODEL] = model
+    total = sum(terms.values())
+    found = [Share(name, x / total, float(np.sqrt(max(x, 0)))) for name, x in terms.items()]
+    ranked = tuple(sorted(found, key=lambda share: -share.share))
+    return Budget(in_words(target), value, float(np.sqrt(total)), ranked)
+
+
+def _shares_of_data(
+    problem: Problem, vector: np.ndarray, noise: Noise | None
+) -> dict[str, Float[np.ndarray, " data"]]:
+    """Of each datum's variance, by source."""
+    shape = problem.data.shape
+    present = np.ones(shape) if problem.present is None else np.asarray(problem.present, float)
+    predicted, likelihood = predicted_at(jnp.asarray(vector, problem.data.dtype), problem)
+    sources = getattr(likelihood, "noise_sources", None)
+    if noise is None:
+        if sources is None:
+            return {"noise": present.ravel()}
+        parts = {name: np.asarray(x) for name, x in sources(predicted).items()}
+        variance = sum(parts.values())
+    else:
+        variance = _variance(likelihood)
+        parts = {
+            name: np.asarray(part(predicted) if callable(part) else part, np.float64)
+            for name, part in noise.items()
+        }
+    shares = {
+        name: present * np.broadcast_to(part / variance, shape) for name, part in parts.items()
+    }
+    rest = present - sum(shares.values())
+    if (rest < -SURPLUS).any():
+        raise InputError(
+            f"The sources of noise, {', '.join(parts)}, have together more variance than the "
+            "likelihood: check their unit, the square of the data's."
+        )
+    if (rest > SURPLUS).any():
+        shares[REST] = rest
+    return {name: share.ravel() for name, share in shares.items()}
+
+
+def _variance(likelihood: Any) -> np.ndarray:
+    for inside in (likelihood, getattr(likelihood, "likelihood", None)):
+        if inside is not None and hasattr(inside, "sd"):
+            return np.asarray(inside.sd, np.float64) ** 2
+    raise InputError(
+        f"noise: {type(likelihood).__name__} states no standard deviation to divide; leave noise "
+        "out."
+    )
+
+
+def _of_priors(
+    problem: Problem, prior: np.ndarray, along: np.ndarray, nuisances: Mapping[str, Sequence[str]]
+) -> dict[str, float]:
+    """g^T C P_m C g of each source; the priors are independent, their information diagonal."""
+    each = np.diagonal(prior) * along**2
+    owner = {name: group for group, members in nuisances.items() for name in members}
+    known = {name for number in problem.space for name in (number.name, _whole(number.name))}
+    for unknown in owner.keys() - known:
+        raise InputError(f"nuisances: no free number {unknown!r}; {nearest(unknown, known)}.")
+    terms: dict[str, float] = dict.fromkeys(nuisances, 0.0)
+    for number, term in zip(problem.space, each, strict=True):
+        own = owner.get(number.name, owner.get(_whole(number.name)))
+        if own is None and term == 0:
+            continue
+        name = own or f"prior of {number.name}"
+        terms[name] = terms.get(name, 0.0) + float(term)
+    return terms
+
+
+def _whole(name: str) -> str:
+    """The array parameter of a number's name."""
+    return name.rpartition("[")[0] if name.endswith("]") else name
+
+
+def _of_groups(fit: "Fit", slope: np.ndarray, stated: np.ndarray) -> float:
+    """What errors that groups share add to the variance."""
+    if not isinstance(fit.problem.likelihood, Clustered):
+        return 0.0
+    return float(slope @ (fit.posterior.covariance - stated) @ slope)

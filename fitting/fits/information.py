@@ -1,0 +1,173 @@
+"""What data are expected to tell about the parameters: Fisher's information, datum by datum.
+
+    F = sum_i E[s_i s_i^T],    s_i = d ln p_i / d vector,
+
+exact where a likelihood is one of least squares, F = J^T J; else the mean over data drawn from the
+likelihood itself.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError, nearest
+
+from ..inference.likelihoods import Clustered
+from ..inference.problem import (
+    Problem,
+    Vector,
+    give,
+    least_squares_residuals,
+    likelihood_at,
+    log_likelihood_terms,
+    prediction,
+    values_at,
+)
+
+SCORES = 20_000  # squared, which the mean is taken of: 1 % of an element of F
+MOST_DRAWS = 2_000
+BATCH = 8  # draws evaluated at a time
+
+Target = str | Callable[..., Any]
+
+
+def expected_information(
+    problem: Problem,
+    vector: Float[np.ndarray, " parameters"],
+    weights: Float[np.ndarray, "parts data"],
+    *,
+    seed: int = 0,
+) -> Float[np.ndarray, "parts parameters parameters"]:
+    """Fisher's information of data that are yet to come, each datum weighted.
+
+    Args:
+        problem: whose data do not matter, but for those that are missing.
+        vector: (P,) unconstrained, taken for the truth.
+        weights: (parts, data) of each datum in each part.
+        seed: of the data drawn where the information is no closed form.
+
+    Returns:
+        (parts, P, P) on the unconstrained scale.
+    """
+    size = max(int(np.prod(problem.data.shape)), 1)
+    draws = int(np.clip(np.ceil(SCORES / size), 8, MOST_DRAWS))
+    exact = problem.likelihood.least_squares
+    keys = jax.random.split(jax.random.key(seed), 1 if exact else draws)
+    at = jnp.asarray(vector, problem.data.dtype)
+    found = _information(at, problem, jnp.asarray(weights, at.dtype), keys)
+    return np.asarray(found, np.float64)
+
+
+@eqx.filter_jit
+def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) -> Array:
+    def outer(slopes: Array) -> Array:
+        return jnp.einsum("kn,ni,nj->kij", weights, slopes, slopes)
+
+    if problem.likelihood.least_squares:
+        return outer(jax.jacfwd(least_squares_residuals)(vector, problem))
+    values = values_at(problem, vector)
+    likelihood, predicted = likelihood_at(problem, values), prediction(problem, values)
+
+    def one(key: Array) -> Array:
+        drawn = likelihood.draw(key, predicted)
+        new = eqx.tree_at(lambda p: p.data, problem, jnp.asarray(drawn, problem.data.dtype))
+        return outer(jax.jacfwd(lambda v: log_likelihood_terms(v, new).ravel())(vector))
+
+    return jnp.mean(jax.lax.map(one, keys, batch_size=BATCH), axis=0)
+
+
+def with_inputs(problem: Problem, inputs: Any) -> Problem:
+    """The same problem for data at other inputs, none of them missing.
+
+    Args:
+        problem: whose model and likelihood stay.
+        inputs: in place of its own.
+
+    Returns:
+        The problem, its data 0.
+
+    Raises:
+        InputError: for inputs that predict cannot use, or a likelihood that is none of other data.
+    """
+    if isinstance(problem.likelihood, Clustered):
+        raise InputError(
+            "Clustered: what a new group shares with none is not known; plan with the likelihood "
+            "inside."
+        )
+    arrays = jax.tree.map(jnp.asarray, inputs)
+
+    def at_origin(problem: Problem) -> Array:
+        values = values_at(problem, jnp.zeros(len(problem.space)))
+        return jnp.asarray(prediction(problem, values, inputs=arrays))
+
+    try:
+        shape = eqx.filter_eval_shape(at_origin, problem).shape
+    except InputError:
+        raise
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise InputError(
+            f"predict cannot use the inputs of a candidate: {str(error).splitlines()[0]}"
+        ) from error
+    return problem.with_data(np.zeros(shape), inputs=arrays)
+
+
+def slope_of(
+    problem: Problem, target: Target, vector: Float[np.ndarray, " parameters"]
+) -> tuple[float, Float[np.ndarray, " parameters"]]:
+    """A quantity and its gradient.
+
+    Args:
+        problem: whose parameters decide it.
+        target: a free number by its name, or by the last part of its path where that is one; or a
+            JAX function to one number, its arguments named as those of `predict`.
+        vector: (P,) unconstrained.
+
+    Returns:
+        Its value, in its unit, and (P,) its slopes by the unconstrained values.
+
+    Raises:
+        InputError: for a target that names no free number, or is more than one.
+    """
+    at = jnp.asarray(vector, problem.data.dtype)
+    if isinstance(target, str):
+        place = _place(problem, target)
+        value, slope = _gradient(at, problem, _number, jnp.asarray(place))
+    else:
+        value, slope = _gradient(at, problem, target, None)
+    return float(value), np.asarray(slope, np.float64)
+
+
+def _place(problem: Problem, target: str) -> int:
+    known = [number.name for number in problem.space]
+    found = [i for i, name in enumerate(known) if name == target]
+    found = found or [i for i, name in enumerate(known) if name.endswith(f".{target}")]
+    if len(found) != 1:
+        what = "names several numbers" if found else "is no free number"
+        raise InputError(f"target = {target!r} {what}; {nearest(target, known)}.")
+    return found[0]
+
+
+def _number(natural: Array, place: Array) -> Array:
+    return natural[place]
+
+
+@eqx.filter_jit
+def _gradient(
+    vector: Vector, problem: Problem, target: Callable[..., Any], place: Array | None
+) -> tuple[Array, Array]:
+    def of(vector: Array) -> Array:
+        values = values_at(problem, vector)
+        if place is not None:
+            free = jnp.concatenate([values[p.name].ravel() for p in problem.free])
+            return target(free, place)
+        found = jnp.asarray(give(problem, target, values, problem.inputs))
+        if found.size != 1:
+            raise InputError(f"A target is one number, got an array of shape {found.shape}.")
+        return found.reshape(())
+
+    return jax.value_and_grad(of)(vector)

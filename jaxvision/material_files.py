@@ -1,0 +1,83 @@
+"""One material as a TOML file: `kind`, the name of its record, and the record's fields.
+
+kind = "Phong"
+diffuse = [0.3]
+specular = [0.4]
+exponent = 25.0
+"""
+
+import os
+from inspect import ismodule
+from pathlib import Path
+
+from . import brdf
+from .errors import InputError, nearest
+from .record_files import record_of, table_of, with_draws, write_draws, write_tables
+from .scene import Material
+
+
+def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> Material:
+    """Reads a material from its file.
+
+    Args:
+        file: as `write_material` writes it.
+        draws: how many of the draws of a fitted material, which lie beside its file; None for the
+            best fit.
+
+    Returns:
+        The material; with draws, every number of it has a leading axis, for `jax.vmap`.
+
+    Raises:
+        InputError: there is no such file, or it holds an unknown key or a value out of range.
+    """
+    from .toml_files import read_toml
+
+    path = Path(file)
+    table = read_toml(path, "material")
+    name = str(table.pop("kind", ""))
+    kinds = _kinds()
+    if name not in kinds:
+        raise InputError(f"{path}: kind = {name!r} is no material; {nearest(name, kinds)}.")
+    material = record_of(str(path), "", kinds[name], table)
+    return material if draws is None else with_draws(path, material, draws)
+
+
+def write_material(
+    material: Material, file: str | os.PathLike[str], *, draws: Material | None = None
+) -> None:
+    """Writes a material that `read_material` reads back, bit-equal.
+
+    Args:
+        material: the best fit, say.
+        file: ending in .toml; missing folders are made.
+        draws: the same material with a leading axis at every number, one draw each; they are
+            written beside the file, ending in .npz.
+
+    Raises:
+        InputError: for draws of another material, and a file of another ending.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/matte.toml"
+        >>> jv.write_material(jv.Lambert(diffuse=(0.3,)), file)
+        >>> jv.read_material(file).diffuse.shape
+        (1,)
+    """
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a material file ends in .toml.")
+    write_tables(path, table_of(material))
+    if draws is not None:
+        write_draws(path, material, draws)
+
+
+def _kinds() -> dict[str, type[Material]]:
+    """The records of all families by their names."""
+    families = (getattr(brdf, name) for name in dir(brdf))
+    return {
+        kind.__name__: kind
+        for family in families
+        if ismodule(family)
+        for kind in vars(family).values()
+        if isinstance(kind, type) and issubclass(kind, Material) and kind is not Material
+    }
