@@ -1,4 +1,4 @@
-"""The `jaxvision` command: inspects image files and renders scene files.
+"""The `jaxvision` command: inspects image files, renders scene files, bounds their effects.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 The libraries that compute are imported when a command starts its work, so that `--help` and a
@@ -118,6 +118,14 @@ def render(
         ),
     ] = None,
     no_preview: Annotated[bool, typer.Option("--no-preview", help="Write the EXR only.")] = False,
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            help="Leave out what changes no pixel by more than this, of the level of radiance "
+            "(default: leave out nothing).",
+            metavar="SHARE%",
+        ),
+    ] = "",
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
@@ -129,7 +137,8 @@ def render(
     from rich.progress import TimeRemainingColumn as Remaining
 
     _use_double_precision()
-    from .render_command import render_to_file, with_resolution
+    from .effects.certificate import summary
+    from .render_command import pruned_for, render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
 
@@ -149,6 +158,7 @@ def render(
         if min(wanted) < 1:
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
         source = replace(source, view=with_resolution(source.view, wanted))
+    pruned = pruned_for(source, settings, tolerance) if tolerance else None
     console = Console(stderr=True, highlight=False)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
@@ -157,13 +167,83 @@ def render(
             source,
             out,
             settings,
+            pruned=pruned,
             preview=shown,
             fresh=fresh,
             advance=lambda done, total: progress.update(task, completed=done, total=total),
         )
+    if pruned is not None:
+        print(summary(pruned.certificate))
     print(f"Radiance: {out}")
     if shown is not None:
         print(f"Preview: {shown}")
+
+
+@app.command()
+@failures_as_sentences("jaxvision")
+def effects(
+    scene: Annotated[
+        str,
+        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+    ],
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="TOML camera file, or the name of a shipped camera: its sensor, behind the "
+            "scene's view.",
+            metavar="CAMERA",
+        ),
+    ] = "",
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            help="Say what may be left out: 1% of the level, 0.5DN or 0.1sigma.", metavar="AMOUNT"
+        ),
+    ] = "",
+    place: Annotated[float, typer.Option(help="Pixels by which anything may move.")] = 0.1,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What a fit may change, and between which values; may be given again.",
+            metavar="NAME=LOW,HIGH",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Say what each effect of a scene and a camera can change in the picture, at most."""
+    _use_double_precision()
+    from .camera_files import read_camera
+    from .effects import explain, parse
+    from .render_command import inspected, pruned_for
+    from .render_command.pruning import box_of, listed, smaller
+    from .scene_files import read_scene
+
+    goal = None
+    if tolerance:
+        goal = parse(tolerance, place=place)
+    source = read_scene(scene)
+    bands: Any = source.wavelengths
+    sensor = None if not camera else read_camera(camera, wavelengths=bands)
+    box = box_of(free or [])
+    if goal is None:
+        found = inspected(source, source.render, camera=sensor, free=box)
+        print(json.dumps([_told(e) for e in found], indent=2) if as_json else listed(found))
+        return
+    pruned = pruned_for(source, source.render, goal, camera=sensor, free=box)
+    certificate = pruned.certificate
+    if as_json:
+        sheet = {name: getattr(certificate, name) for name in ("total", "estimated", "place")}
+        sheet |= {"tolerance": goal.value, "unit": goal.unit, "level": certificate.level}
+        for name in ("dropped", "kept"):
+            sheet[name] = [_told(effect) for effect in getattr(certificate, name)]
+        print(json.dumps(sheet, indent=2, allow_nan=False))
+        return
+    print(explain(certificate)[:-1] + smaller(source, pruned))
+
+
+def _told(effect: Any) -> dict[str, Any]:
+    """An effect for JSON, which has no infinity."""
+    return {k: None if v == float("inf") else v for k, v in asdict(effect).items()}
 
 
 def _pair(option: str, text: str) -> tuple[int, int]:

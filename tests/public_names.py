@@ -21,6 +21,7 @@ EAGER = {
     "jaxvision.render_command",
     "jaxvision.render_command.job",
     "jaxvision.render_command.integrators",
+    "jaxvision.render_command.pruning",
     "jaxvision.render_command.tiles",
     "jaxvision.scene_checks",
     "jaxvision.scene_files",

@@ -10,3 +10,4 @@ from .certificate import (
 )
 from .development import lipschitz as lipschitz
 from .pruning import inspect as inspect, prune as prune
+from .size import equations as equations

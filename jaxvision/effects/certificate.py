@@ -160,7 +160,7 @@ class Certificate:
             for word, cells in _rows(self)
         )
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.assumptions)
-        last = escape(_summary(self))
+        last = escape(summary(self))
         return f"<table><tr>{head}</tr>{body}</table><p>{last}</p><ul>{notes}</ul>"
 
 
@@ -200,8 +200,15 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
             yield word, (effect.name, bound, f"{effect.place:.2g}", effect.rank, why)
 
 
-def _summary(certificate: Certificate) -> str:
-    """The last line of a table."""
+def summary(certificate: Certificate) -> str:
+    """A certificate in one sentence.
+
+    Args:
+        certificate: from `prune`.
+
+    Returns:
+        How much was dropped, and the bound in the certificate's unit (relative, DN or sigma).
+    """
     c, unit = certificate, "" if certificate.unit == "relative" else f" {certificate.unit}"
     count = len(c.dropped) + len(c.kept)
     line = (
@@ -235,4 +242,4 @@ def explain(certificate: Certificate) -> str:
         for row in table
     ]
     notes = [f"Assumed: {note}" for note in certificate.assumptions]
-    return "\n".join([*(line.rstrip() for line in lines), *notes, _summary(certificate)])
+    return "\n".join([*(line.rstrip() for line in lines), *notes, summary(certificate)])

@@ -59,7 +59,7 @@ def scene_stage(
     rows = [
         *(row for k in range(len(sums.sources)) for row in _of_light(sums, onward, k)),
         *(row for i in range(len(sums.surfaces)) for row in _of_surface(sums, onward, i)),
-        ambient(scene, sums),
+        ambient(scene, sums, onward),
     ]
     return tuple(rows), Arriving(top(sums, onward), *depths(sums)), sums
 
@@ -126,12 +126,12 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
     source, name = sums.sources[k], f"lights[{k}]"
     amount = pictured(sums, onward(sent(sums, k)))
     why = source.why or type(sums.lights[k].low).__name__
-    if source.kind == "area":
+    if source.kind == "area":  # among paths it hides light as well as sending it
         others = [sums.spectrum[m] for m, own in enumerate(sums.sources) if own.extended]
         behind = np.max(others, axis=0) * sums.k_mirror
         seen = by_surface_seen(sums)
         amount = np.maximum(amount, np.max(behind[seen], axis=0, initial=0))
-        if sums.visible[k]:
+        if sums.visible[k] or onward.depth is not None:
             amount = np.maximum(amount, top(sums, onward))
             why += ", may be seen"
     amount = np.maximum(amount, sums.shown[k])
@@ -327,10 +327,12 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
     return _row(f"surfaces[{i}].material.absorption", amount, drop, why)
 
 
-def ambient(scene: Ends[Scene], sums: Sums) -> Row:
+def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
     """k_a L_a of what is seen; transport leaves it out."""
     present = scene.low.ambient is not None
     own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
+    if onward.depth is not None:
+        own = 0 * own
     amount = pictured(sums, own[sums.cells.surface])
 
     def drop(draft: Draft) -> Draft:

@@ -2,9 +2,11 @@
 
 job          tile by tile, in memory that does not grow with the picture, and resumable
 integrators  the words of `[render] integrator` as functions from pixels to radiance
+pruning      the scene without what does not matter
 tiles        the unfinished picture on disk
 """
 
 from .job import band_names, render_to_file, with_resolution
+from .pruning import inspected, pruned_for
 
-__all__ = ["band_names", "render_to_file", "with_resolution"]
+__all__ = ["band_names", "inspected", "pruned_for", "render_to_file", "with_resolution"]

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..colour_spaces import luminance
+from ..effects import Pruned, explain
 from ..errors import InputError
 from ..io import check_writable, write_exr, write_image
 from ..point_ops import srgb_encode
@@ -30,6 +31,7 @@ from ..scene_files import SceneFile
 from ..scene_files.bands import colours_of
 from ..scene_files.schema import RenderEntry
 from .integrators import BY_PIXEL, passes_of, pixels_of
+from .pruning import left_of
 from .tiles import PartialImage, PartialSum
 
 ROWS = 64  # of the picture that are written or shown at once
@@ -45,6 +47,7 @@ def render_to_file(
     out: Path,
     settings: RenderEntry,
     *,
+    pruned: Pruned | None = None,
     preview: Path | None = None,
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
@@ -55,6 +58,8 @@ def render_to_file(
         source: the scene and its view.
         out: the EXR file, radiance in W m^-2 sr^-1.
         settings: integrator, samples and the rest of `[render]`.
+        pruned: the scene without what does not matter, from `pruned_for`; the file's head holds its
+            certificate. None: the whole scene.
         preview: an 8-bit picture as well, or None.
         fresh: whether to begin again where an earlier call with the same scene and settings left
             off; otherwise that part is kept and completed.
@@ -73,13 +78,13 @@ def render_to_file(
     _check_room(out, unfinished, source)
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
     try:
-        with whole(source, settings, unfinished, fresh, advance) as rows:
+        with whole(source, settings, pruned, unfinished, fresh, advance) as rows:
             write_exr(
                 out,
                 rows(),
                 shape=(*source.view.resolution, source.bands),
                 channels=band_names(source.bands, source.wavelengths),
-                attributes=_attributes(source, settings),
+                attributes=_attributes(source, settings, pruned),
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
@@ -109,15 +114,20 @@ def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
 
 @contextmanager
 def _in_tiles(
-    source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
+    source: SceneFile,
+    settings: RenderEntry,
+    pruned: Pruned | None,
+    unfinished: Path,
+    fresh: bool,
+    advance: Advance,
 ) -> Iterator[Rows]:
     """The picture tile by tile; the part that is done is deleted at the end of the block."""
     height, width = source.view.resolution
     tile = min(settings.tile, height * width)
     tiles = math.ceil(height * width / tile)
-    key, values = _key(source, settings), tile * source.bands
+    key, values = _key(source, settings, pruned), tile * source.bands
     with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
-        compute = pixels_of(source, settings)
+        compute = _pixels(source, settings, pruned)
         for index in range(partial.done, tiles):
             advance(index, tiles)
             pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
@@ -129,14 +139,19 @@ def _in_tiles(
 
 @contextmanager
 def _in_passes(
-    source: SceneFile, settings: RenderEntry, unfinished: Path, fresh: bool, advance: Advance
+    source: SceneFile,
+    settings: RenderEntry,
+    pruned: Pruned | None,
+    unfinished: Path,
+    fresh: bool,
+    advance: Advance,
 ) -> Iterator[Rows]:
     """The picture as the mean of its passes; the part that is done is deleted at the end of the
     block."""
     height, _ = source.view.resolution
     shape = (*source.view.resolution, source.bands)
-    partial = PartialSum(unfinished, key=_key(source, settings), shape=shape, fresh=fresh)
-    passes, compute = passes_of(source, settings)
+    partial = PartialSum(unfinished, key=_key(source, settings, pruned), shape=shape, fresh=fresh)
+    passes, compute = passes_of(*left_of(source, settings, pruned))
     for number in range(partial.done, passes):
         advance(number, passes)
         partial.add(compute(number))
@@ -144,6 +159,17 @@ def _in_passes(
     picture = (partial.total / passes).astype(np.float32)
     yield lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))
     partial.delete()
+
+
+def _pixels(
+    source: SceneFile, settings: RenderEntry, pruned: Pruned | None
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """`pixels_of` what is left of a scene, in all of its bands."""
+    compute = pixels_of(*left_of(source, settings, pruned))
+    if pruned is None or pruned.expand is None:
+        return compute
+    expand = pruned.expand.astype(np.float32)
+    return lambda rows, columns: compute(rows, columns) @ expand.T
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:
@@ -182,7 +208,7 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
     return tuple(f"band.{i:0{len(str(bands - 1))}d}" for i in range(bands))
 
 
-def _key(source: SceneFile, settings: RenderEntry) -> dict[str, Any]:
+def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dict[str, Any]:
     """Everything that the bits of the picture depend on, and for tiles their size."""
     unused = set() if settings.integrator in BY_PIXEL else {"tile"}
     return {
@@ -192,10 +218,13 @@ def _key(source: SceneFile, settings: RenderEntry) -> dict[str, Any]:
         "version of jaxvision": version("jaxvision"),
         "version of jax": jax.__version__,
         "device": jax.devices()[0].device_kind,
+        **({} if pruned is None else {"certificate": explain(pruned.certificate)}),
     }
 
 
-def _attributes(source: SceneFile, settings: RenderEntry) -> dict[str, str | int]:
+def _attributes(
+    source: SceneFile, settings: RenderEntry, pruned: Pruned | None
+) -> dict[str, str | int]:
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
     return {
         "Software": f"jaxvision {version('jaxvision')}",
@@ -204,6 +233,7 @@ def _attributes(source: SceneFile, settings: RenderEntry) -> dict[str, str | int
         "jaxvision:scene": source.path.name,
         "jaxvision:sceneSha256": source.digest,
         **{f"jaxvision:{name}": value for name, value in settings.model_dump().items()},
+        **({} if pruned is None else {"jaxvision:certificate": explain(pruned.certificate)}),
     }
 
 

@@ -1,0 +1,148 @@
+"""What `jaxvision effects` and `render --tolerance` ask: the effects of a scene file, and the scene
+without those that do not matter."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from .. import effects
+from ..effects import Effect, Pruned, Tolerance
+from ..errors import InputError
+from ..rendering import PixelSamples
+from ..scene import Camera, View
+from ..scene_files import SceneFile
+from ..scene_files.schema import RenderEntry
+
+_ENDLESS = 400  # pieces of paths that radiosity follows to their end
+Box = dict[str, tuple[Any, Any]]
+
+
+def _asked(settings: RenderEntry) -> dict[str, Any]:
+    """The samples and the depth of paths that an integrator stands for."""
+    samples, depth = None, None
+    if settings.samples > 1 or settings.integrator == "path":
+        samples = PixelSamples(jax.random.key(settings.seed), settings.samples)
+    match settings.integrator:
+        case "path" | "light":
+            depth = settings.depth
+        case "rays":
+            depth = settings.depth + 1
+        case "radiosity":
+            depth = _ENDLESS
+    return {"samples": samples, "depth": depth}
+
+
+def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
+    """The scene's view, before the camera's sensor if there is one."""
+    return source.view if camera is None else replace(camera, view=source.view)
+
+
+def inspected(
+    source: SceneFile,
+    settings: RenderEntry,
+    *,
+    camera: Camera | None = None,
+    free: Box | None = None,
+) -> tuple[Effect, ...]:
+    """The effects of a scene file.
+
+    Args:
+        source: the scene and its view.
+        settings: integrator, samples and the rest of `[render]`.
+        camera: whose sensor stands behind the scene's view, or None.
+        free: as in `effects.inspect`, in the unit of each field.
+
+    Returns:
+        One `Effect` each.
+    """
+    seen = _seen_by(source, camera)
+    return effects.inspect(source.scene, seen, free=free, **_asked(settings))
+
+
+def pruned_for(
+    source: SceneFile,
+    settings: RenderEntry,
+    tolerance: Tolerance | str,
+    *,
+    camera: Camera | None = None,
+    free: Box | None = None,
+) -> Pruned:
+    """A scene file without the effects that a tolerance allows to leave out.
+
+    Args:
+        source, settings, camera, free: as in `inspected`.
+        tolerance: relative, DN or sigma, as in `effects.prune`.
+
+    Returns:
+        What is left, with its certificate.
+    """
+    seen = _seen_by(source, camera)
+    return effects.prune(source.scene, seen, tolerance, free=free, **_asked(settings))
+
+
+def left_of(
+    source: SceneFile, settings: RenderEntry, pruned: Pruned | None
+) -> tuple[SceneFile, RenderEntry]:
+    """The scene file and the settings of what is left; lengths in m.
+
+    Args:
+        source: the whole scene.
+        settings: of the whole scene.
+        pruned: what is left of it; None: all.
+
+    Returns:
+        Both, of fewer bands where `pruned.expand` gives the others.
+    """
+    if pruned is None:
+        return source, settings
+    gone = {effect.name for effect in pruned.certificate.dropped}
+    names = tuple(n for k, n in enumerate(source.lights) if f"lights[{k}]" not in gone)
+    view = pruned.camera.view if isinstance(pruned.camera, Camera) else pruned.camera
+    bands = source.bands if pruned.expand is None else pruned.expand.shape[1]
+    left = replace(source, scene=pruned.scene, view=view, lights=names, bands=bands)
+    if pruned.depth is None or settings.integrator not in ("path", "light"):
+        return left, settings
+    return left, settings.model_copy(update={"depth": pruned.depth})
+
+
+def box_of(free: Sequence[str]) -> Box:
+    """`NAME=LOW,HIGH`, several times, as the box of a fit in the unit of each field."""
+    found: Box = {}
+    for text in free:
+        name, _, ends = text.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(","))
+        except ValueError:
+            raise InputError(
+                f"--free {text}: give a name and two numbers, as in "
+                "--free lights[0].intensity=0,10."
+            ) from None
+        found[name.strip()] = low, high
+    return found
+
+
+def listed(found: Iterable[Effect]) -> str:
+    """Effects as lines of text, each bound in its own unit, places in pixels."""
+    rows = [("effect", "bound", "", "pixels", "rank", "why")]
+    for effect in found:
+        none = math.isinf(effect.bound)
+        bound, unit = ("none", "") if none else (f"{effect.bound:.3g}", effect.unit)
+        why = effect.why if effect.present else "absent"
+        rows.append((effect.name, bound, unit, f"{effect.place:.2g}", effect.rank, why))
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    return "\n".join(
+        "  ".join([*(c.ljust(w) for c, w in zip(row[:5], widths, strict=True)), row[5]]).rstrip()
+        for row in rows
+    )
+
+
+def smaller(source: SceneFile, pruned: Pruned) -> str:
+    """By how much the program of direct light shrinks, in percent, as the end of a sentence."""
+    left, _ = left_of(source, source.render, pruned)
+    before, after = (effects.equations(own.scene, own.view) for own in (source, left))
+    share = 1 - after / np.maximum(before, 1)
+    return f"; program {100 * share:.0f} % smaller."

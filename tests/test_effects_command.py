@@ -1,0 +1,107 @@
+"""`jaxvision effects` and `render --tolerance`: what is printed, and what the file's head says."""
+
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from typer.testing import CliRunner
+
+from jaxvision.cli import app
+from jaxvision.io import read_image
+
+RUNNER = CliRunner()
+SCENE = """
+[camera]
+kind = "pinhole"
+position = [0, -4, 0.5]
+target = [0, 0, 0]
+resolution = [12, 16]
+field_of_view = 50
+
+[material.grey]
+family = "lambert"
+albedo = [0.2, 0.2, 0.2]
+
+[[surface]]
+shape = "sphere"
+centre = [0, 0, 0]
+radius = 1
+material = "grey"
+
+[[light]]
+kind = "point"
+position = [1, -2, 3]
+intensity = [10, 10, 10]
+
+[[light]]
+kind = "point"
+position = [0, -900, 0]
+intensity = [1, 1, 1]
+"""
+
+
+def run(*arguments):
+    """Exit status, standard output and standard error."""
+    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def scene(tmp_path):
+    file = tmp_path / "ball.toml"
+    file.write_text(SCENE)
+    return file
+
+
+def test_effects_are_listed(scene):
+    status, said, _ = run("effects", scene)
+    assert status == 0
+    assert "lights[1]" in said
+    assert "shadows[0]" in said
+    status, said, _ = run("effects", scene, "--json", "--free", "lights[1].intensity=0,5")
+    found = {effect["name"]: effect for effect in json.loads(said)}
+    assert status == 0
+    assert found["lights[1]"]["free"]
+    assert found["shadows[0]"]["rank"] == "exact"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--tolerance", "lots"], "a tolerance is a number and its unit"),
+        (["--tolerance", "1DN"], "needs a camera with a sensor"),
+        (["--free", "lights[0].intensity"], "give a name and two numbers"),
+        (["--free", "lights[0].intensty=0,1"], "the nearest is 'lights[0].intensity'"),
+    ],
+)
+def test_mistakes_are_one_sentence(scene, arguments, sentence):
+    status, _, said = run("effects", scene, *arguments)
+    assert status == 2
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_pruned_render_is_that_of_the_whole_scene_within_its_tolerance(scene, tmp_path):
+    whole, pruned = tmp_path / "whole.exr", tmp_path / "pruned.exr"
+    assert run("render", scene, "--out", whole, "--no-preview")[0] == 0
+    status, said, _ = run("render", scene, "--out", pruned, "--no-preview", "--tolerance", "1%")
+    assert status == 0
+    assert "Dropped 4 of 5" in said
+    a, b = (np.asarray(read_image(file), float) for file in (whole, pruned))
+    assert a.shape == b.shape
+    assert 0 < np.abs(a - b).max() <= 0.01 * a.max()
+    head = oiio.ImageInput.open(str(pruned)).spec()
+    assert "lights[1]" in head.getattribute("jaxvision:certificate")
+
+
+@pytest.mark.slow
+def test_what_may_be_left_out_is_said_last(scene):
+    _, said, _ = run("effects", scene, "--tolerance", "1%")
+    assert said.splitlines()[-1].startswith("Dropped 4 of 5: at most")
+    assert said.rstrip().endswith("% smaller.")
+    _, said, _ = run("effects", scene, "--camera", "emva1288", "--tolerance", "0.5DN", "--json")
+    assert json.loads(said)["unit"] == "DN"

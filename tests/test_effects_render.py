@@ -1,0 +1,87 @@
+"""Pruned scenes through `render`: the promise, equality at tolerance 0, smaller programs."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from oracles.direct_light import picture
+from oracles.random_scenes import random_scene
+
+import jaxvision as jv
+from jaxvision import effects
+
+GREY = jv.Lambert([0.25])
+FLOOR = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), GREY)
+DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+VIEW = jv.Pinhole([0, 0, 3], DOWN, 0.05, 0.05 / 16, resolution=(16, 16))
+POINT = jv.PointLight([0, 0, 2], [1.0])
+
+
+def primitives(scene):
+    return str(jax.make_jaxpr(jv.render)(scene, VIEW))
+
+
+def pruned(scene, tolerance="1%"):
+    return effects.prune(scene, VIEW, tolerance, level=1.0)
+
+
+def test_what_was_dropped_left_nothing_in_the_program():
+    """No search without occluders, no exponential without a lobe, one band where one tells all."""
+    ramp = np.linspace(0.1, 1, 31)
+    glossy = jv.Surface(FLOOR.shape, jv.GaussianLobe(0.1 * ramp, 1e-9 * ramp, 5.0))
+    second = jv.Surface(jv.Sphere([0, 0, 9], 0.1), jv.Lambert(0.1 * ramp))
+    scene = jv.Scene([glossy, second], jv.PointLight([0, 0, 2], 0 * ramp + 1))
+    left = pruned(scene)
+    before, after = primitives(scene), primitives(left.scene)
+    assert " exp " in before
+    assert " exp " not in after
+    assert left.scene.occluders == ()
+    assert left.scene.lights[0].intensity.shape == (1,)
+    assert effects.equations(left.scene, VIEW) < 0.6 * effects.equations(scene, VIEW)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_random_scenes_through_render(seed):
+    scene, view = random_scene(seed)
+    full = np.asarray(jax.jit(jv.render)(scene, view))
+    if not full.max() > 0:
+        return
+    left = effects.prune(scene, view, effects.Tolerance(1e-2), level=full.max())
+    small = np.asarray(jax.jit(jv.render)(left.scene, left.camera))
+    if left.expand is not None:
+        small = small @ left.expand.T
+    assert np.abs(small - full).max() <= (left.certificate.total + 1e-12) * full.max()
+    count, before = (effects.equations(s, view) for s in (left.scene, scene))
+    assert count <= before
+    if all(
+        isinstance(x, jv.PointLight | jv.SmallLight | jv.DirectionalLight) for x in scene.lights
+    ):
+        drawn = picture(*jax.tree.map(np.asarray, (scene, view)))
+        edges = np.abs(drawn - full).max(-1) > 1e-9 * full.max()
+        assert edges.mean() <= 0.02  # pixels at an edge, where rays start a rounding apart
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_tolerance_0_changes_nothing(seed):
+    scene, view = random_scene(seed)
+    left = effects.prune(scene, view, effects.Tolerance(0.0, place=0), level=1.0)
+    full = np.asarray(jax.jit(jv.render)(scene, view))
+    small = np.asarray(jax.jit(jv.render)(left.scene, left.camera))
+    if left.expand is not None:
+        small = small @ left.expand.T
+    assert all(effect.rank == "exact" for effect in left.certificate.dropped)
+    assert np.abs(small - full).max() <= 4 * np.spacing(full.max())
+
+
+def test_hundreds_of_surfaces_are_inspected_at_once():
+    rng = np.random.default_rng(0)
+    balls = [
+        jv.Surface(jv.Sphere(c, 0.02), jv.Phong([0.1], [0.1], 20.0))
+        for c in rng.uniform([-1, -1, 0], [1, 1, 1], (150, 3))
+    ]
+    scene = jv.Scene([FLOOR, *balls], [POINT, replace(POINT, position=[1.0, 1, 3])])
+    found = effects.inspect(scene, VIEW)
+    assert len(found) == 2 * 2 + 150 + 1
