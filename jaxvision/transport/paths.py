@@ -96,8 +96,8 @@ class Paths(eqx.Module):
 
 class _Path(eqx.Module):
     """A path under way: its ray, the weight of the light it will find, the radiance found so far,
-    the density of its direction (inf for a camera ray), the absorption around it (None where
-    nothing absorbs), and whether it continues."""
+    the density of its direction (inf from the camera and after a mirror or glass), the absorption
+    around it (None where nothing absorbs), and whether it continues."""
 
     ray: Ray
     weight: Bands
