@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from ._types import Image, Key, Scalar
 from .development import develop
+from .effects import Certificate, Tolerance, prune
 from .lights import Rule
 from .optics import sensor_irradiance
 from .rendering import PixelSamples, render
@@ -32,12 +33,14 @@ class Capture(eqx.Module):
         raw: (h, w, bands) DN, (h, w, 1) under a colour filter.
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
+        certificate: what was left out, where a tolerance was given; static.
     """
 
     radiance: Image
     irradiance: Image
     raw: Float[Array, "*batch h w channels"]
     picture: Float[Array, "*batch h w colours"] | None
+    certificate: Certificate | None = eqx.field(static=True, default=None)
 
 
 def capture(
@@ -50,6 +53,7 @@ def capture(
     samples: PixelSamples | None = None,
     motion: Motion | None = None,
     moments: int = 8,
+    tolerance: Tolerance | str | None = None,
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
@@ -67,19 +71,31 @@ def capture(
             exposure time.
         moments: static, how many times during the exposure are rendered for a motion;
             `sensor.exposure_slots` places them.
+        tolerance: how far the raw numbers may move by what is left out, as in `effects.prune`, such
+            as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then hold the
+            bands that were kept. None leaves nothing out.
 
     Returns:
-        Radiance, irradiance, raw numbers and the developed picture.
+        Radiance, irradiance, raw numbers and the developed picture; with a tolerance also the
+        certificate of what was left out.
 
     Raises:
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
-            without samples, unless its f_number is inf or traced.
+            without samples, unless its f_number is inf or traced; for traced records with a
+            tolerance.
     """
+    certificate = None
+    if tolerance is not None:
+        pruned = prune(scene, camera, tolerance, samples=samples, motion=motion, moments=moments)
+        assert isinstance(pruned.camera, Camera)
+        scene, camera, samples = pruned.scene, pruned.camera, pruned.samples
+        motion = None if pruned.moments is None else motion
+        certificate = pruned.certificate
     renderer = partial(render, rule=rule, samples=samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
-    return Capture(radiance, irradiance, raw, picture)
+    return Capture(radiance, irradiance, raw, picture, certificate)
 
 
 def _light_on_sensor(

@@ -41,7 +41,7 @@ def brightness(u, f_number=4.0, focus=2.0):
     return open_ * (1 + (u**2).sum(0)) ** -2
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_rim_takes_no_more_than_its_bound(seed):
     rng = np.random.default_rng(seed)
@@ -88,7 +88,7 @@ def test_distortion_of_zeros_is_exact():
     assert row.effect.rank == "exact"
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [5.0, 11.0])
 def test_diffraction_moves_no_pixel_by_more(n):
     """Random pictures and the worst one, a lit pixel in the dark; the kernel by other means, for

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -181,7 +181,7 @@ class Pruned:
 
     scene: Scene
     camera: Camera | View
-    samples: object | None
+    samples: Any
     moments: int | None
     expand: np.ndarray | None
     certificate: Certificate

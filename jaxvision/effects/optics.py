@@ -70,7 +70,7 @@ def optics_stage(
     if getattr(view.high, "diffraction", None) is not None:
         rows.append(_row("diffraction", *diffraction(view, irradiance, oversampling)))
     if isinstance(view.high, ThinLens):
-        rows.append(_defocus_row(view, grids, arriving, radiance, samples))
+        rows.append(_defocus_row(view, grids, arriving, radiance))
     if samples is not None:
         rows.append(samples_row(view, radiance))
     if oversampling > 1:
@@ -283,21 +283,16 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
     return grown + 6 * float(np.abs(np.asarray(tangential, float)).sum()) * steepest
 
 
-def _defocus_row(
-    view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray, samples: Any
-) -> Row:
+def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
     """A pinhole at the lens, with the sensor at its distance and as bright a picture."""
     lens = view.high
     assert isinstance(lens, ThinLens)
-    if samples is None:
-        moved, why = 0.0, "the aperture is closed: nothing is blurred"
-    else:
-        wider = 1.0
-        if grids.has("distortion"):
-            steepest = float(np.hypot(*grids.slopes()).max())
-            wider = stretch(lens, steepest) if grids.fixed else INF
-        moved = defocus(view, arriving.near, arriving.far, wider=wider)
-        why = f"blurred by {2 * moved:.3g} pixels at most, of {arriving.near:.3g} m and beyond"
+    wider = 1.0
+    if grids.has("distortion"):
+        steepest = float(np.hypot(*grids.slopes()).max())
+        wider = stretch(lens, steepest) if grids.fixed else INF
+    moved = defocus(view, arriving.near, arriving.far, wider=wider)
+    why = f"blurred by {2 * moved:.3g} pixels at most, of {arriving.near:.3g} m and beyond"
     if math.isinf(moved):
         why = "things may touch the lens: their blur is not bounded"
     parts = frozenset(f"view.{part}" for part in ("rim", "diffraction") if grids.has(part))

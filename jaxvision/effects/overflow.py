@@ -75,8 +75,9 @@ def excess(charge: Charge, level: float) -> Excess:
     if variance == 0:
         return Excess(above, above)
     log_tail = _log_tail(charge, level)
-    first = np.exp(np.min(log_tail - 1 - np.log(_SLOPES)))
-    second = np.exp(np.min(log_tail / 2 + np.log(2 / (math.e * _SLOPES))))
+    with np.errstate(over="ignore"):
+        first = np.exp(np.min(log_tail - 1 - np.log(_SLOPES)))
+        second = np.exp(np.min(log_tail / 2 + np.log(2 / (math.e * _SLOPES))))
     clipped_bias = charge.light * _tail_mean(charge.prnu)
     rms = min(math.hypot(math.sqrt(variance), above + clipped_bias), float(second))
     return Excess(min(rms, float(first)), rms)
