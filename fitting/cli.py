@@ -1,5 +1,5 @@
-"""The `jaxvision-fit` command: noise, response and reflectance from a folder of images, reflectance
-from files of measured BRDFs, and a demo that simulates such a folder first.
+"""The `jaxvision-fit` command: noise, response and reflectance from a folder of images, apart or
+together, reflectance from files of measured BRDFs, and a demo that simulates such a folder first.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 The libraries that compute are imported once the arguments, the paths and the rig are known to be
@@ -293,6 +293,37 @@ def _check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
         if value:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
+
+
+@_command
+def joint(
+    options: Options,
+    path: RigPath,
+    model: Annotated[Model, typer.Option(help="Model of the surface.")] = "phong",
+    index: Annotated[
+        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
+    ] = INDEX,
+    fit_gamma: Annotated[
+        bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
+    ] = False,
+) -> None:
+    """Surface, response, gain and noise in one posterior, from images of a known shape; what the
+    rig gives an _sd is uncertain."""
+
+    def calibrate_joint(reporter: Reporter) -> tuple[list, dict]:
+        rig = _rig(path, "a reflectance calibration")
+        from .joint.calibration import calibrate
+        from .joint.read import read_joint_measurement
+        from .joint.section import section
+
+        with reporter.step("reading images"):
+            measurement = read_joint_measurement(rig)
+        with reporter.step("fitting surface, response and sensor") as progress:
+            by = {"model": model, "index": index, "fit_gamma": fit_gamma}
+            calibration = calibrate(measurement, **by, **options.draws("joint", progress))
+        return [section(calibration)], {}
+
+    _run("Joint calibration", path, options, calibrate_joint)
 
 
 @_command

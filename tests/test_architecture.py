@@ -44,7 +44,7 @@ FITTING_FLOORS = [
     {"rig", "inference"},
     {"observation", "report"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
-    {"demo"},
+    {"demo", "joint"},
     {"cli"},
 ]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}
@@ -164,7 +164,7 @@ def test_a_calibration_goes_one_way(room):
 
 
 @pytest.mark.parametrize(
-    "folder", ["noise", "response", "reflectance/from_images", "reflectance/from_files"]
+    "folder", ["noise", "response", "reflectance/from_images", "reflectance/from_files", "joint"]
 )
 def test_the_stages_of_a_calibration_follow_each_other(folder):
     room = ROOT / "fitting" / folder

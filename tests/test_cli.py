@@ -41,7 +41,7 @@ def broken_rig(folder, **sections):
     return folder
 
 
-@pytest.mark.parametrize("command", ["noise", "response", "brdf"])
+@pytest.mark.parametrize("command", ["noise", "response", "brdf", "joint"])
 def test_a_folder_without_rig(command, tmp_path):
     status, _, stderr = run(command, tmp_path, "--out", tmp_path / "out")
     assert status == 2
@@ -51,7 +51,12 @@ def test_a_folder_without_rig(command, tmp_path):
 
 @pytest.mark.parametrize(
     ("command", "section"),
-    [("noise", "[[flat]]"), ("response", "[[exposure]]"), ("brdf", "[[light]]")],
+    [
+        ("noise", "[[flat]]"),
+        ("response", "[[exposure]]"),
+        ("brdf", "[[light]]"),
+        ("joint", "[[light]]"),
+    ],
 )
 def test_a_rig_without_the_section_a_command_needs(command, section, tmp_path):
     status, _, stderr = run(command, broken_rig(tmp_path / "rig"))

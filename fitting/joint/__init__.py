@@ -1,0 +1,5 @@
+"""Surface, response and sensor from the same images, in one posterior."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,93 @@
+"""Joint calibration of surface, response and sensor from the same images."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.errors import InputError
+
+from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.posterior import Posterior, laplace_or_emcee
+from ..reflectance.models import check_index
+from ..reflectance.names import INDEX, Model
+from .fit import JointFit, fit_channel
+from .model import Form, log_posterior
+from .read import JointMeasurement
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """One posterior a channel, of surface, response and sensor together.
+
+    Attributes:
+        measurement: what was calibrated.
+        model: of the surface, as asked for.
+        fits: of the channels.
+        posteriors: by channel, where the data with the priors determine every parameter.
+    """
+
+    measurement: JointMeasurement
+    model: Model
+    fits: tuple[JointFit, ...]
+    posteriors: dict[str, Posterior]
+
+
+def calibrate(
+    measurement: JointMeasurement,
+    *,
+    model: Model = "phong",
+    index: float = INDEX,
+    fit_gamma: bool = False,
+    sampling: SamplingOptions | None = None,
+    seed: int = 0,
+) -> JointCalibration:
+    """Reflectance, encoding, gain and noise from images of a known shape under known lights.
+
+    Args:
+        measurement: images, and flats and darks if there are any.
+        model: of the surface.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+        fit_gamma: free the encoding exponent, whatever the rig says of it.
+        sampling: how to draw the posterior by emcee; None for Laplace.
+        seed: of every draw.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: where too little is left to fit, and for numbers outside their range.
+    """
+    check_index(index)
+    if measurement.camera.gamma_sd is not None and measurement.camera.gamma is None:
+        raise InputError("camera.gamma_sd without camera.gamma: give both, or fit the gamma.")
+    form = Form(model, index)
+    fits = tuple(
+        fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
+        for channel in range(len(measurement.observation.channels))
+    )
+    posteriors = {
+        fit.channel: _posterior(fit, sampling, seed) for fit in fits if is_determined(fit)
+    }
+    return JointCalibration(measurement, model, fits, posteriors)
+
+
+def is_determined(fit: JointFit) -> bool:
+    """Whether the information of a fit can be inverted.
+
+    Args:
+        fit: of one channel.
+    """
+    return fit.converged and bool(np.linalg.eigvalsh(fit.information)[0] > 0)
+
+
+def _posterior(fit: JointFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
+    return laplace_or_emcee(
+        log_posterior,
+        fit.space,
+        jnp.asarray(fit.vector),
+        np.linalg.inv(fit.information),
+        fit.data,
+        sampling=for_group(sampling, fit.channel),
+        seed=seed,
+    )

@@ -1,0 +1,170 @@
+"""What a reader of a joint calibration must be told, in sentences and as tables."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..inference.diagnostics import listed
+from ..inference.parameters import names, prior_gaussian
+from ..inference.posterior import Posterior, convergence_in_words
+from ..report.section import Table
+from .calibration import JointCalibration
+from .fit import JointFit, image_errors
+from .model import JointData, log_posterior
+from .prediction import Score
+
+PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
+REACH = 2.0  # standard deviations at which the Gaussian is checked
+SKEWED = 0.5  # fall of the log density there, off what a Gaussian has, worth a word
+NOTABLE = 2.5  # standard deviations of an image's error worth a word
+
+
+def findings(calibration: JointCalibration) -> tuple[str, ...]:
+    """Assumptions, misfit, identifiability, what the priors alone tell, and convergence."""
+    return (
+        *calibration.measurement.observation.findings,
+        *calibration.measurement.findings,
+        *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),
+    )
+
+
+def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
+    one = len(calibration.fits) == 1
+    name = "" if one else f"{fit.channel}: "
+    found = []
+    if not fit.converged:
+        found.append("The fit did not converge; do not use its numbers.")
+    if fit.data.form.model != calibration.model:
+        found.append("No highlight is seen: the best fit has a specular amplitude of zero.")
+    if fit.unexplained is not None:
+        found.append(
+            f"The cells scatter more than noise and the errors that the rig names allow "
+            f"(chi-square per cell {fit.unexplained:.2f}); a relative misfit of "
+            f"{float(fit.values['misfit']):.2%} explains them: a surface that is not the model's, "
+            "or an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give."
+        )
+    if "system_gain" not in fit.data.known and fit.data.levels is None:
+        found.append(
+            "The gain is read off the scatter of the object's pixels: texture of the surface, or "
+            "unequal pixels without a prnu_sd, would raise it; flats in the rig tell them apart."
+        )
+    found += fit.identifiability.sentences
+    posterior = calibration.posteriors.get(fit.channel)
+    if posterior is None:
+        found.append("The data and the rig leave a direction open, so there are no intervals.")
+        return [f"{name}{sentence}" for sentence in found]
+    found += _prior_alone(posterior)
+    found += _image_findings(calibration, fit)
+    if not posterior.sampled:
+        found += laplace_faults(fit, posterior)
+    found.append(convergence_in_words(posterior))
+    return [f"{name}{sentence}" for sentence in found]
+
+
+def _prior_alone(posterior: Posterior) -> list[str]:
+    before = prior_gaussian(posterior.space)[1]
+    share = np.sqrt(np.diagonal(posterior.covariance)) / before
+    told = [name for name, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
+    if not told:
+        return []
+    return [f"What is said of {listed(told)} is what the rig states, hardly what the images show."]
+
+
+def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
+    """Images whose light is notably off."""
+    found = image_errors(fit)
+    if found is None or "light_scatter" not in fit.values:
+        return []
+    scale = float(fit.values["light_scatter"])
+    files = np.array(calibration.measurement.observation.files)[fit.grid.lights]
+    mean = found[0][:, 0]
+    relative = mean * np.asarray(fit.data.relative["light_scatter"]) * scale
+    worst = int(np.argmax(np.abs(mean)))
+    if abs(mean[worst]) < NOTABLE:
+        return []
+    word = "brighter" if relative[worst] > 0 else "darker"
+    return [
+        f"{files[worst]} is {abs(relative[worst]):.1%} {word} than its intensity says, "
+        f"{abs(mean[worst]):.1f} times the usual error of a light."
+    ]
+
+
+def laplace_faults(fit: JointFit, posterior: Posterior) -> list[str]:
+    """Where Laplace's Gaussian misjudges a parameter: the log density two standard deviations
+    either way along the direction in which the others follow it.
+
+    Args:
+        fit: of one channel.
+        posterior: its Laplace approximation.
+
+    Returns:
+        One sentence, or none.
+    """
+    covariance = posterior.covariance
+    directions = covariance / np.sqrt(np.diagonal(covariance))[None]
+    ends = np.concatenate([directions.T, -directions.T]) * REACH + fit.vector
+    density = _log_posteriors(jnp.asarray(np.vstack([fit.vector, ends])), fit.data)
+    fall = np.asarray(density[0] - density[1:]).reshape(2, -1)
+    off = np.max(np.abs(fall - REACH**2 / 2), axis=0)
+    told = [name for name, x in zip(names(fit.space), off, strict=True) if not x < SKEWED]
+    if not told:
+        return []
+    return [
+        f"The posterior of {listed(told)} is skewed or heavy-tailed, which Laplace's intervals "
+        "do not show: --mcmc draws from the posterior itself."
+    ]
+
+
+@eqx.filter_jit
+def _log_posteriors(vectors: Array, data: JointData) -> Array:
+    return jax.lax.map(lambda vector: log_posterior(vector, data), vectors)
+
+
+def score_table(scores: tuple[Score, ...]) -> Table:
+    """Errors of the predicted images, and how many pixels lie within the predicted bands."""
+    return Table(
+        title="Predicted images",
+        columns=(
+            "channel",
+            "error, fitted lights [%]",
+            "error, unseen lights [%]",
+            "within 95 % band, fitted [%]",
+            "within 95 % band, unseen [%]",
+        ),
+        rows=tuple(
+            (
+                s.channel,
+                *(_percent(x) for x in (s.fitted_error, s.unseen_error)),
+                *(_percent(x) for x in (s.fitted_share, s.unseen_share)),
+            )
+            for s in scores
+        ),
+        caption="RMS of predicted less measured over the RMS of the signal above black. The band "
+        "is that of one pixel: noise, parameters and the errors that lights share.",
+    )
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def misfit_table(calibration: JointCalibration) -> Table:
+    """Chi-square of the cells, by channel."""
+    return Table(
+        title="Fit",
+        columns=("channel", "χ² per cell", "cells", "patches of the object", "misfit"),
+        rows=tuple(
+            (
+                fit.channel,
+                fit.chi_square,
+                fit.cells,
+                len(fit.grid.count),
+                float(fit.values["misfit"]) if "misfit" in fit.values else None,
+            )
+            for fit in calibration.fits
+        ),
+        caption="A patch is a set of pixels of like normals, a cell a patch in one image. A dash "
+        "stands for what is not needed.",
+    )

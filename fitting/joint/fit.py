@@ -1,0 +1,264 @@
+"""The fit of one channel: a start by variable projection, then Newton's method on the marginal
+posterior, about a reference that is moved to the best model once. Where the cells scatter more than
+noise and the errors that the rig names allow, a relative misfit is added, and said.
+"""
+
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.diagnostics import Identifiability, identifiability
+from ..inference.newton import NewtonSolution, minimise
+from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstrained
+from ..reflectance.models import shape_of
+from . import marginal
+from .cells import Grid, cell_width, make_grid, reduce_images
+from .model import (
+    Cells,
+    Form,
+    JointData,
+    Levels,
+    Prediction,
+    Values,
+    cell_errors,
+    cost,
+    log_likelihood,
+    predicted,
+    values_at,
+    weights,
+)
+from .read import JointMeasurement, UniformLevels
+from .start import first_noise, first_reflectance, parameters, scatter_scales
+
+FEWEST_CELLS = 50
+EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
+FIRST_MISFIT = 0.01
+MOST_ROUNDS = 8
+AT_REST = 0.05  # standard deviations by which the reference may miss the best model
+MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0)
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A fitted channel.
+
+    Attributes:
+        channel: name.
+        data: with the cells about the best model.
+        grid: of the cells.
+        vector: (P,) unconstrained.
+        information: (P, P) of the posterior on that scale.
+        identifiability: of the likelihood alone.
+        chi_square: of the cells' means, per cell.
+        cells: how many there are, over all images.
+        unexplained: chi-square per cell before a misfit was allowed; None where none was needed.
+        converged: whether the optimum was reached.
+    """
+
+    channel: str
+    data: JointData
+    grid: Grid
+    vector: Float[np.ndarray, " parameters"]
+    information: Float[np.ndarray, "parameters parameters"]
+    identifiability: Identifiability
+    chi_square: float
+    cells: int
+    unexplained: float | None
+    converged: bool
+
+    @property
+    def space(self) -> ParameterSpace:
+        return self.data.space
+
+    @property
+    def values(self) -> Values:
+        """All numbers by name, in their own units."""
+        return values_at(jnp.asarray(self.vector), self.data)
+
+
+def fit_channel(
+    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+) -> JointFit:
+    """Best fit of one channel.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        form: of the fit; it becomes Lambert's where no highlight is seen.
+        fit_gamma: whether the encoding exponent is free.
+
+    Returns:
+        The fit.
+
+    Raises:
+        InputError: where too little is left to fit.
+    """
+    grid, data, vector = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
+    data, solution = _rounds(measurement, channel, grid, data, vector)
+    chi_square, cells = _chi_square(solution.vector, data)
+    unexplained = None
+    if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
+        unexplained = chi_square
+        space = (*data.space, MISFIT)
+        first = to_unconstrained((MISFIT,), jnp.asarray([FIRST_MISFIT]))
+        vector = jnp.concatenate([solution.vector, first])
+        data, solution = _rounds(measurement, channel, grid, replace(data, space=space), vector)
+        chi_square, cells = _chi_square(solution.vector, data)
+    by_data = np.asarray(_data_information(solution.vector, data), np.float64)
+    return JointFit(
+        channel=measurement.observation.channels[channel],
+        data=data,
+        grid=grid,
+        vector=np.asarray(solution.vector, np.float64),
+        information=np.asarray(solution.information, np.float64),
+        identifiability=identifiability(data.space, by_data),
+        chi_square=chi_square,
+        cells=cells,
+        unexplained=unexplained,
+        converged=bool(solution.converged),
+    )
+
+
+def _prepared(
+    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+) -> tuple[Grid, JointData, Array]:
+    """The cells of one channel about a first model, and that model, unconstrained."""
+    form, start = first_reflectance(measurement, channel, form, fit_gamma=fit_gamma)
+    space, known = parameters(measurement, channel, form, start, fit_gamma=fit_gamma)
+    start = start | first_noise(measurement, channel, start.get("gamma"))
+    shape = None if form.model == "lambert" else start[shape_of(form.model).name]
+    observation = measurement.observation
+    scales = scatter_scales(measurement)
+    grid = make_grid(
+        observation,
+        channel,
+        width=cell_width(form, shape),
+        turns="direction_scatter" in scales,
+    )
+    natural = {name: start[name] for name in names(space)} | known
+    data = JointData(
+        space=space,
+        form=form,
+        known={name: jnp.asarray(value) for name, value in known.items()},
+        cells=_reduced(measurement, channel, grid, natural, form),
+        levels=_levels(measurement, channel),
+        white=jnp.asarray(observation.white),
+        relative={
+            name: jnp.asarray(size[grid.lights])
+            for name, (_, size) in scales.items()
+            if name != "prnu"
+        },
+    )
+    _refuse_too_little(measurement, data)
+    vector = to_unconstrained(space, jnp.asarray([natural[name] for name in names(space)]))
+    return grid, data, vector
+
+
+def _rounds(
+    measurement: JointMeasurement, channel: int, grid: Grid, data: JointData, vector: Array
+) -> tuple[JointData, NewtonSolution]:
+    """The optimum, with cells about it: the reference follows until it has come to rest."""
+    solution = minimise(cost, vector, data)
+    for _ in range(MOST_ROUNDS):
+        reference = solution.vector
+        natural = {k: float(v) for k, v in values_at(reference, data).items()}
+        cells = _reduced(measurement, channel, grid, natural, data.form)
+        data = eqx.tree_at(lambda d: d.cells, data, cells)
+        solution = minimise(cost, reference, data)
+        moved = np.asarray(solution.vector - reference)
+        if moved @ np.asarray(solution.information) @ moved < AT_REST**2:
+            break
+    return data, solution
+
+
+def _reduced(
+    measurement: JointMeasurement, channel: int, grid: Grid, natural: dict[str, float], form: Form
+) -> Cells:
+    reference = {name: jnp.asarray(value) for name, value in natural.items()}
+    products = measurement.camera.prnu_sd is not None
+    return reduce_images(measurement.observation, channel, grid, reference, form, products=products)
+
+
+def _levels(measurement: JointMeasurement, channel: int) -> Levels | None:
+    if measurement.levels is None:
+        return None
+    of: UniformLevels = measurement.levels[channel]
+    return Levels(*(jnp.asarray(a) for a in (of.mean, of.variance, of.freedom)))
+
+
+def _refuse_too_little(measurement: JointMeasurement, data: JointData) -> None:
+    cells = int(jnp.sum(data.cells.count > 0))
+    if cells < FEWEST_CELLS:
+        raise InputError(
+            f"only {cells} patches of the object are lit and clear of black and of saturation "
+            f"({measurement.observation.clip:g} DN); expose differently, or correct "
+            "camera.black_level and camera.saturation."
+        )
+
+
+@eqx.filter_jit
+def _predicted(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
+    values = values_at(vector, data)
+    model = predicted(values, data, data.cells)
+    return model, weights(values, data.cells, model), cell_errors(values, data.cells, model)
+
+
+def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
+    """Of the cells' means, per cell; and how many cells there are."""
+    model, weight, of_cells = _predicted(vector, data)
+    cells = int(jnp.sum(weight > 0))
+    found = _quadratic(data.cells.mean - model.mean, weight, model.image_errors, of_cells)
+    return float(found) / (cells - len(data.space)), cells
+
+
+@eqx.filter_jit
+def _quadratic(
+    residual: Array, weight: Array, image_errors: Array | None, cells: Array | None
+) -> Array:
+    return marginal.chi_square(residual, weight, image_errors=image_errors, cell_errors=cells)
+
+
+@eqx.filter_jit
+def _data_information(vector: Array, data: JointData) -> Array:
+    return -jax.hessian(log_likelihood)(vector, data)
+
+
+def image_errors(
+    fit: JointFit,
+) -> tuple[Float[np.ndarray, "images errors"], Float[np.ndarray, "images errors"]] | None:
+    """The errors of each image that the fit sees, in units of their scale.
+
+    Args:
+        fit: of one channel.
+
+    Returns:
+        Means and standard deviations, (images, errors); None where the rig names none.
+    """
+    model, weight, of_cells = predicted_cells(fit)
+    if model.image_errors is None:
+        return None
+    residual = fit.data.cells.mean - model.mean
+    found = eqx.filter_jit(marginal.image_error_means)(
+        residual, weight, model.image_errors, cell_errors=of_cells
+    )
+    mean, spread = (np.asarray(a) for a in found)
+    return mean, spread
+
+
+def predicted_cells(fit: JointFit) -> tuple[Prediction, Array, Array | None]:
+    """What a fit says of its own cells.
+
+    Args:
+        fit: of one channel.
+
+    Returns:
+        The prediction, the cells' weights in DN^-2, and what the gains of their pixels do in DN;
+        None where pixels are alike.
+    """
+    return _predicted(jnp.asarray(fit.vector), fit.data)

@@ -1,0 +1,177 @@
+"""Gaussian data with errors that are shared, the shared errors integrated out in closed form.
+
+A table of images j and cells c of pixels,
+
+    r_jc = e_jc + sum_k H_jkc u_jk + G_jc g_c,        e ~ N(0, 1 / w),   u, g ~ N(0, 1)
+
+has the density of r alone by Woodbury's identity: u_jk is an error of a whole image (its light, its
+direction, its stray light) and g_c one of a cell of pixels in all images (their gains). With W the
+weights, D = 1 + sum_j w G^2 and everything about g removed first, what is left to invert is
+
+    M = 1 + H'W H - (H'W G) D^-1 (G'W H)
+
+with as many rows as there are image errors: block by block where nothing ties the images together.
+The shared errors are never parameters: with their scale free they have no joint maximum.
+
+Source:
+    Woodbury, "Inverting Modified Matrices", 1950; Searle, Casella & McCulloch, "Variance
+    Components", 1992, chapter 6.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_solve, solve_triangular
+from jaxtyping import Array, Float
+
+Table = Float[Array, "images cells"]
+ImageErrors = Float[Array, "images errors cells"]
+
+
+def log_density(
+    residual: Table,
+    weight: Table,
+    *,
+    image_errors: ImageErrors | None = None,
+    cell_errors: Table | None = None,
+) -> Float[Array, ""]:
+    """ln p(r), up to a constant.
+
+    Args:
+        residual: (images, cells) r, DN.
+        weight: (images, cells) w, DN^-2; 0 where a cell is not seen.
+        image_errors: (images, errors, cells) H, DN; None where images share nothing.
+        cell_errors: (images, cells) G, DN; None where cells do not.
+
+    Returns:
+        ().
+    """
+    square, log_volume = _parts(residual, weight, image_errors, cell_errors)
+    return -(square + log_volume) / 2
+
+
+def chi_square(
+    residual: Table,
+    weight: Table,
+    *,
+    image_errors: ImageErrors | None = None,
+    cell_errors: Table | None = None,
+) -> Float[Array, ""]:
+    """r' C^-1 r with C the covariance of r: as many as there are cells seen, if the model holds.
+
+    Args:
+        residual: (images, cells) r, DN.
+        weight: (images, cells) w, DN^-2; 0 where a cell is not seen.
+        image_errors: (images, errors, cells) H, DN; None where images share nothing.
+        cell_errors: (images, cells) G, DN; None where cells do not.
+
+    Returns:
+        ().
+    """
+    return _parts(residual, weight, image_errors, cell_errors)[0]
+
+
+def _parts(
+    residual: Table, weight: Table, image_errors: ImageErrors | None, cell_errors: Table | None
+) -> tuple[Array, Array]:
+    """r' C^-1 r and ln det C."""
+    square = jnp.sum(weight * residual**2)
+    log_volume = -jnp.sum(jnp.log(jnp.where(weight > 0, weight, 1)))
+    if cell_errors is not None:
+        pull, stiffness = _of_cells(residual, weight, cell_errors)
+        square = square - jnp.sum(pull**2 / stiffness)
+        log_volume = log_volume + jnp.sum(jnp.log(stiffness))
+    if image_errors is None:
+        return square, log_volume
+    factor, pull = _of_images(residual, weight, image_errors, cell_errors)
+    explained = jax.vmap(lambda L, b: solve_triangular(L, b, lower=True))(factor, pull)
+    log_volume = log_volume + 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)))
+    return square - jnp.sum(explained**2), log_volume
+
+
+def image_error_means(
+    residual: Table, weight: Table, image_errors: ImageErrors, *, cell_errors: Table | None = None
+) -> tuple[Float[Array, "images errors"], Float[Array, "images errors"]]:
+    """What the data say of u.
+
+    Args:
+        residual: (images, cells) r, DN.
+        weight: (images, cells) w, DN^-2.
+        image_errors: (images, errors, cells) H, DN.
+        cell_errors: (images, cells) G, DN; None where cells share nothing.
+
+    Returns:
+        Means and standard deviations of u given r, (images, errors), in units of its prior's.
+    """
+    factor, pull = _of_images(residual, weight, image_errors, cell_errors)
+    shape = image_errors.shape[:2]
+    mean = jax.vmap(lambda L, b: cho_solve((L, True), b))(factor, pull)
+    unit = jnp.eye(factor.shape[1], dtype=factor.dtype)
+    inverse = jax.vmap(lambda L: cho_solve((L, True), unit))(factor)
+    spread = jnp.sqrt(jnp.diagonal(inverse, axis1=1, axis2=2))
+    return mean.reshape(shape), spread.reshape(shape)
+
+
+def _of_cells(residual: Table, weight: Table, cell_errors: Table) -> tuple[Array, Array]:
+    """G'W r and D, (cells,) each."""
+    pull = jnp.sum(weight * cell_errors * residual, axis=0)
+    return pull, 1 + jnp.sum(weight * cell_errors**2, axis=0)
+
+
+def _of_images(
+    residual: Table, weight: Table, image_errors: ImageErrors, cell_errors: Table | None
+) -> tuple[Array, Array]:
+    """Cholesky factor of M and the right hand side H'W r less what g explains: (blocks, n, n) and
+    (blocks, n). A block is an image; where cells tie the images together there is one."""
+    images, errors, cells = image_errors.shape
+    weighted = weight[:, None] * image_errors
+    pull = jnp.einsum("jkc,jc->jk", weighted, residual)
+    own = jnp.einsum("jkc,jlc->jkl", weighted, image_errors)
+    own = own + jnp.eye(errors, dtype=own.dtype)[None]
+    if cell_errors is None:
+        return jnp.linalg.cholesky(own), pull
+    cell_pull, stiffness = _of_cells(residual, weight, cell_errors)
+    across = (weighted * cell_errors[:, None]).reshape(images * errors, cells)
+    blocks = jnp.einsum("jkl,ji->jkil", own, jnp.eye(images, dtype=own.dtype))
+    matrix = blocks.reshape(images * errors, images * errors)
+    matrix = matrix - (across / stiffness[None]) @ across.T
+    pull = pull.reshape(-1) - across @ (cell_pull / stiffness)
+    return jnp.linalg.cholesky(matrix)[None], pull[None]
+
+
+def scatter_log_density(
+    scatter: Table,
+    count: Table,
+    variance: Table,
+    *,
+    pixel_errors: Table | None = None,
+    products: Float[Array, "cells images images"] | None = None,
+) -> Float[Array, ""]:
+    """ln p of how the pixels of each cell scatter about their mean, up to a constant.
+
+    n pixels have n - 1 degrees of freedom. With errors of the pixels, P_jc g for each pixel with
+    g ~ N(0, 1) and the same in all images, the scatter of a cell in all images is Wishart's with
+    the covariance diag(variance) + P P'.
+
+    Args:
+        scatter: (images, cells) sums of squared deviations, DN^2; 0 where a cell is not seen.
+        count: (images, cells) n; 0 where not seen.
+        variance: (images, cells) of one pixel, DN^2.
+        pixel_errors: (images, cells) P, DN; None where pixels are alike.
+        products: (cells, images, images) sums of products of deviations in two images, DN^2;
+            with `pixel_errors` only.
+
+    Returns:
+        ().
+    """
+    freedom = jnp.maximum(count - 1, 0)
+    total = -jnp.sum(freedom * jnp.log(variance) + scatter / variance) / 2
+    if pixel_errors is None:
+        return total
+    assert products is not None
+    seen = count > 0
+    along = jnp.where(seen, pixel_errors / variance, 0)
+    strength = 1 + jnp.sum(along * jnp.where(seen, pixel_errors, 0), axis=0)
+    shared = jnp.einsum("jc,cji,ic->c", along, products, along) / strength
+    # n is the same in every image that sees the cell
+    freedom = jnp.max(freedom, axis=0)
+    return total + jnp.sum(shared - freedom * jnp.log(strength)) / 2

@@ -1,0 +1,360 @@
+"""The images that a reflectance, a response and a sensor predict together, and their likelihood.
+
+For light j and a pixel (or a cell of pixels of like normals) with cosine of incidence n.l,
+
+    X   = E (k_d [n.l]+ + k_s lobe)                     signal, DN of a linear camera
+    v   = K X + (K sigma)^2                             its variance: shot and read noise
+    DN  = b + f(X),   f(X) = W (X / W)^(1 / gamma)      what the file holds; f(X) = X where linear
+    E[DN]   = b + f + f'' v / 2
+    Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
+
+the latter two to second order in the noise, which is enough for X of five deviations and more. E is
+the irradiance on a facing surface in the rig's unit, and `lobe` the shading of one of
+`reflectance.models`. Cells have a count, a mean and a scatter about it, and their likelihood is
+that of their pixels, so that the gain K speaks through the scatter.
+
+What the rig calls uncertain enters as a shared error of a whole image or of a pixel in all images,
+linear in its size and integrated out (`marginal`); only its scale is a parameter:
+
+    light_scatter      X (1 + s u)                      strength of the light, exposure
+    direction_scatter  X + s (u_1 dX/dt_1 + u_2 dX/dt_2)  direction of the light, t across it
+    stray_scatter      X + s E u                        light that comes another way
+    prnu               X (1 + s g)                      gain of a pixel
+    misfit             a relative error of each cell in each image, of its own
+
+A number that is known exactly is no parameter, and an error that the rig does not name is not
+traced.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxvision import Vec
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
+from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
+from ..reflectance.models import has_lobe, shape_of, unit_shading
+from ..reflectance.names import Model
+from . import marginal
+
+Values = dict[str, Array]
+Table = Float[Array, "images cells"]
+BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
+
+
+class Geometry(eqx.Module):
+    """How light falls on each cell of pixels, in its local frame.
+
+    Attributes:
+        wi: components (images, cells) toward the light.
+        wo: components (cells,) toward the viewer.
+        irradiance: (images, cells) E on a facing surface.
+        turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
+            exact.
+    """
+
+    wi: Vec
+    wo: Vec
+    irradiance: Table
+    turned: tuple[Vec, Vec] | None = None
+
+
+class Cells(eqx.Module):
+    """Images of one channel, reduced to cells.
+
+    Attributes:
+        geometry: of the cells.
+        count: (images, cells) pixels; 0 where a cell is left out.
+        mean: (images, cells) DN.
+        scatter: (images, cells) sum of squared deviations from the mean, less what the reference
+            model varies by within the cell, DN^2.
+        offset: (images, cells) DN by which the mean over the pixels of the reference model differs
+            from its value at their mean geometry.
+        products: (cells, images, images) as `scatter`, of two images; None where pixels are alike.
+    """
+
+    geometry: Geometry
+    count: Table
+    mean: Table
+    scatter: Table
+    offset: Table
+    products: Float[Array, "cells images images"] | None = None
+
+
+class Levels(eqx.Module):
+    """Uniform frames: what their temporal variance adds about gain and read noise.
+
+    Attributes:
+        mean: (levels,) DN.
+        variance: (levels,) DN^2.
+        freedom: (levels,) its degrees of freedom.
+    """
+
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    freedom: Float[Array, " levels"]
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is static of a fit.
+
+    Attributes:
+        model: one of `reflectance.models`.
+        index: of refraction, of clear facets.
+    """
+
+    model: Model
+    index: float
+
+
+class JointData(eqx.Module):
+    """Everything that the log density of one channel needs.
+
+    Attributes:
+        space: the P parameters.
+        form: of the fit.
+        known: numbers that are exact, by name.
+        cells: of the images.
+        levels: flats and darks; None without any.
+        white: W, DN.
+        relative: by name of an error of images, its size in each image relative to its scale,
+            (images,).
+    """
+
+    space: ParameterSpace = eqx.field(static=True)
+    form: Form = eqx.field(static=True)
+    known: Values
+    cells: Cells
+    levels: Levels | None
+    white: Array
+    relative: dict[str, Float[Array, " images"]]
+
+
+def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
+    """Natural values of all numbers by name, the known ones among them.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: of the fit.
+
+    Returns:
+        By name, in their own units.
+    """
+    natural = to_natural(data.space, vector)
+    return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
+
+
+def signal(values: Values, form: Form, wi: Vec, wo: Vec, irradiance: Table) -> Table:
+    """X of every cell in every image.
+
+    Args:
+        values: natural, by name.
+        form: of the fit.
+        wi: components (images, cells), local, toward the light.
+        wo: components (cells,), local, toward the viewer.
+        irradiance: (images, cells) E.
+
+    Returns:
+        (images, cells) DN above black.
+    """
+    lit = wi.z > 0
+    if form.model == "lambert":
+        return irradiance * values["diffuse"] * jnp.where(lit, wi.z, 0)
+    shape = values[shape_of(form.model).name]
+    unit = jax.vmap(lambda w: unit_shading(form.model, shape, w, wo, form.index))(wi)
+    unit = jnp.where(lit, unit, 0)
+    if not has_lobe(form.model):
+        return irradiance * values["diffuse"] * unit
+    body = values["diffuse"] * jnp.where(lit, wi.z, 0)
+    return irradiance * (body + values["specular"] * unit)
+
+
+def stored(values: Values, x: Array, white: Array) -> tuple[Array, Array, Array]:
+    """Mean, variance and slope of the digital number of a signal.
+
+    Args:
+        values: natural, by name.
+        x: (...) X, DN, positive where there is a gamma.
+        white: W, DN.
+
+    Returns:
+        (...) E[DN] in DN, Var[DN] in DN^2, and d DN / d X.
+    """
+    gain, black = values["system_gain"], values["black_level"]
+    v = gain * x + (gain * values["read_noise"]) ** 2
+    if "gamma" not in values:
+        return black + x, v + QUANTISATION_VARIANCE, jnp.ones_like(x)
+    power = 1 / values["gamma"]
+    f = white * (x / white) ** power
+    slope = power * f / x
+    second = (power - 1) * slope / x
+    third = (power - 2) * second / x
+    skew = slope * second * gain**2 * x
+    variance = slope**2 * v + skew + (second**2 / 2 + slope * third) * v**2
+    return black + f + second * v / 2, variance + QUANTISATION_VARIANCE, slope
+
+
+class Prediction(eqx.Module):
+    """What a model says of the cells.
+
+    Attributes:
+        mean: (images, cells) DN.
+        variance: (images, cells) DN^2 of one pixel, shared errors apart.
+        relative: (images, cells) DN by which a relative change of the signal changes it.
+        image_errors: (images, errors, cells) DN for errors of one standard deviation; None if
+            there are none.
+    """
+
+    mean: Table
+    variance: Table
+    relative: Table
+    image_errors: Float[Array, "images errors cells"] | None
+
+
+def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
+    """The model of the cells, or of pixels as cells of one.
+
+    Args:
+        values: natural, by name.
+        data: for its form, white level and the errors' relative sizes.
+        cells: to predict; one that is left out is predicted at a signal of W.
+
+    Returns:
+        The prediction.
+    """
+    geometry, form = cells.geometry, data.form
+    seen = cells.count > 0
+
+    def signal_of(wi: Vec) -> Array:
+        return signal(values, form, wi, geometry.wo, geometry.irradiance)
+
+    x = jnp.where(seen, signal_of(geometry.wi), data.white)
+    mean, variance, slope = stored(values, x, data.white)
+    errors = []
+
+    def add(name: str, change: Array) -> None:
+        scale = values[name] * data.relative[name][:, None]
+        errors.append(jnp.where(seen, scale * slope * change, 0))
+
+    if "light_scatter" in values:
+        add("light_scatter", x)
+    if "direction_scatter" in values:
+        assert geometry.turned is not None
+        for turn in geometry.turned:
+            add("direction_scatter", jax.jvp(signal_of, (geometry.wi,), (turn,))[1])
+    if "stray_scatter" in values:
+        add("stray_scatter", geometry.irradiance)
+    return Prediction(
+        mean=mean + cells.offset,
+        variance=variance,
+        relative=slope * x,
+        image_errors=jnp.stack(errors, axis=1) if errors else None,
+    )
+
+
+def weights(values: Values, cells: Cells, model: Prediction) -> Table:
+    """Inverse variance of each cell's mean about what is shared.
+
+    Args:
+        values: natural, by name.
+        cells: of the images.
+        model: their prediction.
+
+    Returns:
+        (images, cells) DN^-2, 0 where a cell is left out.
+    """
+    seen = cells.count > 0
+    variance = model.variance / jnp.where(seen, cells.count, 1)
+    if "misfit" in values:
+        variance = variance + (values["misfit"] * model.relative) ** 2
+    return jnp.where(seen, 1 / variance, 0)
+
+
+def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None:
+    """G, what the gains of a cell's pixels do to its mean, for gains of one standard deviation.
+
+    Args:
+        values: natural, by name.
+        cells: of the images.
+        model: their prediction.
+
+    Returns:
+        (images, cells) DN, 0 where a cell is left out; None where pixels are alike.
+    """
+    if "prnu" not in values:
+        return None
+    seen = cells.count > 0
+    pixels = jnp.where(seen, cells.count, 1)
+    return jnp.where(seen, values["prnu"] * model.relative / jnp.sqrt(pixels), 0)
+
+
+def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
+    """ln p(images, flats and darks | parameters), the shared errors integrated out.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: of one channel.
+
+    Returns:
+        (), up to a constant.
+    """
+    values = values_at(vector, data)
+    cells = data.cells
+    model = predicted(values, data, cells)
+    total = marginal.log_density(
+        cells.mean - model.mean,
+        weights(values, cells, model),
+        image_errors=model.image_errors,
+        cell_errors=cell_errors(values, cells, model),
+    )
+    total = total + marginal.scatter_log_density(
+        cells.scatter,
+        cells.count,
+        model.variance,
+        pixel_errors=values["prnu"] * model.relative if "prnu" in values else None,
+        products=cells.products,
+    )
+    return total if data.levels is None else total + _of_levels(values, data)
+
+
+def _of_levels(values: Values, data: JointData) -> Array:
+    """ln p of the temporal variances of uniform frames, Gamma distributed about the model's at
+    their mean."""
+    assert data.levels is not None
+    levels = data.levels
+    above = levels.mean - values["black_level"]
+    if "gamma" in values:
+        above = data.white * (above / data.white) ** values["gamma"]
+    _, variance, _ = stored(values, above, data.white)
+    return -jnp.sum(levels.freedom * (jnp.log(variance) + levels.variance / variance)) / 2
+
+
+def log_posterior(vector: Float[Array, " parameters"], data: JointData) -> Array:
+    """Log posterior density of the unconstrained vector, up to a constant.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: of one channel.
+
+    Returns:
+        ().
+    """
+    return log_likelihood(vector, data) + log_prior(data.space, vector)
+
+
+def cost(vector: Float[Array, " parameters"], data: JointData) -> Array:
+    """What a fit minimises: the negative log posterior density.
+
+    Args:
+        vector: (P,) unconstrained.
+        data: of one channel.
+
+    Returns:
+        ().
+    """
+    return -log_posterior(vector, data)

@@ -1,0 +1,130 @@
+"""What a joint calibration measures: images of a known shape under known lights, and, in the same
+rig, flats and darks of the same camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+
+from ..observation import Load, read_stack
+from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
+from ..rig import Camera, Rig
+
+OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
+
+
+@dataclass(frozen=True)
+class UniformLevels:
+    """Flats and darks of one channel, a level an entry of the rig.
+
+    Attributes:
+        mean: (levels,) over frames and pixels, DN.
+        variance: (levels,) temporal, of one pixel, DN^2.
+        freedom: (levels,) degrees of freedom of the variance.
+        mean_error: (levels,) standard error of the mean, DN.
+        dark: (levels,) which are darks.
+    """
+
+    mean: Float[np.ndarray, " levels"]
+    variance: Float[np.ndarray, " levels"]
+    freedom: Float[np.ndarray, " levels"]
+    mean_error: Float[np.ndarray, " levels"]
+    dark: np.ndarray
+
+
+@dataclass(frozen=True)
+class JointMeasurement:
+    """Images, and how well the rig knows what made them.
+
+    Attributes:
+        observation: of the object.
+        camera: of the rig.
+        uncertain: (lights,) standard deviations by their key in the rig, 0 where exact.
+        levels: of each channel; None without flats and darks.
+        findings: what was assumed, in sentences.
+    """
+
+    observation: ReflectanceObservation
+    camera: Camera
+    uncertain: dict[str, Float[np.ndarray, " lights"]]
+    levels: tuple[UniformLevels, ...] | None
+    findings: tuple[str, ...]
+
+
+def read_joint_measurement(rig: Rig, *, load: Load = read_image) -> JointMeasurement:
+    """Reads and checks the images of a rig, its flats and its darks.
+
+    Args:
+        rig: with `[[light]]` and `[geometry]`, and with `[[flat]]` and `[[dark]]` where there are
+            any.
+        load: how an image is had by its path.
+
+    Returns:
+        The measurement.
+
+    Raises:
+        InputError: as the reflectance calibration does, and for flats and darks that do not fit.
+    """
+    observation = read_reflectance_observation(rig, load=load)
+    encoded = observation.gamma is not None or rig.camera.gamma_sd is not None
+    findings = []
+    if encoded and rig.dark:
+        findings.append(
+            "The files are gamma encoded: darks, at the foot of the curve, were left out."
+        )
+    return JointMeasurement(
+        observation=observation,
+        camera=rig.camera,
+        uncertain={
+            name: np.array([getattr(light, name) or 0.0 for light in rig.light])
+            for name in OF_LIGHTS
+        },
+        levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
+        findings=tuple(findings),
+    )
+
+
+def _levels(
+    rig: Rig, channels: int, load: Load, *, with_darks: bool
+) -> tuple[UniformLevels, ...] | None:
+    entries = [*rig.flat, *(rig.dark if with_darks else ())]
+    if not entries:
+        return None
+    rows = np.array([_level(rig, entry.files, channels, load) for entry in entries])
+    dark = np.arange(len(entries)) >= len(rig.flat)
+    levels = tuple(UniformLevels(*rows[:, channel].T, dark=dark) for channel in range(channels))
+    for channel in levels:
+        if (channel.variance <= 0).any():
+            first = entries[int(np.argmax(channel.variance <= 0))].files[0]
+            raise InputError(
+                f"{rig.path(first)}: its frames are equal in every pixel, so they are copies, "
+                "clipped or saturated; give independent frames at another level."
+            )
+    return levels
+
+
+def _level(rig: Rig, files: tuple[str, ...], channels: int, load: Load) -> np.ndarray:
+    """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
+    stack = read_stack(rig, files, load=load)
+    stack = stack[..., None] if stack.ndim == 3 else stack
+    if stack.shape[3] != channels:
+        raise InputError(
+            f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
+            f"{channels}; give flats and darks of the same kind."
+        )
+    if (stack >= rig.camera.clip_level).any():
+        raise InputError(
+            f"{rig.path(files[0])}: has saturated pixels; leave this level out of the rig."
+        )
+    frames, height, width = stack.shape[:3]
+    pixels = height * width
+    # frames may drift together, which is not the noise of pixels
+    noise = stack - stack.mean(axis=(1, 2), keepdims=True)
+    variance = noise.var(axis=0, ddof=1).mean(axis=(0, 1)) * pixels / (pixels - 1)
+    of_pixels = stack.mean(axis=0).reshape(pixels, channels)
+    error = np.sqrt(of_pixels.var(axis=0, ddof=1) / pixels)
+    freedom = np.full(channels, (frames - 1.0) * (pixels - 1))
+    return np.stack([of_pixels.mean(axis=0), variance, freedom, error], axis=1)

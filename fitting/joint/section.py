@@ -1,0 +1,91 @@
+"""Surface, response and sensor in one posterior, as a reader sees them."""
+
+from functools import partial
+
+from ..inference.estimates import Estimate, not_determined
+from ..inference.posterior import estimates
+from ..reflectance.models import LABELS
+from ..report.section import Picture, Section
+from . import figures
+from .calibration import JointCalibration
+from .findings import findings, misfit_table, score_table
+from .prediction import score
+
+
+def section(calibration: JointCalibration) -> Section:
+    """A joint calibration as its reader sees it.
+
+    Args:
+        calibration: of a known shape.
+
+    Returns:
+        Estimates, findings, tables and pictures.
+    """
+    measurement, observation = calibration.measurement, calibration.measurement.observation
+    scores = tuple(
+        score(measurement, fit, calibration.posteriors[fit.channel].covariance)
+        for fit in calibration.fits
+        if fit.channel in calibration.posteriors
+    )
+    known = calibration.fits[0].data.known
+    return Section(
+        kind="joint",
+        title=f"Surface, response and sensor: {LABELS[calibration.model]}",
+        estimates=_estimates(calibration),
+        findings=findings(calibration),
+        pictures=_pictures(calibration),
+        tables=(score_table(scores), misfit_table(calibration)),
+        posteriors=calibration.posteriors,
+        settings={
+            "model": calibration.model,
+            "lights fitted": int((~observation.held_out).sum()),
+            "lights held out": int(observation.held_out.sum()),
+            "pixels of the object": observation.cosine.shape[1],
+            "clip level [DN]": observation.clip,
+            **{f"{name}, taken as exact": float(value) for name, value in known.items()},
+        },
+    )
+
+
+def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
+    rows: list[Estimate] = []
+    for fit in calibration.fits:
+        if fit.channel in calibration.posteriors:
+            rows += estimates(calibration.posteriors[fit.channel], group=fit.channel)
+        else:
+            why = "the data leave a direction open (see the findings)"
+            rows += [not_determined(parameter, why, group=fit.channel) for parameter in fit.space]
+    return tuple(rows)
+
+
+def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
+    if len(calibration.posteriors) < len(calibration.fits):
+        return ()
+    pictures = [
+        Picture(
+            "images",
+            "Measured, predicted, and what is left",
+            "Lights of the fit and held-out ones. Last row: measured less predicted in standard "
+            "deviations of one pixel, the errors that a light may have included; white pixels are "
+            "unlit, saturated or near black.",
+            partial(figures.images_figure, calibration),
+        ),
+        Picture(
+            "noise",
+            "Noise of the pixels against their signal",
+            "Dots: mean squared residual of a pixel, the error of its light taken off, with "
+            "standard errors. Line: what gain, read noise and encoding of the fit predict.",
+            partial(figures.noise_figure, calibration),
+        ),
+    ]
+    if "light_scatter" in calibration.fits[0].values:
+        pictures.append(
+            Picture(
+                "lights",
+                "How far each light is from what the rig says",
+                "Means and standard deviations given the fitted surface and the scale of the "
+                "errors; the lights' common error is that of k_d and k_s.",
+                partial(figures.lights_figure, calibration),
+            )
+        )
+    return tuple(pictures)

@@ -1,0 +1,209 @@
+"""What a joint fit has to find: its parameters with their priors, and where they begin.
+
+What the rig knows exactly is a number, what it knows with an `_sd` has a prior, and what it does
+not name is free. The stated size of an error of lights or pixels is itself trusted to a factor of
+about `TRUST`.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..inference.parameters import Parameter, ParameterSpace, names, to_natural
+from ..inference.priors import LogNormal, Normal
+from ..reflectance.from_images import model as images_model
+from ..reflectance.from_images.fit import project
+from ..reflectance.from_images.geometry_cells import average, group
+from ..reflectance.from_images.read import ReflectanceObservation
+from ..reflectance.from_images.samples import Selection, make_samples, select
+from ..reflectance.models import amplitude, has_lobe, shape_of
+from .model import Form
+from .read import JointMeasurement
+
+TRUST = 1.6  # factor, one standard deviation, by which a stated error may be off
+MOST_AT_START = 100_000  # samples
+
+GAIN = Parameter("system_gain", symbol="K", unit="DN/e-", transform="log")
+READ_NOISE = Parameter("read_noise", symbol="σ", unit="e-", lower=0.0)
+BLACK = Parameter("black_level", symbol="b", unit="DN")
+GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
+SCATTERS = {
+    "light_scatter": Parameter("light_scatter", symbol="s_l", unit="1", transform="log"),
+    "direction_scatter": Parameter("direction_scatter", symbol="s_d", unit="rad", transform="log"),
+    "stray_scatter": Parameter("stray_scatter", symbol="s_s", unit="1", transform="log"),
+    "prnu": Parameter("prnu", symbol="s_p", unit="1", transform="log"),
+}
+
+
+def scatter_scales(
+    measurement: JointMeasurement,
+) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
+    """The errors that the rig names.
+
+    Args:
+        measurement: whose rig it is.
+
+    Returns:
+        By name the stated size, and of each light its own relative to that. Strength of a light
+        and exposure of its image change the same, so they count as one.
+    """
+    stated = {
+        "light_scatter": np.hypot(
+            measurement.uncertain["intensity_sd"], measurement.uncertain["exposure_sd"]
+        ),
+        "direction_scatter": measurement.uncertain["direction_sd"],
+        "stray_scatter": measurement.uncertain["stray_sd"],
+    }
+    found = {}
+    for name, sizes in stated.items():
+        if sizes.any():
+            typical = float(np.sqrt(np.mean(sizes[sizes > 0] ** 2)))
+            found[name] = (typical, sizes / typical)
+    if measurement.camera.prnu_sd is not None:
+        found["prnu"] = (measurement.camera.prnu_sd, np.ones(0))
+    return found
+
+
+def parameters(
+    measurement: JointMeasurement,
+    channel: int,
+    form: Form,
+    start: dict[str, float],
+    *,
+    fit_gamma: bool,
+) -> tuple[ParameterSpace, dict[str, float]]:
+    """What is to be found, and what the rig knows exactly.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        form: of the fit.
+        start: where the search begins; gamma is missing in it for linear files.
+        fit_gamma: whether the encoding exponent is free.
+
+    Returns:
+        Parameters with their priors, and numbers by name.
+    """
+    camera, known = measurement.camera, {}
+    space = [amplitude("diffuse", "k_d", images_model.COEFFICIENT_UNIT)]
+    if has_lobe(form.model):
+        space.append(amplitude("specular", "k_s", images_model.COEFFICIENT_UNIT))
+    if form.model != "lambert":
+        space.append(shape_of(form.model))
+
+    def add(parameter: Parameter, value: float | None, sd: float | None) -> None:
+        if value is None:
+            space.append(parameter)
+        elif sd is None:
+            known[parameter.name] = value
+        else:
+            space.append(replace(parameter, prior=Normal(value, sd)))
+
+    if "gamma" in start:
+        add(GAMMA, None if fit_gamma else camera.gamma, camera.gamma_sd)
+    add(GAIN, camera.gain, camera.gain_sd)
+    add(READ_NOISE, camera.read_noise, camera.read_noise_sd)
+    add(BLACK, *_black(measurement, channel))
+    for name, (size, _) in scatter_scales(measurement).items():
+        space.append(replace(SCATTERS[name], prior=LogNormal(size, float(np.log(TRUST)))))
+    return tuple(space), known
+
+
+def _black(measurement: JointMeasurement, channel: int) -> tuple[float, float | None]:
+    """The black level and its standard deviation: the rig's, or the darks', or of both the mean
+    weighted by their precisions."""
+    black, sd = measurement.observation.black, measurement.camera.black_sd
+    stated = measurement.camera.black_level is not None
+    levels = None if measurement.levels is None else measurement.levels[channel]
+    if levels is None or not levels.dark.any() or (stated and sd is None):
+        return black, sd
+    means, errors = [levels.mean[levels.dark]], [levels.mean_error[levels.dark]]
+    if stated and sd is not None:
+        means, errors = [*means, [black]], [*errors, [sd]]
+    weight = np.concatenate(errors) ** -2.0
+    mean = float(weight @ np.concatenate(means) / weight.sum())
+    return mean, float(weight.sum() ** -0.5)
+
+
+def first_reflectance(
+    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+) -> tuple[Form, dict[str, float]]:
+    """The form that the images show, and the least-squares reflectance and gamma.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        form: that is asked for; where no highlight is seen Lambert's is found.
+        fit_gamma: whether the encoding exponent is free.
+
+    Returns:
+        The form, and natural values by name.
+    """
+    observation = measurement.observation
+    search = images_model.Form(form.model, free_gamma=fit_gamma, index=form.index)
+    chosen = select(observation, held_out=False, form=search)
+    every = -(-len(chosen.light) // MOST_AT_START)
+    chosen = Selection(chosen.light[::every], chosen.pixel[::every])
+    samples = make_samples(observation, channel, search, chosen)
+    cells = group(
+        chosen.light,
+        observation.cosine[chosen.light, chosen.pixel],
+        observation.mirror_angle[chosen.light, chosen.pixel],
+    )
+    found, vector = project(average(samples, cells))
+    space = images_model.parameter_space(found.form)
+    natural = np.asarray(to_natural(space, vector), np.float64)
+    start = dict(zip(names(space), natural.tolist(), strict=True))
+    if not fit_gamma and observation.gamma is not None:
+        start["gamma"] = observation.gamma
+    return Form(found.form.model, form.index), start
+
+
+def first_noise(
+    measurement: JointMeasurement, channel: int, gamma: float | None
+) -> dict[str, float]:
+    """Gain, read noise, black level and scatters near enough to begin with.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        gamma: encoding exponent; None for linear files.
+
+    Returns:
+        Natural values by name.
+    """
+    camera, observation = measurement.camera, measurement.observation
+    found = {name: size for name, (size, _) in scatter_scales(measurement).items()}
+    found["black_level"] = _black(measurement, channel)[0]
+    gain = camera.gain
+    if gain is None:
+        gain = _gain_of_neighbours(observation, channel, gamma)
+    found["system_gain"] = gain
+    typical = np.median(observation.dn[channel][observation.cosine > 0]) - observation.black
+    typical = max(float(typical), 1.0)
+    found["read_noise"] = camera.read_noise or float(np.sqrt(0.1 * typical / gain))
+    return found
+
+
+def _gain_of_neighbours(
+    observation: ReflectanceObservation, channel: int, gamma: float | None
+) -> float:
+    """K from the differences of neighbours in a row: their light is nearly the same."""
+    dn = np.clip(observation.dn[channel], observation.black + 1, None)
+    linear = np.asarray(
+        images_model.decoded(
+            jnp.asarray(dn),
+            jnp.asarray(observation.black),
+            jnp.asarray(observation.white),
+            None if gamma is None else jnp.asarray(gamma),
+        )
+    )
+    beside = (np.diff(observation.columns) == 1) & (np.diff(observation.rows) == 0)
+    lit = (observation.cosine[:, 1:] > 0.2) & (dn[:, 1:] < observation.clip) & beside
+    squares = np.diff(linear, axis=1)[lit] ** 2 / 2
+    if not squares.size:
+        return 1.0
+    mean = (linear[:, 1:] + linear[:, :-1])[lit] / 2
+    return max(float(np.median(squares / mean)) / 0.455, 1e-3)  # of chi-square, one degree

@@ -1,0 +1,385 @@
+"""Surface, response and sensor together: the marginal density against dense covariances, what is in
+the likelihood, and simulated labs against their truth."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+import xarray
+from typer.testing import CliRunner
+
+from fitting.cli import app
+from fitting.demo.lab import sphere_lights
+from fitting.inference.parameters import names, to_unconstrained
+from fitting.joint import calibrate, cells, from_photographs, marginal, read_joint_measurement
+from fitting.joint.fit import fit_channel
+from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
+from fitting.joint.start import parameters, scatter_scales
+from fitting.rig import Camera, SphereGeometry, load_rig
+from jaxvision import Vec
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+RNG = np.random.default_rng(4)
+
+
+def table(images=3, cells=5, errors=2):
+    """Residuals, weights with two cells unseen, and errors."""
+    weight = RNG.uniform(0.5, 2.0, (images, cells))
+    weight[0, 1] = weight[2, 4] = 0
+    seen = weight > 0
+    shared = RNG.standard_normal((images, errors, cells)) * seen[:, None]
+    gains = RNG.standard_normal((images, cells)) * seen
+    return RNG.standard_normal((images, cells)) * 2, weight, shared, gains
+
+
+def dense(weight, shared, gains):
+    """The covariance of the seen cells, entry by entry."""
+    places = np.argwhere(weight > 0)
+    matrix = np.zeros((len(places), len(places)))
+    for a, (i, c) in enumerate(places):
+        for b, (j, d) in enumerate(places):
+            if a == b:
+                matrix[a, b] += 1 / weight[i, c]
+            if i == j and shared is not None:
+                matrix[a, b] += shared[i, :, c] @ shared[i, :, d]
+            if c == d and gains is not None:
+                matrix[a, b] += gains[i, c] * gains[j, d]
+    return tuple(places.T), matrix
+
+
+@pytest.mark.parametrize("with_images", [False, True])
+@pytest.mark.parametrize("with_cells", [False, True])
+def test_shared_errors_are_integrated_out(with_images, with_cells):
+    residual, weight, shared, gains = table()
+    kept = {"image_errors": shared if with_images else None}
+    kept |= {"cell_errors": gains if with_cells else None}
+    places, matrix = dense(weight, *kept.values())
+    given = {k: None if v is None else jnp.asarray(v) for k, v in kept.items()}
+    found = marginal.log_density(jnp.asarray(residual), jnp.asarray(weight), **given)
+    normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)
+    expected = normal.logpdf(residual[places]) + len(matrix) * np.log(2 * np.pi) / 2
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    square = marginal.chi_square(jnp.asarray(residual), jnp.asarray(weight), **given)
+    solved = np.linalg.solve(matrix, residual[places])
+    np.testing.assert_allclose(square, residual[places] @ solved, rtol=1e-12)
+
+
+@pytest.mark.parametrize("with_cells", [False, True])
+def test_the_errors_of_images_are_their_conditional_means(with_cells):
+    residual, weight, shared, gains = table()
+    places, matrix = dense(weight, shared, gains if with_cells else None)
+    mean, spread = marginal.image_error_means(
+        *(jnp.asarray(x) for x in (residual, weight, shared)),
+        cell_errors=jnp.asarray(gains) if with_cells else None,
+    )
+    for image, error in np.ndindex(mean.shape):
+        loading = np.where(places[0] == image, shared[image, error, places[1]], 0)
+        solved = np.linalg.solve(matrix, loading)
+        np.testing.assert_allclose(mean[image, error], solved @ residual[places], rtol=1e-10)
+        np.testing.assert_allclose(spread[image, error] ** 2, 1 - solved @ loading, rtol=1e-10)
+
+
+def test_the_scatter_of_pixels_and_its_mean_are_the_pixels():
+    """Count, mean and products say what a dense normal density of all pixels says."""
+    images, pixels = 3, 7
+    variance, gains = RNG.uniform(1, 3, images), RNG.uniform(1, 2, images)
+    y = RNG.standard_normal((images, pixels)) * 2
+    covariance = np.diag(variance) + np.outer(gains, gains)
+    expected = scipy.stats.multivariate_normal(np.zeros(images), covariance).logpdf(y.T).sum()
+    mean, n = y.mean(axis=1), pixels
+    left = y - mean[:, None]
+    column = {"variance": variance, "gains": gains, "mean": mean}
+    column = {name: jnp.asarray(values)[:, None] for name, values in column.items()}
+    of_means = marginal.log_density(
+        column["mean"], n / column["variance"], cell_errors=column["gains"] / np.sqrt(n)
+    )
+    of_scatter = marginal.scatter_log_density(
+        jnp.asarray((left**2).sum(axis=1))[:, None],
+        jnp.full((images, 1), float(n)),
+        column["variance"],
+        pixel_errors=column["gains"],
+        products=jnp.asarray(left @ left.T)[None],
+    )
+    constant = -images * n * np.log(2 * np.pi) / 2 - images * np.log(n) / 2
+    np.testing.assert_allclose(of_means + of_scatter + constant, expected, rtol=1e-12)
+
+
+BLACK, GAIN, READ, GAMMA = 64.0, 0.25, 6.0, 2.2
+DIFFUSE, SPECULAR, EXPONENT, LIGHT = 0.42, 0.45, 40.0, 3000.0
+SIZE = 28
+CENTRE, RADIUS = (SIZE - 1) / 2, 0.45 * SIZE
+TRUTH = {
+    "diffuse": DIFFUSE,
+    "specular": SPECULAR,
+    "exponent": EXPONENT,
+    "gamma": GAMMA,
+    "system_gain": GAIN,
+    "read_noise": READ,
+    "black_level": BLACK,
+}
+
+
+def photographs(
+    rng, *, lights=7, scatter=0.01, turn=0.0, stray=0.0, prnu=0.0, gamma=GAMMA, exponent=EXPONENT
+):
+    """A Phong ball under lights that are not quite what they are said to be: Poisson electrons,
+    read noise, encoding, rounding; all in NumPy."""
+    row, column = np.indices((SIZE, SIZE))
+    x, y = (column - CENTRE) / RADIUS, (CENTRE - row) / RADIUS
+    inside = np.hypot(x, y) < 1
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    own = 1 + prnu * rng.standard_normal((SIZE, SIZE))
+    directions, images = sphere_lights(count=lights), []
+    for said in directions:
+        light = said + turn * np.cross(said, rng.standard_normal(3))
+        light = light / np.linalg.norm(light)
+        cosine = x * light[0] + y * light[1] + z * light[2]
+        mirror = np.maximum(2 * cosine * z - light[2], 0)
+        shading = DIFFUSE * cosine + SPECULAR * mirror**exponent
+        strength = LIGHT * np.exp(scatter * rng.standard_normal())
+        signal = strength * np.where(inside & (cosine > 0), shading, 0) * own
+        signal = np.maximum(signal + LIGHT * stray * rng.standard_normal(), 0)
+        noise = GAIN * READ * rng.standard_normal(signal.shape)
+        linear = np.maximum(GAIN * rng.poisson(signal / GAIN) + noise, 0 if gamma != 1 else -BLACK)
+        white = 4095 - BLACK
+        stored = linear if gamma == 1 else white * (linear / white) ** (1 / gamma)
+        images.append(np.clip(np.round(BLACK + stored), 0, 4095).astype(np.uint16))
+    return images, directions
+
+
+BALL = {
+    "sphere": SphereGeometry(centre=(CENTRE, CENTRE), radius=RADIUS),
+    "intensities": np.full(7, LIGHT),
+    "held_out": [6],
+}
+ENCODED = Camera(bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd=0.5)
+
+
+def primitives(jaxpr):
+    """Names of all operations, those inside others too."""
+    found = []
+    for equation in jaxpr.eqns:
+        found.append(equation.primitive.name)
+        for value in jax.tree.leaves(equation.params, is_leaf=lambda v: hasattr(v, "eqns")):
+            inner = getattr(value, "jaxpr", value)
+            if hasattr(inner, "eqns"):
+                found += primitives(inner)
+    return found
+
+
+def likelihood_of(measurement):
+    """Operations in the log likelihood that a measurement calls for, on two blank cells."""
+    form, start = Form("phong", 1.5), {"gamma": GAMMA} if measurement.camera.gamma else {}
+    space, known = parameters(measurement, 0, form, start, fit_gamma=False)
+    seven = jnp.full((7, 2), 0.5)
+    up = Vec(jnp.zeros((7, 2)), jnp.zeros((7, 2)), jnp.ones((7, 2)))
+    scales = scatter_scales(measurement)
+    data = JointData(
+        space=space,
+        form=form,
+        known={name: jnp.asarray(value) for name, value in known.items()},
+        cells=Cells(
+            Geometry(
+                up,
+                jax.tree.map(lambda x: x[0], up),
+                seven,
+                (up, up) if "direction_scatter" in scales else None,
+            ),
+            *(4 * seven, seven, seven, seven),
+            jnp.ones((2, 7, 7)) if "prnu" in scales else None,
+        ),
+        levels=None,
+        white=jnp.asarray(4000.0),
+        relative={name: jnp.asarray(size) for name, (_, size) in scales.items()},
+    )
+    return primitives(jax.make_jaxpr(log_likelihood)(jnp.zeros(len(space)), data).jaxpr)
+
+
+def test_only_what_the_rig_calls_for_is_in_the_likelihood():
+    """No Cholesky factor where the lights are exact, no power where the files are linear; and each
+    error that the rig names adds operations."""
+    images, lights = photographs(np.random.default_rng(0), gamma=1)
+    exact = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ)
+
+    def operations(camera, **uncertain):
+        return likelihood_of(from_photographs(images, lights, camera=camera, **BALL, **uncertain))
+
+    bare = operations(exact)
+    lit = operations(exact, intensity_sd=0.01)
+    strayed = operations(exact, intensity_sd=0.01, stray_sd=0.001)
+    turned = operations(exact, intensity_sd=0.01, direction_sd=0.01)
+    uneven = operations(exact.model_copy(update={"prnu_sd": 0.01}))
+    assert "cholesky" not in bare
+    assert "cholesky" not in uneven
+    assert "cholesky" in lit
+    assert len(bare) < len(lit) < len(strayed) < len(turned)
+    assert len(bare) < len(uneven)
+    assert "pow" not in bare
+    encoded = exact.model_copy(update={"gamma": GAMMA})
+    assert "pow" in operations(encoded)
+
+
+def test_what_cannot_be_used_is_said_in_one_sentence():
+    images, lights = photographs(np.random.default_rng(0))
+    with pytest.raises(InputError, match="values of intensity_sd for 7 images"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=[0.01, 0.02])
+    flat = [np.full((4, 4), 100), np.full((4, 4), 100)]
+    with pytest.raises(InputError, match="equal in every pixel"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, flats=[flat])
+    bright = [np.full((4, 4), 4095), np.full((4, 4), 4000)]
+    with pytest.raises(InputError, match="saturated pixels; leave this level"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, flats=[bright])
+    with pytest.raises(InputError, match=r"light\[1\].intensity_sd = -1.0: must be greater"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=-1.0)
+    half = Camera(bits=12, gamma_sd=0.1)
+    with pytest.raises(InputError, match=r"camera.gamma_sd without camera.gamma"):
+        calibrate(from_photographs(images, lights, camera=half, **BALL))
+    with pytest.raises(InputError, match="index = 0"):
+        calibrate(from_photographs(images, lights, camera=ENCODED, **BALL), index=0.0)
+
+
+def rig_folder(folder, images, lights, flat, dark):
+    """The same measurement as files."""
+    text = f"[camera]\nbits = 12\nblack_level = {BLACK}\nblack_sd = 0.5\n"
+    text += f"[geometry]\nsphere = {{centre = [{CENTRE}, {CENTRE}], radius = {RADIUS}}}\n"
+    for i, (image, light) in enumerate(zip(images, lights, strict=True)):
+        write_image(folder / f"light_{i}.tif", image)
+        text += f'[[light]]\nfile = "light_{i}.tif"\ndirection = {light.tolist()}\n'
+        text += f"intensity = [{LIGHT}]\nintensity_sd = 0.01\nstray_sd = {0.001 * (1 + i)}\n"
+        text += "held_out = true\n" if i == 6 else ""
+    for kind, frames in (("flat", flat), ("dark", dark)):
+        files = [f"{kind}_{i}.tif" for i in range(len(frames))]
+        for name, frame in zip(files, frames, strict=True):
+            write_image(folder / name, frame)
+        text += f"[[{kind}]]\nfiles = {files}\nexposure = 1.0\n"
+    (folder / "rig.toml").write_text(text)
+    return folder
+
+
+def uniform(rng, electrons):
+    light = rng.poisson(electrons, (2, 40, 50)) + READ * rng.standard_normal((2, 40, 50))
+    return list(np.round(BLACK + GAIN * light).astype(np.uint16))
+
+
+def test_images_in_memory_are_those_of_files(tmp_path):
+    rng = np.random.default_rng(1)
+    images, lights = photographs(rng, gamma=1)
+    flat, dark = uniform(rng, 4000), uniform(rng, 0)
+    ours = from_photographs(
+        images,
+        lights,
+        camera=Camera(bits=12, black_level=BLACK, black_sd=0.5),
+        **BALL,
+        intensity_sd=0.01,
+        stray_sd=0.001 * (1 + np.arange(7)),
+        flats=[flat],
+        darks=[dark],
+    )
+    theirs = read_joint_measurement(load_rig(rig_folder(tmp_path, images, lights, flat, dark)))
+    np.testing.assert_array_equal(ours.observation.dn, theirs.observation.dn)
+    np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
+    for name, sizes in theirs.uncertain.items():
+        np.testing.assert_array_equal(ours.uncertain[name], sizes)
+    (mine,), (other,) = ours.levels, theirs.levels
+    for field in ("mean", "variance", "freedom", "mean_error", "dark"):
+        np.testing.assert_array_equal(getattr(mine, field), getattr(other, field))
+    pair = np.stack(flat).astype(float)
+    spread = np.var(pair[0] - pair[1], ddof=1) / 2
+    np.testing.assert_allclose(mine.variance[0], spread, rtol=1e-6)
+    np.testing.assert_allclose(mine.mean, [pair.mean(), np.mean(dark)], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_command_writes_report_results_and_chains(tmp_path):
+    rng = np.random.default_rng(1)
+    images, lights = photographs(rng, gamma=1)
+    (tmp_path / "rig").mkdir()
+    rig = rig_folder(tmp_path / "rig", images, lights, uniform(rng, 4000), uniform(rng, 0))
+    done = CliRunner().invoke(app, ["joint", str(rig), "--out", str(tmp_path / "out"), "--json"])
+    assert done.exit_code == 0, done.stderr
+    names_ = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names_ == {"report.html", "results.json", "joint_chains.nc"}
+    (section,) = json.loads((tmp_path / "out" / "results.json").read_text())["sections"]
+    found = {estimate["name"]: estimate for estimate in section["estimates"]}
+    for name in ("diffuse", "specular", "exponent", "system_gain", "read_noise", "black_level"):
+        error = found[name]["value"] - TRUTH[name]
+        assert abs(error) < 4 * found[name]["standard_error"], name
+    chains = tmp_path / "out" / "joint_chains.nc"
+    with xarray.open_dataset(chains, group="posterior", engine="h5netcdf") as drawn:
+        assert set(found) == set(drawn.data_vars)
+
+
+def z_scores(calibration, truth):
+    """Distance of each parameter from its truth in standard deviations of the posterior."""
+    posterior = calibration.posteriors["grey"]
+    known = [parameter for parameter in posterior.space if parameter.name in truth]
+    places = [names(posterior.space).index(parameter.name) for parameter in known]
+    vector = to_unconstrained(tuple(known), jnp.asarray([truth[p.name] for p in known]))
+    deviation = np.sqrt(np.diagonal(posterior.covariance))[places]
+    return (posterior.unconstrained_mode[places] - np.asarray(vector)) / deviation
+
+
+@pytest.mark.slow
+def test_a_simulated_lab_is_recovered_with_its_errors():
+    """Surface, encoding, sensor and the sizes of all four shared errors, within four standard
+    deviations of each; the pixels agree with the noise."""
+    images, lights = photographs(
+        np.random.default_rng(2), turn=0.005, stray=0.002, prnu=0.01, gamma=1
+    )
+    camera = Camera(bits=12, black_level=BLACK, black_sd=0.5, prnu_sd=0.01)
+    sizes = {"intensity_sd": 0.01, "direction_sd": 0.005, "stray_sd": 0.002}
+    found = calibrate(from_photographs(images, lights, camera=camera, **BALL, **sizes))
+    scales = {
+        "light_scatter": 0.01,
+        "direction_scatter": 0.005,
+        "stray_scatter": 0.002,
+        "prnu": 0.01,
+    }
+    scores = z_scores(found, {k: v for k, v in TRUTH.items() if k != "gamma"} | scales)
+    assert len(scores) == 10
+    assert np.abs(scores).max() < 4
+    (fit,) = found.fits
+    assert fit.converged
+    assert fit.unexplained is None
+    assert abs(fit.chi_square - 1) < 4 * np.sqrt(2 / fit.cells)
+
+
+@pytest.mark.slow
+def test_flats_and_darks_sharpen_gain_read_noise_and_black():
+    rng = np.random.default_rng(5)
+    images, lights = photographs(rng, gamma=1)
+    camera = Camera(bits=12, black_level=BLACK, black_sd=0.5)
+
+    given = {"camera": camera, **BALL, "intensity_sd": 0.01}
+    alone = calibrate(from_photographs(images, lights, **given)).posteriors["grey"]
+    flats, darks = [uniform(rng, 2000), uniform(rng, 8000)], [uniform(rng, 0)]
+    beside = {"flats": flats, "darks": darks}
+    both = calibrate(from_photographs(images, lights, **given, **beside))
+    names_ = names(alone.space)
+    spread = [np.sqrt(np.diagonal(p.covariance)) for p in (alone, both.posteriors["grey"])]
+    ratio = dict(zip(names_, spread[1] / spread[0], strict=True))
+    assert ratio["system_gain"] < 0.7
+    assert ratio["read_noise"] < 0.2
+    assert ratio["black_level"] < 0.2
+    assert np.abs(z_scores(both, TRUTH)).max() < 4
+
+
+@pytest.mark.slow
+def test_cells_of_many_pixels_say_what_the_pixels_say():
+    """Cells half as wide as the lobe have the mode and the widths of single pixels."""
+    images, lights = photographs(np.random.default_rng(7), exponent=4.0)
+    measurement = from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=0.01)
+    fits = []
+    for width in (0.05, 0.12):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cells, "STEPS", (width,))
+            fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
+    fine, wide = fits
+    assert wide.cells < fine.cells / 1.5
+    deviation, other = (np.sqrt(np.diagonal(np.linalg.inv(fit.information))) for fit in fits)
+    np.testing.assert_allclose(wide.vector / deviation, fine.vector / deviation, atol=0.3, rtol=0)
+    np.testing.assert_allclose(other, deviation, rtol=0.05)
