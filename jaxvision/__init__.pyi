@@ -127,7 +127,9 @@ from .brdf.torrance_sparrow import (
 )
 from .camera_files import (
     read_camera as read_camera,
+    read_sensor as read_sensor,
     write_camera as write_camera,
+    write_sensor as write_sensor,
     shipped_cameras as shipped_cameras,
 )
 from .colour_filters import (

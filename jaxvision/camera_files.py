@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
 from .record_files import check_keys, record_of, table_of, with_draws, write_draws, write_tables
-from .scene import Camera
+from .scene import Camera, Sensor
 
 _TABLES = ("view", "sensor", "development")
 _BANDS = ("first", "last", "step")
@@ -123,6 +123,55 @@ def write_camera(
     write_tables(path, ({"about": about} if about else {}) | content)
     if draws is not None:
         write_draws(path, camera, draws)
+
+
+def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> Sensor:
+    """Reads a sensor from a TOML file with the one table `[sensor]`.
+
+    Args:
+        source: path of the file.
+        draws: how many of the draws of a fitted sensor, which lie beside its file; None for the
+            best fit.
+
+    Returns:
+        The sensor; with draws, every number of it has a leading axis, for `jax.vmap`.
+
+    Raises:
+        InputError: there is no such file, or it holds an unknown key or a value out of range.
+    """
+    from .toml_files import read_toml
+
+    file = Path(source)
+    content, place = read_toml(file, "sensor"), str(file)
+    check_keys(place, "", content, ("sensor", "about"))
+    if not isinstance(content.get("sensor"), Mapping):
+        raise InputError(f"{place}: the table [sensor] is missing; add it.")
+    table = {name: value for name, value in content["sensor"].items() if name != "kind"}
+    sensor = record_of(place, "sensor", Sensor, table)
+    return sensor if draws is None else with_draws(file, sensor, draws)
+
+
+def write_sensor(
+    sensor: Sensor, file: str | os.PathLike[str], *, draws: Sensor | None = None, about: str = ""
+) -> None:
+    """Writes a sensor that `read_sensor` reads back, bit-equal.
+
+    Args:
+        sensor: the best fit, say.
+        file: ending in .toml; missing folders are made.
+        draws: the same sensor with a leading axis at every number, one draw each; they are written
+            beside the file, ending in .npz.
+        about: a word on where it comes from.
+
+    Raises:
+        InputError: for draws of another sensor, and a file of another ending.
+    """
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a sensor file ends in .toml.")
+    write_tables(path, ({"about": about} if about else {}) | {"sensor": table_of(sensor)})
+    if draws is not None:
+        write_draws(path, sensor, draws)
 
 
 def _found(source: str | os.PathLike[str]) -> Path:

@@ -79,7 +79,8 @@ def test_noise_writes_report_results_and_chains_and_prints_json(lab, tmp_path):
     stored = json.loads((tmp_path / "out" / "results.json").read_text())
     assert printed["sections"] == stored["sections"]
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"report.html", "results.json", "noise_chains.nc"}
+    sensor = {"sensor.toml", "sensor.npz"}
+    assert names == {"report.html", "results.json", "noise_chains.nc"} | sensor
     gain = next(e for e in stored["sections"][0]["estimates"] if e["name"] == "system_gain")
     assert gain["interval_95"][0] < truth.system_gain < gain["interval_95"][1]
 

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from fitting import Parameter, Problem, SensorNoise, fit
+from fitting.noise import calibrate, from_frames
+from fitting.noise.section import section as noise_section
+from fitting.rig import Camera as RigCamera
 from jaxvision import (
     Camera,
     DirectionalLight,
@@ -24,10 +27,13 @@ from jaxvision import (
     capture,
     read_camera,
     read_material,
+    read_sensor,
     write_camera,
     write_material,
+    write_sensor,
 )
 from jaxvision.errors import InputError
+from jaxvision.sensor import raw_image
 
 SHIPPED = ["ideal", "emva1288", pytest.param("consumer_bayer", marks=pytest.mark.slow)]
 
@@ -59,11 +65,23 @@ def drawn(material, count=10):
     return eqx.tree_at(lambda m: m.exponent, many, 20 + jnp.arange(1.0 * count))
 
 
+def test_a_sensor_comes_back_bit_equal_and_is_told_its_table(tmp_path):
+    sensor, file = read_camera("emva1288").sensor, tmp_path / "sensor.toml"
+    write_sensor(sensor, file, about="of a camera")
+    assert eqx.tree_equal(read_sensor(file), sensor)
+    file.write_text("gain = 0.5")
+    with pytest.raises(InputError, match="gain is not a key here"):
+        read_sensor(file)
+    with pytest.raises(InputError, match="ends in"):
+        write_sensor(sensor, tmp_path / "sensor.txt")
+
+
 def test_draws_lie_beside_and_are_thinned(tmp_path):
     file, material = tmp_path / "gloss.toml", MATERIALS[1]
     write_material(material, file, draws=drawn(material))
     assert eqx.tree_equal(read_material(file), material)
     four = read_material(file, draws=4)
+    assert isinstance(four, Phong)
     np.testing.assert_array_equal(four.exponent, [20, 23, 26, 29])
     np.testing.assert_array_equal(four.diffuse, np.full((4, 1), 0.3))
     assert list(np.load(tmp_path / "gloss.npz")) == [".exponent"]
@@ -138,4 +156,48 @@ def test_a_fitted_camera_predicts_pictures_that_it_has_not_seen(tmp_path):
     unseen = np.stack(
         [capture(key, scene, truth).raw for key in jax.random.split(jax.random.key(2), 5)]
     )
+    assert 0.93 < np.mean((unseen >= low) & (unseen <= high)) < 0.97
+
+
+@pytest.mark.slow
+def test_the_sensor_of_a_noise_calibration_predicts_levels_that_it_has_not_seen(tmp_path):
+    """Flats and darks to the report of the command, whose sensor.toml predicts another level."""
+    truth = Sensor(
+        shot_noise=PoissonShotNoise(),
+        exposure_time=0.01,
+        quantum_efficiency=0.5,
+        read_noise=12.0,
+        gain=0.3,
+        offset=40.0,
+        bits=12,
+    )
+    size, key = (64, 64, 1), jax.random.key(4)
+
+    def frames(photons, number):
+        light = jnp.full(size, photons / 0.01)
+        keys = jax.random.split(jax.random.fold_in(key, number), 4)
+        return [np.asarray(raw_image(k, truth, light))[..., 0] for k in keys]
+
+    levels = np.linspace(500.0, 20_000.0, 8)
+    exposures = np.full(8, 0.01)
+    measured = from_frames(
+        [frames(photons, i) for i, photons in enumerate(levels)],
+        [frames(0.0, 100)],
+        exposures.tolist(),
+        levels.tolist(),
+        camera=RigCamera(bits=12),
+        dark_exposures=[0.01],
+    )
+    section = noise_section(calibrate(measured))
+    section.records["sensor"](tmp_path / "sensor.toml")
+    best = read_sensor(tmp_path / "sensor.toml")
+    for name in ("gain", "read_noise", "offset", "quantum_efficiency"):
+        np.testing.assert_allclose(getattr(best, name), getattr(truth, name), rtol=0.03)
+    many = read_sensor(tmp_path / "sensor.toml", draws=400)
+    light = jnp.full(size, 3333.0 / 0.01)
+    drawn = jax.vmap(lambda k, sensor: raw_image(k, sensor, light))(
+        jax.random.split(jax.random.key(9), 400), many
+    )
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    unseen = np.stack(frames(3333.0, 200))[..., None]
     assert 0.93 < np.mean((unseen >= low) & (unseen <= high)) < 0.97

@@ -1,6 +1,7 @@
 """A noise calibration as its reader sees it: the sheet line by line, findings and pictures."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from .emva1288 import NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .figures import noise_pictures
 from .findings import findings
 from .pattern import SEEN
+from .sensor import write_fitted_sensor
 
 
 def section(calibration: NoiseCalibration) -> Section:
@@ -33,6 +35,7 @@ def section(calibration: NoiseCalibration) -> Section:
         pictures=noise_pictures(calibration),
         tables=(_models_table(calibration),),
         posteriors={"": calibration.posterior},
+        records={"sensor": partial(write_fitted_sensor, calibration)},
         settings={
             "bright levels used by the likelihood": len(calibration.usable),
             "bright levels of the standard's gain": int(calibration.within.sensitivity.sum()),

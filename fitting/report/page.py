@@ -94,7 +94,8 @@ def write_report(
 
     Returns:
         Paths of `report.html`, `results.json`, for each section with posteriors
-        `<kind>_chains.nc`, and for each name of its data `<name>.csv`.
+        `<kind>_chains.nc`, for each name of its data `<name>.csv`, and for each of its records
+        `<name>.toml` with draws beside it.
     """
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
@@ -115,6 +116,9 @@ def write_report(
                 rows.writerow(columns)
                 rows.writerows(zip(*columns.values(), strict=True))
             written.append(path)
+        for name, write in section.records.items():
+            write(folder / f"{name}.toml")
+            written.append(folder / f"{name}.toml")
     return written
 
 

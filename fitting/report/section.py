@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,6 +64,8 @@ class Section:
         posteriors: by group.
         settings: everything needed to repeat the fit.
         data: what is too long for a table, whole: columns by the name of their file.
+        records: what was fitted, for use in a simulation: by the name of its file the function that
+            writes it to a path, ending in .toml.
     """
 
     kind: str
@@ -74,3 +77,4 @@ class Section:
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     data: dict[str, Columns] = field(default_factory=dict)
+    records: dict[str, Callable[[Path], None]] = field(default_factory=dict)

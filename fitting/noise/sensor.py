@@ -1,0 +1,80 @@
+"""A calibrated camera as a sensor that predicts: the best fit, and draws of it."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision import PoissonShotNoise, Sensor
+from jaxvision.camera_files import write_sensor
+
+from ..inference.parameters import names
+from .calibration import NoiseCalibration
+from .pattern import SEEN
+
+DRAWS = 1000  # kept at most
+
+
+def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
+    """The sensor of a calibration.
+
+    Gain and efficiency are those at zero signal: a compression of the chosen model has no place in
+    a `Sensor`. Patterns are the best fit's in every draw. Exposure is the median of the flats', so
+    that light is a rate, photons per pixel and second.
+
+    Args:
+        calibration: of the camera.
+
+    Returns:
+        The best fit; and the same with a leading axis of draws at every number.
+    """
+    posterior = calibration.posterior
+    rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
+    drawn = jnp.asarray(posterior.samples[rows.astype(int)])
+    best = _sensor(calibration, jnp.asarray(posterior.mode))
+    return best, eqx.filter_vmap(lambda values: _sensor(calibration, values))(drawn)
+
+
+def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
+    """Writes the sensor of a calibration, its draws beside it.
+
+    Args:
+        calibration: of the camera.
+        path: ending in .toml.
+    """
+    best, draws = fitted_sensor(calibration)
+    about = "Fitted by photon transfer; light is photons per pixel and second."
+    write_sensor(best, path, draws=draws, about=about)
+
+
+def _sensor(calibration: NoiseCalibration, natural: Float[Array, " parameters"]) -> Sensor:
+    space = calibration.posterior.space
+    values = dict(zip(names(space), natural, strict=True))
+    gain, measurement = values["system_gain"], calibration.measurement
+    photons, scale = measurement.photons_known, measurement.full_scale
+    dark_noise, response = _patterns(calibration)
+    return Sensor(
+        shot_noise=PoissonShotNoise(),
+        exposure_time=jnp.median(measurement.bright.exposure),
+        quantum_efficiency=values["responsivity"] / gain if photons else None,
+        read_noise=values["read_noise"],
+        dark_current=jnp.maximum(values["dark_current"], 0) if "dark_current" in values else None,
+        gain=gain,
+        offset=values["black_level"],
+        dsnu=dark_noise,
+        prnu=response,
+        bits=None if scale is None else float(np.log2(scale + 1)),
+    )
+
+
+def _patterns(calibration: NoiseCalibration) -> tuple[float | None, float | None]:
+    """DSNU, e-, and PRNU of the fit to all levels; None where temporal noise hides them."""
+    if calibration.patterns is None:
+        return None, None
+    found = calibration.patterns[1]
+    gain = float(calibration.chosen.values["system_gain"])
+    dark = np.sqrt(found.dark) / gain if found.dark > SEEN * found.dark_error else None
+    seen = found.response > SEEN * found.response_error
+    return dark, float(np.sqrt(found.response)) if seen else None
