@@ -1,8 +1,9 @@
 """What is None leaves nothing behind: the primitives of a traced program, counted, effect by
-effect, of the sensor and of the lens."""
+effect: of the sensor, the lens, shadows, motion and development."""
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 from oracles.sensors import EVERY_EFFECT
 
+import jaxvision as jv
 from jaxvision import optics
 from jaxvision import scene as s
+from jaxvision.development import develop
+from jaxvision.rendering import render
 from jaxvision.sensor import raw_image
+from jaxvision.shot import capture
 
 KEY, DIE = jax.random.split(jax.random.key(8))
 LIGHT = jnp.full((6, 8, 3), 1e-3, float)
@@ -122,3 +127,67 @@ def test_parts_of_a_lens_that_are_none_are_not_traced():
         assert bare != alone
     # nothing but the law: no iteration, no transform, no convolution
     assert not set(bare) & {"while", "scan", "fft", "conv_general_dilated", "cos", "sin"}
+
+
+DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+VIEW = s.Orthographic([0, 0, 3], DOWN, 0.2, resolution=(4, 4))
+FLOOR = s.Surface(s.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
+# more than are unrolled: a search among them is a loop of its own
+BALLS = [s.Surface(s.Sphere([0.1 * i, 0, 0.3], 0.05), jv.Lambert([0.2])) for i in range(20)]
+SCENE = s.Scene([FLOOR, *BALLS], jv.PointLight([1, 0.5, 4.0], [8.0]))
+
+
+def test_without_occluders_nothing_is_searched_for_shadows():
+    """One loop over the shapes fewer: what is left of them is the search of what a ray hits."""
+    shaded = primitives(render, SCENE, VIEW)
+    without = primitives(render, replace(SCENE, occluders=()), VIEW)
+    assert shaded["scan"] == without["scan"] + 1
+    assert without <= shaded
+
+
+def test_without_lobes_there_is_no_power():
+    """Lambert's law needs no exponential; a lobe does."""
+    assert not set(primitives(render, SCENE, VIEW)) & {"exp", "exp2", "log", "log2", "pow"}
+
+
+@pytest.mark.slow
+def test_without_motion_no_moment_is_looped_over():
+    """A shutter without motion is not asked; a motion loops over its moments once."""
+    sensor = s.Sensor(exposure_time=0.01, shutter=s.RollingShutter(1e-4))
+    few = replace(SCENE, surfaces=(FLOOR,))
+
+    def raw(sensor, **moving):
+        camera = s.Camera(VIEW, sensor)
+        return primitives(lambda x: capture(None, x, camera, **moving).raw, few)
+
+    still = raw(sensor)
+    assert still == raw(replace(sensor, shutter=None))
+    assert raw(sensor, motion=lambda x, view, time: (x, view))["scan"] == still["scan"] + 1
+
+
+STEPS = s.Development(
+    black_level=60.0,
+    white_level=1000.0,
+    white_balance=s.WhiteBalance([2.0, 1.0, 1.5]),
+    saturation=1.0,
+    denoising=s.Bilateral(1.0, 0.1, radius=1),
+    colour_matrix=np.eye(3) + 0.1,
+    tone_map=s.Reinhard(),
+    tone=s.SRGB(),
+    sharpening=s.UnsharpMask(1.0, 0.8, size=3),
+    compression=s.JPEG(90.0),
+)
+
+
+@pytest.mark.slow
+def test_a_step_of_development_that_is_none_takes_its_primitives_with_it():
+    image = jnp.ones((8, 8, 3))
+    whole = primitives(lambda x: develop(x, STEPS), image)
+    for name in vars(STEPS):
+        if getattr(STEPS, name) is None:
+            continue
+        absent = {name: None} | ({"saturation": None} if name == "white_balance" else {})
+        without = primitives(partial(develop, development=replace(STEPS, **absent)), image)
+        assert without <= whole, name
+        assert sum(without.values()) < sum(whole.values()), name
+    assert primitives(lambda x: develop(x, s.Development()), image) == Counter()
