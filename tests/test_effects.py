@@ -363,3 +363,19 @@ def test_paths_are_cut_where_light_no_longer_matters():
     assert np.all(shrinking <= 0.05 * 2 / 16 * 16)
     pruned = effects.prune(scene, VIEW, "1%", level=0.01, depth=8)
     assert pruned.depth < 8
+
+
+def test_bounds_hold_at_every_moment_of_a_motion():
+    """A lamp that comes near during the exposure counts as near, and is not left out."""
+    scene = jv.Scene(FLOOR, [jv.PointLight([0, 0, 2], [1.0]), jv.PointLight([0, 0, 99], [1.0])])
+    camera = jv.Camera(VIEW, jv.Sensor(exposure_time=1.0))
+
+    def nearer(scene, view, time):
+        light = replace(scene.lights[1], position=jnp.stack([0 * time, 0 * time, 99 - 98 * time]))
+        return replace(scene, lights=(scene.lights[0], light)), view
+
+    resting = bound_of(scene, "lights[1]", camera).bound
+    moving = bound_of(scene, "lights[1]", camera, motion=nearer, moments=9).bound
+    assert moving > 100 * resting
+    end = jv.PointLight([0, 0, 1 + 98 / 18], [1.0])  # the middle of the last ninth
+    assert moving == pytest.approx(bound_of(jv.Scene(FLOOR, end), "lights[0]").bound, rel=0.3)

@@ -11,16 +11,14 @@ import numpy as np
 from ..errors import InputError
 from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, View
-from .bounces import bounce_rows
 from .boxes import Box, ends_of, refuse_tracers
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, concerns
 from .development import development_stage
+from .moments import scene_rows
 from .motion import motion_stage
 from .optics import optics_stage
-from .radiance import scene_stage
 from .sensor import sensor_stage
-from .spectra import band_rows
 from .stages import Draft, Ends
 
 _PROBE = 16  # pixels along each side of the picture that finds the level
@@ -38,8 +36,9 @@ def _chain(
 ) -> Chain:
     """The rows from the scene to the picture; of a bare view those of scene and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
-    rows, arriving, sums = scene_stage(scene, view, depth=depth)
-    rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
+    rows, arriving = scene_rows(
+        scene, view, depth=depth, motion=motion, sensor=sensor.high, moments=moments
+    )
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
     of_lens, on_sensor = optics_stage(view, arriving, samples=samples, oversampling=finer)

@@ -1,0 +1,74 @@
+"""The rows of a scene that moves: each bound at its largest over all moments of the exposure."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..scene import Scene, Sensor, View
+from .bounces import bounce_rows
+from .motion import moments_of
+from .radiance import scene_stage
+from .spectra import band_rows
+from .stages import Arriving, Ends, Row
+
+Motion = Callable[[Scene, View, Any], tuple[Scene, View]]
+
+
+def scene_rows(
+    scene: Ends[Scene],
+    view: Ends[View],
+    *,
+    depth: int | None,
+    motion: Motion | None,
+    sensor: Sensor,
+    moments: int,
+) -> tuple[tuple[Row, ...], Arriving]:
+    """All rows of a scene, and what arrives at the camera at most.
+
+    Args:
+        scene, view: at their two ends, at rest.
+        depth: pieces of the longest path, or None: direct light.
+        motion: as in `capture`, or None.
+        sensor: whose exposure time and shutter place the moments, s.
+        moments: of a motion.
+
+    Returns:
+        Rows and `Arriving`. A scene that moves keeps its lights and its bands, which a motion may
+        name by number.
+    """
+    rows, arriving, sums = scene_stage(scene, view, depth=depth)
+    if motion is None or sensor.exposure_time is None:
+        return rows + band_rows(sums, direct=depth is None) + bounce_rows(sums, depth), arriving
+    times = moments_of(sensor, view.high.resolution[0], moments)
+    found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
+    everywhere = zip(rows, *(own for own, _ in found), strict=True)
+    seen = [arriving, *(own for _, own in found)]
+    brightest = np.max([own.radiance for own in seen], axis=0)
+    near, far = min(own.near for own in seen), max(own.far for own in seen)
+    return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far)
+
+
+def _moved(
+    scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
+) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
+    """The scene and the view at each time, s, at both ends."""
+    dtype = view.low.pixel_pitch.dtype
+    one = scene.low is scene.high and view.low is view.high
+    for time in times:
+        at = jnp.asarray(time, dtype)
+        low = motion(scene.low, view.low, at)
+        high = low if one else motion(scene.high, view.high, at)
+        yield Ends(low[0], high[0]), Ends(low[1], high[1])
+
+
+def _most(rows: Sequence[Row]) -> Row:
+    """One row with the largest amount of all."""
+    amount = np.max([row.amount for row in rows], axis=0)
+    bound = float(np.max(amount))
+    first = rows[0]
+    effect = replace(first.effect, bound=bound, rank="exact" if bound == 0 else "bound")
+    of_light = effect.name.startswith("lights[")
+    return replace(first, effect=effect, amount=amount, drop=None if of_light else first.drop)
