@@ -16,7 +16,7 @@ from jaxvision import effects
 from jaxvision.effects.bounces import bounce_rows
 from jaxvision.effects.cells import eye_of
 from jaxvision.effects.radiance import scene_stage
-from jaxvision.effects.spectra import band_rows
+from jaxvision.effects.spectra import band_rows, with_bands
 from jaxvision.effects.stages import Draft, Ends
 from jaxvision.effects.sums import sums_of
 
@@ -78,7 +78,7 @@ def alone(seed):
         left, expand = only(scene, draft, row), None
         if row.ladder == "bands":
             kept, expand = row.drop(draft).bands
-            left = effects.spectra.with_bands(scene, kept, len(expand))
+            left = with_bands(scene, kept, len(expand))
         yield row, np.abs(drawn(left, view, expand) - full).max(), full.max()
 
 
