@@ -12,6 +12,7 @@ from ..inference.posterior import Posterior, laplace_or_emcee
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from .fit import JointFit, fit_channel
+from .freedom import degrees_of_freedom
 from .model import Form, log_posterior
 from .read import JointMeasurement
 
@@ -82,12 +83,14 @@ def is_determined(fit: JointFit) -> bool:
 
 
 def _posterior(fit: JointFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
+    covariance = np.linalg.inv(fit.information)
     return laplace_or_emcee(
         log_posterior,
         fit.space,
         jnp.asarray(fit.vector),
-        np.linalg.inv(fit.information),
+        covariance,
         fit.data,
         sampling=for_group(sampling, fit.channel),
         seed=seed,
+        freedom=degrees_of_freedom(fit, covariance) if sampling is None else None,
     )

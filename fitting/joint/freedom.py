@@ -1,0 +1,66 @@
+"""How well the widths of a fit are known, as degrees of freedom.
+
+The errors of a few lights tell their own scale s only roughly, and with it the width of what they
+blur. If ln s is known to t, a variance that is s^2 and nothing else has 1 / (2 t^2) degrees of
+freedom, and its interval is Student's. Where only the part
+
+    a = d ln variance / d ln s^2
+
+of a parameter's variance comes from s, Satterthwaite's rule gives 1 / (2 a^2 t^2), and parts of
+several scales add in the inverse.
+
+Source:
+    Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
+    Bulletin 2, 1946.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..inference.parameters import names
+from .fit import JointFit
+from .model import JointData, cost
+from .start import SCATTERS
+
+STEP = 0.1  # of ln s, over which the variances' slopes are taken
+
+
+def degrees_of_freedom(
+    fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
+) -> Float[np.ndarray, " parameters"] | None:
+    """Degrees of freedom of each parameter's variance.
+
+    Args:
+        fit: of one channel.
+        covariance: (P, P) of its parameters on the unconstrained scale.
+
+    Returns:
+        (P,), infinite for the scales themselves; None where no scale is fitted.
+    """
+    labels = names(fit.space)
+    scales = [i for i, name in enumerate(labels) if name in SCATTERS]
+    if not scales:
+        return None
+    others = np.array([i for i in range(len(labels)) if i not in scales])
+    inverse = np.zeros(len(labels))
+    for i in scales:
+        ends = [_variances(fit, i, step, others) for step in (-STEP, STEP)]
+        part = np.log(ends[1] / ends[0]) / (4 * STEP)
+        inverse[others] += 2 * part**2 * covariance[i, i]
+    return 1 / np.maximum(inverse, 1e-12)
+
+
+def _variances(fit: JointFit, scale: int, step: float, others: np.ndarray) -> np.ndarray:
+    """Of the other parameters, with all scales held and one of them moved."""
+    vector = fit.vector.copy()
+    vector[scale] += step
+    information = np.asarray(_information(jnp.asarray(vector), fit.data), np.float64)
+    return np.diagonal(np.linalg.inv(information[np.ix_(others, others)]))
+
+
+@eqx.filter_jit
+def _information(vector: Array, data: JointData) -> Array:
+    return jax.hessian(cost)(vector, data)
