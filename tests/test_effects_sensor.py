@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from examples.random_sensors import SHAPE, draw, without
-from oracles.sensor_moments import distance, law
+from oracles.sensor_moments import distance, law, transfer_matrix
 from oracles.sensors import EVERY_EFFECT
 from scipy import stats
 
@@ -15,7 +15,7 @@ from jaxvision import scene as s
 from jaxvision.effects.overflow import Charge, excess
 from jaxvision.effects.pixel import pixel_of
 from jaxvision.effects.sensor import BOUNDS, ELSEWHERE, SCALES, sensor_stage
-from jaxvision.effects.sensor_charge import WHOLE, transfer_shares
+from jaxvision.effects.sensor_charge import WHOLE, shares_along, transfer_shares
 from jaxvision.effects.stages import Ends
 
 ROUNDING = 1e-6  # DN, of the oracle: differences of squares of large numbers
@@ -184,11 +184,16 @@ def test_counts_and_gaussians_of_the_same_moments_are_less_than_half_an_electron
 
 
 def test_shares_of_a_packet_are_binomial():
-    own, every = transfer_shares(s.ChargeTransfer(0.02, serial_inefficiency=0.01, trail=3), (9, 7))
-    for row, column in ((0, 0), (8, 6), (4, 2)):
-        kept = stats.nbinom.pmf(0, row + 1, 0.98) * stats.nbinom.pmf(0, column + 1, 0.99)
-        assert own[row, column] == pytest.approx(kept, rel=1e-12)
-    assert every.max() <= 1.0 + 0.02  # the end of a trail gathers what falls behind it
+    own, every = shares_along(0.02, 9, 3)
+    shares = transfer_matrix(9, 0.02, 3)
+    np.testing.assert_allclose(own, np.diag(shares), rtol=1e-12)
+    np.testing.assert_allclose(every, shares.sum(1), rtol=1e-12)
+    transfer = s.ChargeTransfer(0.02, serial_inefficiency=0.01, trail=3)
+    lost, gained = transfer_shares(transfer, (9, 7))
+    both = np.kron(shares, transfer_matrix(7, 0.01, 3))
+    assert lost == pytest.approx(1 - np.diag(both).min())
+    most = (both.sum(1) - np.diag(both)).max()
+    assert gained == pytest.approx(most, rel=1e-9)
 
 
 def spill(column, well, share):
@@ -319,6 +324,12 @@ def test_an_attenuator_is_bounded_by_what_it_takes_away():
     clear = replace(sensor, infrared_cut=[1.0, 1.0])
     rows, _ = sensor_stage(Ends(clear, clear), np.full(2, np.inf), shape=(1, 1))
     assert rows[0].effect.rank == "exact"
+
+
+def test_light_of_another_number_of_bands_is_refused_as_a_capture_refuses_it():
+    sensor = s.Sensor(colour_filter=s.ColourFilter(np.ones((1, 31)), pattern=((0,),)))
+    with pytest.raises(ValueError, match="31 bands"):
+        sensor_stage(Ends(sensor, sensor), np.ones(3), shape=(4, 4))
 
 
 def test_the_pixel_is_made_without_what_is_gone():

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..scene import Sensor, ShotNoise
+from ..sensor import mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
 from .boxes import refuse_tracers
 from .certificate import DN, Effect
@@ -69,10 +72,12 @@ def sensor_stage(
         A row for each effect that is present, with bounds in DN; and the response.
 
     Raises:
-        ValueError: for a sensor with traced numbers.
+        ValueError: for a sensor with traced numbers, or of another number of bands than the light.
     """
     refuse_tracers(sensor)
     light = np.asarray(irradiance, float)
+    arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
+    jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
 
     @cache
     def pixel(gone: Gone) -> Pixel:

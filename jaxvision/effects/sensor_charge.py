@@ -62,9 +62,9 @@ def blooming(pixel: Pixel) -> Bound:
     others = pixel.shape[0] - 1
     half = pixel.high("blooming") / 2
     mean, rms = pixel.spilt
-    well = float(pixel.sensor.high["full_well"])
     if half == 0 or rms == 0 or others == 0:
         return Bound(0.0, "no charge spills")
+    well = float(pixel.sensor.high["full_well"])
     if not math.isfinite(rms):
         return Bound(pixel.behind_charge * well, "at most a full well")
     spilt = half * math.hypot(others * mean, math.sqrt(others) * rms)
@@ -79,8 +79,7 @@ def charge_transfer(pixel: Pixel) -> Bound:
     counted variance by the mean.
     """
     transfer = pixel.sensor.high["charge_transfer"]
-    own, all_shares = transfer_shares(transfer, pixel.shape)
-    lost, gained = float(np.max(1 - own)), float(np.max(all_shares - own))
+    lost, gained = transfer_shares(transfer, pixel.shape)
     if not math.isfinite(pixel.bright):
         return Bound(INF, "the light is not bounded")
     mean = max(lost, gained) * pixel.bright
@@ -90,30 +89,40 @@ def charge_transfer(pixel: Pixel) -> Bound:
     return Bound(moved, f"{max(lost, gained):.3g} of a packet stays behind")
 
 
-def transfer_shares(
-    transfer: ChargeTransfer, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """For each pixel the share of its own packet that is read in its place, and the sum of all
-    shares that are.
-
-    The packet of row i is transferred i + 1 times and left behind k times with the binomial
-    probability C(i + k, k) (1 - e)^(i + 1) e^k; what is left `trail` times or more is read `trail`
-    rows behind.
+def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
+    """The largest share of a packet that is not read in its place, and the largest sum of shares
+    of other packets that is.
 
     Args:
         transfer: the inefficiencies and the length of the trail.
         shape: (rows, columns).
 
     Returns:
-        Two arrays (rows, columns), no unit.
+        (lost, gained), no unit; rows and columns are passed one after the other, so that both are
+        bounded by the extremes of each.
     """
-    own_rows, all_rows = _along(float(transfer.inefficiency), shape[0], transfer.trail)
     serial = transfer.serial_inefficiency
-    own, every = _along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
-    return np.outer(own_rows, own), np.outer(all_rows, every)
+    rows = shares_along(float(transfer.inefficiency), shape[0], transfer.trail)
+    columns = shares_along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
+    own = float(rows[0].min() * columns[0].min())
+    return 1 - own, max(float(rows[1].max() * columns[1].max()) - own, 0.0)
 
 
-def _along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
+def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each place the share of its own packet that is read there, and the sum of all shares.
+
+    The packet of place i is transferred i + 1 times and left behind k times with the binomial
+    probability C(i + k, k) (1 - e)^(i + 1) e^k; what is left `trail` times or more is read `trail`
+    places behind.
+
+    Args:
+        inefficiency: e, no unit.
+        size: places.
+        trail: places over which a packet is followed.
+
+    Returns:
+        Two arrays (size,), no unit.
+    """
     row = np.arange(size)
     share = (1 - inefficiency) ** (row + 1)
     own, received, left = share, np.zeros(size), 1 - share
