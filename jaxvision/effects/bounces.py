@@ -4,7 +4,7 @@ With T_ij = rho_i F_ij the light of one more piece is T of the last, in the sup 
 surface. A form factor F_ij is at most 1, at most (R / d)^2 of the ball about j seen from i, and 0
 where i is flat and j wholly behind it; those of a row sum to at most 1, which is spent on the
 brightest first. A mirror or glass may pass on all of the brightest. Proof is good in open scenes;
-in a bright closed room it is far too large, and `probes` estimates instead.
+in a bright closed room it is far too large, and its paths are kept.
 """
 
 from dataclasses import replace

@@ -107,7 +107,7 @@ class Effect:
         unit: that of `bound`: of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or of the certificate.
         rank: "exact": proved not to matter; "bound": proved; "estimate": sampled, never counted
             among what is proved.
-        seconds: measured time that it takes in a picture, or None.
+        saves: share of a picture's work that goes with it, by a declared table.
         free: whether a fit may change it, so that it is never dropped.
         rare: expected number of pixels that it changes by any amount.
     """
@@ -119,7 +119,7 @@ class Effect:
     place: float = 0.0
     unit: str = RADIANCE
     rank: Rank = "bound"
-    seconds: float | None = None
+    saves: float = 0.0
     free: bool = False
     rare: float = 0.0
 

@@ -210,7 +210,7 @@ class Choice:
 
     def _told(self, row: Row, bound: float, unit: str) -> Effect:
         free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
-        return replace(row.effect, bound=bound, unit=unit, free=free)
+        return replace(row.effect, bound=bound, unit=unit, saves=row.saves, free=free)
 
 
 def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:

@@ -110,7 +110,11 @@ def inspect(
     )
     named = frozenset(free or ())
     return tuple(
-        replace(row.effect, free=any(concerns(name, row.effect.name) for name in named))
+        replace(
+            row.effect,
+            saves=row.saves,
+            free=any(concerns(name, row.effect.name) for name in named),
+        )
         for row in chain.rows
     )
 

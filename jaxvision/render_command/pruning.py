@@ -127,15 +127,16 @@ def box_of(free: Sequence[str]) -> Box:
 
 def listed(found: Iterable[Effect]) -> str:
     """Effects as lines of text, each bound in its own unit, places in pixels."""
-    rows = [("effect", "bound", "", "pixels", "rank", "why")]
+    rows = [("effect", "bound", "", "pixels", "saves", "rank", "why")]
     for effect in found:
         none = math.isinf(effect.bound)
         bound, unit = ("none", "") if none else (f"{effect.bound:.3g}", effect.unit)
         why = effect.why if effect.present else "absent"
-        rows.append((effect.name, bound, unit, f"{effect.place:.2g}", effect.rank, why))
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+        numbers = f"{effect.place:.2g}", f"{100 * effect.saves:.0f} %"
+        rows.append((effect.name, bound, unit, *numbers, effect.rank, why))
+    widths = [max(len(row[i]) for row in rows) for i in range(6)]
     return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row[:5], widths, strict=True)), row[5]]).rstrip()
+        "  ".join([*(c.ljust(w) for c, w in zip(row[:6], widths, strict=True)), row[6]]).rstrip()
         for row in rows
     )
 
