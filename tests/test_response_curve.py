@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, gamma, log_exposures, s_shaped, srgb
 
-from fitting.response.code_pairs import (
-    NoiseModel,
-    code_bins,
-    hat_rule,
-    noise_rule,
-    observe,
-    pair_statistics,
-)
-from fitting.response.curve import fit_response_curve, roughness, shutter_basis
+from fitting.response.code_bins import code_bins
+from fitting.response.code_pairs import pair_statistics
+from fitting.response.curve import fit_response_curve
+from fitting.response.pixel_noise import NoiseModel
+from fitting.response.solve import roughness, shutter_basis
+from fitting.response.weights import hat_rule, noise_rule, observe
 from jaxvision.errors import InputError
 
 TIMES = 2.0 ** np.arange(-4, 5)
@@ -93,14 +90,15 @@ def test_pair_statistics_are_the_eliminated_energy():
     _, codes = exposure_stack(gamma(2.2), TIMES, rng, pixels=300)
     bins, log_t = code_bins(8, 0.0, 255.0), np.log(TIMES)
     g, s = np.sort(rng.normal(size=254)), log_t + rng.normal(0, 0.1, len(log_t))
-    weight = np.append(hat_rule(bins).by_bin, 0.0)
+    weight = np.append(hat_rule(bins).by_bin[0], 0.0)
     energy = 0.0
     for pixel in bins.lookup[codes].T:
         w = weight[pixel]
         if np.count_nonzero(w) >= 2:
             y = g[pixel] - s
             energy += np.sum(w * (y - np.average(y, weights=w)) ** 2)
-    found = pair_statistics(codes, log_t, bins, hat_rule(bins), g)
+    one = np.zeros(codes.shape[1], int)
+    found = pair_statistics(codes, one, log_t, bins, hat_rule(bins), g)
     theta = np.concatenate([g, s])
     assert theta @ found.matrix @ theta == pytest.approx(energy, rel=1e-10)
 
@@ -108,10 +106,11 @@ def test_pair_statistics_are_the_eliminated_energy():
 def test_statistics_do_not_depend_on_chunks(monkeypatch):
     _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(6), pixels=3000)
     bins, means = code_bins(8, 0.0, 255.0), np.linspace(-5, 2, 254)
-    rule = noise_rule(NoiseModel(1e-2, 1e-3, 1e-4), means)
-    whole = pair_statistics(codes, np.log(TIMES), bins, rule, means)
+    rule = noise_rule([NoiseModel(1e-2, 1e-3, 1e-4)], means)
+    one = np.zeros(codes.shape[1], int)
+    whole = pair_statistics(codes, one, np.log(TIMES), bins, rule, means)
     monkeypatch.setattr("fitting.response.code_pairs.CHUNK", 700)
-    parts = pair_statistics(codes, np.log(TIMES), bins, rule, means)
+    parts = pair_statistics(codes, one, np.log(TIMES), bins, rule, means)
     np.testing.assert_allclose(parts.matrix, whole.matrix, atol=1e-9 * np.abs(whole.matrix).max())
     np.testing.assert_allclose(parts.score, whole.score, atol=1e-9 * np.abs(whole.score).max())
     assert parts.pixels == whole.pixels
@@ -123,7 +122,8 @@ def test_clipped_and_black_codes_weigh_nothing():
     assert (bins.lookup[250:] == -1).all()
     assert bins.lookup[11] == 0
     codes = np.array([[5], [60], [255], [120]])
-    seen = observe(bins.lookup[codes], np.zeros(4), np.linspace(-3, 1, 239), hat_rule(bins))
+    one = np.zeros(1, int)
+    seen = observe(bins.lookup[codes], one, np.zeros(4), np.linspace(-3, 1, 239), hat_rule(bins))
     np.testing.assert_array_equal(seen.weights[:, 0] > 0, [False, True, False, True])
 
 

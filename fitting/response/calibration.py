@@ -11,6 +11,7 @@ from jaxvision.errors import InputError
 from ..inference.emcee_run import SamplingOptions, for_group
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
+from .places import layout_of
 from .radiance_map import RadianceMap, merge
 from .read import ExposureStack, Plane
 
@@ -90,6 +91,7 @@ def _calibrate(
         bits=stack.bits,
         black=plane.black,
         clip=plane.clip,
+        layout=layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip),
     )
     own = for_group(sampling, plane.label)
     gamma = fit_gamma(curve, label=plane.label, sampling=own, seed=seed)

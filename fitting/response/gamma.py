@@ -39,7 +39,8 @@ from ..inference.parameters import (
 )
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from ..inference.priors import LogNormal
-from .curve import ResponseCurve, shutter_basis, spread_of_times
+from .curve import ResponseCurve
+from .solve import shutter_basis, spread_of_times
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 TABULATED = (1e-6, 1.0)  # range of tau over which gamma's errors are mixed

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Integer
 
-from .code_pairs import CHUNK, cells_of, noise_rule, weighted_mean
+from .code_pairs import CHUNK
 from .curve import ResponseCurve
+from .weights import cells_of, noise_rule, weighted_mean
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class RadianceMap:
 
     Attributes:
         radiance: relative, per second.
-        relative_error: its standard deviation over it.
+        relative_error: its standard deviation over it, where the scene is flat.
         coverage: how many exposures were used (0: a bound, or codes too noisy to weigh).
     """
 
@@ -69,14 +70,15 @@ def _merge(
     codes: np.ndarray, log_t: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rising = np.maximum.accumulate(curve.bin_means)
-    rule = noise_rule(curve.noise, rising + 1e-9 * np.arange(len(rising)))
+    rule = noise_rule([curve.noise], rising + 1e-9 * np.arange(len(rising)))
     assert rule.weight is not None
     binned = curve.bins.lookup[codes]
     usable = binned >= 0
     by_each = curve.log_exposure[binned] - log_t[:, None]
-    rough = np.where(usable, rule.by_bin[binned], 0)
+    rough = np.where(usable, rule.by_bin[0][binned], 0)
     first = weighted_mean(rough, by_each)
-    weights = np.where(rough > 0, rule.weight[cells_of(rule, first + log_t[:, None])], 0)
+    cells = cells_of(rule, first + log_t[:, None], np.zeros(codes.shape[1], int))
+    weights = np.where(rough > 0, rule.weight[0][cells], 0)
     coverage = np.count_nonzero(weights, axis=0)
 
     noisy = np.where(usable, np.exp(2 * np.minimum(curve.log_exposure[binned], 0)), 0)

@@ -1,0 +1,65 @@
+"""Intervals of codes: the places at which a response curve is known. Codes are DN."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+MAX_BINS = 512  # 8- and 9-bit codes have a bin each
+
+
+@dataclass(frozen=True)
+class CodeBins:
+    """Intervals of codes.
+
+    Attributes:
+        edges: DN, ascending, half-integers.
+        lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
+        black: DN without light.
+    """
+
+    edges: Float[np.ndarray, " edges"]
+    lookup: Int[np.ndarray, " codes"]
+    black: float
+
+    @property
+    def full_scale(self) -> int:
+        return len(self.lookup) - 1
+
+    @property
+    def centres(self) -> Float[np.ndarray, " bins"]:
+        return (self.edges[1:] + self.edges[:-1]) / 2
+
+    @property
+    def middle(self) -> int:
+        """The bin at mid-scale, where g = 0."""
+        return int(np.searchsorted(self.centres, (self.black + self.edges[-1]) / 2))
+
+
+def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) -> CodeBins:
+    """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
+    which follow shot noise.
+
+    Args:
+        bits: of the codes.
+        black: DN without light.
+        clip: DN from which a code is saturated.
+        count: most bins.
+
+    Returns:
+        The bins.
+    """
+    first, last = int(np.floor(black)) + 1, min(int(np.ceil(clip)), 2**bits - 1) - 1
+    if last - first + 1 <= count:
+        starts = np.arange(first, last + 2)
+    else:
+        even = np.linspace(0, np.sqrt(last + 1 - first), count + 1)
+        starts = np.unique(np.round(first + even**2).astype(int))
+    lookup = np.searchsorted(starts, np.arange(2**bits), side="right") - 1
+    lookup[starts[-1] :] = -1
+    return CodeBins(starts - 0.5, lookup.astype(np.int32), black)
+
+
+def interval_variance(means: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
+    """Variance of ln X within each bin, its light being log-uniform."""
+    return np.gradient(means) ** 2 / 12

@@ -1,0 +1,173 @@
+"""A first curve, the noise models and the hyperparameters, from few pixels and bins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Integer
+from scipy.interpolate import CubicSpline
+from scipy.optimize import nnls
+
+from jaxvision.errors import InputError
+
+from .code_bins import CodeBins, interval_variance
+from .code_pairs import pair_statistics
+from .pixel_noise import NoiseModel
+from .solve import STEADIEST, Hyperparameters, Solution, solve
+from .weights import Observations, WeightRule, hat_rule, noise_rule, observe
+
+PASSES = 4
+KEPT = 0.3  # share of a class's pixels that its noise model must leave
+FIRST_SMOOTHNESS = 300.0  # the median of the 201 measured curves
+FIRST_ERROR = 0.01  # of the shutter
+NOISE_CELLS = 48
+FEWEST_IN_CELL = 10
+WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal's median
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What the pilot's pixels gave.
+
+    Attributes:
+        means: (bins,) of the curve, rising, over coarse bins.
+        noises: of the classes; None where the images agree on nothing.
+        rule: of the weights that they give.
+        solution: the last.
+    """
+
+    means: Float[np.ndarray, " bins"]
+    noises: tuple[NoiseModel | None, ...]
+    rule: WeightRule
+    solution: Solution
+
+
+def fit_pilot(
+    codes: Integer[np.ndarray, "exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+    log_t: Float[np.ndarray, " exposures"],
+    bins: CodeBins,
+    *,
+    least_error: float = STEADIEST,
+) -> Pilot:
+    """The pilot; its first pass, which knows no curve yet, weights as Debevec & Malik do.
+
+    A class of which a noise model leaves too few pixels is given up: its errors are no noise.
+
+    Args:
+        codes: (exposures, pixels) DN, of some pixels.
+        classes: (pixels,).
+        log_t: (exposures,) log exposure times.
+        bins: coarse.
+        least_error: lowest tau.
+
+    Returns:
+        The pilot.
+
+    Raises:
+        InputError: where no class is left.
+    """
+    x = np.log(bins.centres - bins.black)
+    means, binned = x - x[bins.middle], bins.lookup[codes]
+    count = int(classes.max()) + 1
+    full = np.bincount(classes, minlength=count)
+    noises: list[NoiseModel | None] = [None] * count
+    rule, alive = hat_rule(bins, count), full > 0
+    hyper, offset_t, found = Hyperparameters(FIRST_SMOOTHNESS, STEADIEST), log_t, None
+    for turn in range(PASSES):
+        statistics = pair_statistics(codes, classes, offset_t, bins, rule, means)
+        found = solve([statistics], log_t, bins, hyper, least_error=least_error)
+        means = rising(found.means, bins)
+        offset_t = log_t + found.delta
+        hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
+        seen = observe(binned, classes, offset_t, means, rule, screened=False)
+        alive &= np.bincount(seen.classes, minlength=count) >= KEPT * full
+        if not alive.any():
+            raise InputError(
+                "the images agree on no response curve; check the exposure times, the black level, "
+                "and that neither scene nor camera moved."
+            )
+        noises = [
+            fit_noise(seen, seen.classes == kind, offset_t, means) if alive[kind] else None
+            for kind in range(count)
+        ]
+        rule = noise_rule(noises, means)
+    assert found is not None
+    return Pilot(means, tuple(noises), rule, found)
+
+
+def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
+    """Bin means made rising, at least a third as fast as a linear response would.
+
+    Args:
+        means: (bins,).
+        bins: of codes.
+
+    Returns:
+        (bins,).
+    """
+    floor = np.log(bins.centres - bins.black) / 3
+    return np.maximum.accumulate(means - floor) + floor
+
+
+def on_bins(
+    means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
+) -> Float[np.ndarray, " others"]:
+    """Bin means of a curve on other bins.
+
+    Args:
+        means: (bins,).
+        bins: theirs.
+        other: bins to have them on.
+
+    Returns:
+        (others,).
+    """
+    spline = CubicSpline(np.log(bins.centres - bins.black), means)
+    return spline(np.log(other.centres - other.black))
+
+
+def fit_noise(
+    seen: Observations,
+    of_class: Bool[np.ndarray, " pixels"],
+    log_t: Float[np.ndarray, " exposures"],
+    means: Float[np.ndarray, " bins"],
+) -> NoiseModel:
+    """The three variances of a class's noise model.
+
+    Squared residuals in cells of predicted log exposure, cut at three standard deviations of their
+    cell, are fitted by non-negative least squares, the known variance of the intervals of codes
+    subtracted.
+
+    Args:
+        seen: observations under a curve.
+        of_class: (pixels,), which belong to the class.
+        log_t: (exposures,) log exposure times.
+        means: (bins,) of the curve.
+
+    Returns:
+        The model.
+    """
+    used = (seen.weights > 0) & of_class
+    predicted = (seen.log_irradiance + log_t[:, None])[used]
+    free = (1 - seen.weights / seen.total)[used]
+    edges = np.linspace(predicted.min(), predicted.max() + 1e-9, NOISE_CELLS + 1)
+    cells = np.digitize(predicted, edges) - 1
+    count = np.bincount(cells, free, NOISE_CELLS)
+    filled = count > FEWEST_IN_CELL
+    square = seen.residuals[used] ** 2 / np.maximum(free, 1e-3)
+    limit = _cell_medians(cells, square)
+    square = np.minimum(square, WINSOR * limit[cells])
+    measured = np.bincount(cells, square * free, NOISE_CELLS)[filled] / count[filled]
+    centre = ((edges[1:] + edges[:-1]) / 2)[filled]
+    interval = np.interp(centre, means, interval_variance(means))
+    terms = np.exp(-centre[:, None] * np.arange(3))
+    # Relative errors count: a few cells full of misfit must not set the noise of all others.
+    precision = np.sqrt(count[filled]) / np.maximum(measured, 1e-12)
+    found, _ = nnls(terms * precision[:, None], (measured - interval) * precision)
+    return NoiseModel(*(float(x) for x in found))
+
+
+def _cell_medians(cells: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(cells, kind="stable")
+    parts = np.split(values[order], np.cumsum(np.bincount(cells, minlength=NOISE_CELLS))[:-1])
+    return np.array([np.median(part) if len(part) else 0.0 for part in parts])

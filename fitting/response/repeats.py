@@ -1,0 +1,219 @@
+"""How far a curve repeats: over tiles of the picture, and over exposures.
+
+Both are jackknives. Without tile k the equations are those of the others; without exposure j the
+codes of a sample of pixels are counted again, for each of them then has another mean. With T fits,
+
+    V = (T - 1) / T  sum_k (g_(k) - mean)(g_(k) - mean)^T.
+
+Exposures repeat no better than the pixels they consist of; what pixels explain of their jackknife
+is taken off (two-way clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011).
+The fits without an exposure also predict it, which nothing else tests.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int, Integer
+
+from .code_bins import CodeBins
+from .code_pairs import pair_statistics
+from .pilot import Pilot
+from .solve import Hyperparameters, Solution, at_centres, inverse, solve
+from .weights import weighted_mean
+
+MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
+FEWEST_EXPOSURES = 3  # leaving one out must leave two
+FEWEST_PREDICTED = 30  # pixels of a left-out exposure that judge its prediction
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How well exposures are predicted by a curve and a radiance that never saw them.
+
+    Attributes:
+        rms: DN, of each exposure; NaN where too few pixels can be predicted.
+        exposures: (exposures,) s.
+    """
+
+    rms: Float[np.ndarray, " exposures"]
+    exposures: Float[np.ndarray, " exposures"]
+
+    @property
+    def mean(self) -> float:
+        """Root of the mean square over exposures, DN."""
+        return float(np.sqrt(np.nanmean(self.rms**2)))
+
+    @property
+    def standard_error(self) -> float:
+        """Of `mean`, by the scatter between exposures, DN."""
+        square = self.rms[np.isfinite(self.rms)] ** 2
+        if len(square) < 2:
+            return float("nan")
+        return float(np.std(square, ddof=1) / np.sqrt(len(square)) / (2 * self.mean))
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Departures of g at the centres of bins, scaled so that their products sum to a covariance.
+
+    Attributes:
+        departures: (fits, bins).
+        pixels: (bins,) variance that the pixels' own noise explains.
+    """
+
+    departures: Float[np.ndarray, "fits bins"]
+    pixels: Float[np.ndarray, " bins"]
+
+    @property
+    def variance(self) -> Float[np.ndarray, " bins"]:
+        return np.sum(self.departures**2, axis=0)
+
+    @property
+    def excess(self) -> Float[np.ndarray, " bins"]:
+        """Variance beyond what the pixels explain."""
+        return np.maximum(self.variance - self.pixels, 0)
+
+
+def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
+    """The jackknife over tiles.
+
+    Args:
+        found: solution with the equations of its tiles.
+        bins: of codes.
+
+    Returns:
+        The departures; None for a single tile.
+    """
+    if len(found.equations) < 2:
+        return None
+    tiles, phi = found.equations, found.used.design_effect
+    matrix = np.sum([tile.matrix for tile in tiles], axis=0)
+    right = np.sum([tile.right for tile in tiles], axis=0)
+    size = len(found.means)
+    fits = []
+    for tile in tiles:
+        covariance = inverse((matrix - tile.matrix) / phi + found.prior, bins)
+        fits.append(at_centres((covariance @ (right - tile.right))[:size] / phi, bins.middle))
+    return Repeats(_jackknife(fits), _pixel_variance(found, matrix / phi, bins))
+
+
+def over_exposures(
+    codes: Integer[np.ndarray, "exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+    log_t: Float[np.ndarray, " exposures"],
+    coarse: CodeBins,
+    pilot: Pilot,
+    hyper: Hyperparameters,
+    bins: CodeBins,
+    fraction: float,
+) -> tuple[Repeats, HeldOut] | tuple[None, None]:
+    """The jackknife over exposures, and how well each is predicted without it.
+
+    Args:
+        codes: (exposures, pixels) DN, a sample.
+        classes: (pixels,).
+        log_t: (exposures,) log exposure times.
+        coarse: bins of the pilot.
+        pilot: its curve and weights.
+        hyper: of the whole fit.
+        bins: of the whole fit.
+        fraction: of all pixels that the sample is.
+
+    Returns:
+        Both, the jackknife over the bins of the whole fit; None with fewer than three exposures.
+    """
+    if len(log_t) < FEWEST_EXPOSURES:
+        return None, None
+
+    def without(j: int | None) -> Solution:
+        kept = np.arange(len(log_t)) != j
+        offset = log_t[kept] + pilot.solution.delta[kept]
+        part = pair_statistics(codes[kept], classes, offset, coarse, pilot.rule, pilot.means)
+        part = replace(part, matrix=part.matrix / fraction, score=part.score / fraction)
+        return solve([part], log_t[kept], coarse, hyper)
+
+    whole = without(None)
+    fits = [without(j) for j in range(len(log_t))]
+    departures = _jackknife([at_centres(fit.means, coarse.middle) for fit in fits])
+    matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
+    explained = _pixel_variance(whole, matrix, coarse)
+    rms = [
+        _prediction_error(codes, classes, log_t, j, fit, coarse, pilot)
+        for j, fit in enumerate(fits)
+    ]
+    fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
+    on_fine = Repeats(
+        np.stack([np.interp(fine, x, row) for row in departures]), np.interp(fine, x, explained)
+    )
+    return on_fine, HeldOut(np.array(rms), np.exp(log_t))
+
+
+def widened(
+    covariance: Float[np.ndarray, "bins bins"],
+    shutter: Float[np.ndarray, " bins"],
+    tiles: Repeats | None,
+    exposures: Repeats | None,
+) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
+    """A covariance widened to what repeats, and what its variances rest on.
+
+    The variance that tiles show beyond their pixels is added, and of shutter errors and exposures
+    the larger; correlations stay. Degrees of freedom are Satterthwaite's: one less than tiles, two
+    less than exposures (a factor and an exponent are lost), none counted for what pixels explain.
+
+    Args:
+        covariance: (bins, bins) that pixels and prior give.
+        shutter: (bins,) variance of a common exponent of the shutter.
+        tiles: their jackknife; None for one tile.
+        exposures: theirs; None for fewer than three.
+
+    Returns:
+        Covariance and (bins,) degrees of freedom.
+    """
+    none = np.zeros(len(covariance))
+    of_tiles = none if tiles is None else tiles.excess
+    of_exposures = none if exposures is None else exposures.excess
+    variance = np.diagonal(covariance) + of_tiles + np.maximum(of_exposures, shutter)
+    share = np.zeros(len(covariance))
+    if tiles is not None:
+        share += (of_tiles / variance) ** 2 / (len(tiles.departures) - 1)
+    if exposures is not None:
+        free = len(exposures.departures) - 2
+        share += (np.where(of_exposures > shutter, of_exposures, 0) / variance) ** 2 / free
+    scale = np.sqrt(variance / np.diagonal(covariance))
+    return covariance * np.outer(scale, scale), 1 / np.maximum(share, MOST_FREE**-1)
+
+
+def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
+    stacked = np.stack(fits)
+    return (stacked - stacked.mean(axis=0)) * np.sqrt((len(fits) - 1) / len(fits))
+
+
+def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
+    """Variance of g at centres from a covariance of the right-hand side."""
+    size = len(found.means)
+    rows = at_centres(found.covariance[:size], bins.middle)
+    return np.maximum(np.einsum("ij,jk,ik->i", rows, noise, rows), 0)
+
+
+def _prediction_error(
+    codes: np.ndarray,
+    classes: np.ndarray,
+    log_t: np.ndarray,
+    j: int,
+    fit: Solution,
+    coarse: CodeBins,
+    pilot: Pilot,
+) -> float:
+    """Root mean square, DN, of exposure j's codes less those that the others predict."""
+    kept = np.arange(len(log_t)) != j
+    g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
+    binned = coarse.lookup[codes]
+    rough = pilot.rule.by_bin.max(axis=0)[np.maximum(binned, 0)]
+    weights = np.where(binned >= 0, rough, 0)[kept]
+    log_irradiance = weighted_mean(weights, g[binned[kept]] - log_t[kept, None])
+    predicted = np.interp(log_irradiance + log_t[j], g, coarse.centres)
+    judged = (weights.sum(axis=0) > 0) & (binned[j] >= 0)
+    if np.count_nonzero(judged) < FEWEST_PREDICTED:
+        return float("nan")
+    return float(np.sqrt(np.mean((predicted - codes[j])[judged] ** 2)))

@@ -1,0 +1,261 @@
+"""The curve and the shutter errors that given statistics and a prior make most probable.
+
+Prior: the local exponent dg / d ln(z - black) is a random walk in the clock of `roughness`, in
+which the 201 measured curves of Grossberg & Nayar (2003) are about equally rough all along; a pure
+gamma is free of cost. Its strength and tau maximise the marginal likelihood (MacKay's fixed point,
+Neural Computation 4, 1992).
+
+Pixels that err together count as fewer: with u_k the gradient of tile k's energy at the curve,
+
+    phi = tr(C sum u_k u_k^T) / tr(C A) >= 1,    C = (A / phi + prior)^-1,
+
+is the factor (the design effect of survey sampling) by which A overstates what they know.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve
+
+from jaxvision.errors import InputError
+
+from .code_bins import CodeBins
+from .code_pairs import PairStatistics, total
+
+SMOOTHEST = 1e4  # precision beyond which the exponent is constant for every purpose
+ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves: what is rougher is misfit
+STEADIEST, SHAKIEST = 1e-6, 0.2  # shutter errors between no and no usable time
+BELIEVED = 0.02  # shutter error beyond which a bow of the offsets is rather a misfit of the curve
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What is estimated beside a curve.
+
+    Attributes:
+        smoothness: precision of the prior.
+        shutter_error: tau.
+        design_effect: phi.
+    """
+
+    smoothness: float
+    shutter_error: float
+    design_effect: float = 1.0
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of (bin means of g, free shutter errors).
+
+    Attributes:
+        matrix: (unknowns, unknowns).
+        right: (unknowns,).
+    """
+
+    matrix: Float[np.ndarray, "unknowns unknowns"]
+    right: Float[np.ndarray, " unknowns"]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Posterior of (bin means of g, free shutter errors), and the hyperparameters it suggests.
+
+    Attributes:
+        means: (bins,).
+        free: (free,) shutter errors d.
+        covariance: (unknowns, unknowns) of both, C.
+        basis: (exposures, free), delta = basis d.
+        used: hyperparameters that gave it.
+        suggested: hyperparameters for the next round.
+        equations: of each tile.
+        prior: (unknowns, unknowns), its precision.
+    """
+
+    means: Float[np.ndarray, " bins"]
+    free: Float[np.ndarray, " free"]
+    covariance: Float[np.ndarray, "unknowns unknowns"]
+    basis: Float[np.ndarray, "exposures free"]
+    used: Hyperparameters
+    suggested: Hyperparameters
+    equations: tuple[Equations, ...]
+    prior: Float[np.ndarray, "unknowns unknowns"]
+
+    @property
+    def delta(self) -> Float[np.ndarray, " exposures"]:
+        """Shutter errors."""
+        return self.basis @ self.free
+
+    @property
+    def free_covariance(self) -> Float[np.ndarray, "free free"]:
+        return self.covariance[len(self.means) :, len(self.means) :]
+
+
+def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
+    """R of the prior energy smoothness g^T R g.
+
+    It sums squared increments of the local exponent dg / d ln(z - black), per tick of a clock that
+    runs as dz / z + sqrt(F) dz / (F - z)^1.5, F being full scale (z counted from black).
+
+    Args:
+        bins: of codes.
+
+    Returns:
+        (bins, bins).
+    """
+    z = bins.centres - bins.black
+    full = bins.edges[-1] - bins.black + 0.5
+    step = 1 / np.diff(np.log(z))
+    clock = (z[2:] - z[:-2]) / 2 * (1 / z[1:-1] + np.sqrt(full) / (full - z[1:-1]) ** 1.5)
+    increments = np.stack([step[:-1], -step[:-1] - step[1:], step[1:]]) / np.sqrt(clock)
+    energy = np.zeros((len(z), len(z)))
+    rows = np.arange(len(z) - 2)
+    for p in range(3):
+        for q in range(3):
+            energy[rows + p, rows + q] += increments[p] * increments[q]
+    return energy
+
+
+def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
+    """Orthonormal basis of the shutter errors that the data can show: those orthogonal to a common
+    factor and to a common exponent.
+
+    Args:
+        log_t: (exposures,) log exposure times.
+
+    Returns:
+        (exposures, exposures - 2).
+    """
+    absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
+    return np.linalg.svd(absorbed)[0][:, 2:]
+
+
+def solve(
+    tiles: Sequence[PairStatistics],
+    log_t: Float[np.ndarray, " exposures"],
+    bins: CodeBins,
+    start: Hyperparameters,
+    *,
+    least_error: float = STEADIEST,
+    rounds: int = 1,
+) -> Solution:
+    """MacKay's fixed point: each hyperparameter becomes (well determined parameters) / (energy).
+
+    Args:
+        tiles: statistics of sets of pixels that err together.
+        log_t: (exposures,) log exposure times.
+        bins: of codes.
+        start: hyperparameters of the first round.
+        least_error: lowest tau, what is known of the shutter.
+        rounds: how often it is solved.
+
+    Returns:
+        The last round's solution.
+    """
+    basis = shutter_basis(log_t)
+    equations = tuple(_equations(tile, log_t, basis) for tile in tiles)
+    matrix = np.sum([tile.matrix for tile in equations], axis=0)
+    right = np.sum([tile.right for tile in equations], axis=0)
+    rough, size = roughness(bins), len(bins.centres)
+    curve, errors = slice(0, size), slice(size, None)
+    hyper, free = start, basis.shape[1]
+    while True:
+        believed = min(hyper.shutter_error, max(BELIEVED, least_error))
+        prior = np.zeros_like(matrix)
+        prior[curve, curve] = hyper.smoothness * rough
+        prior[errors, errors] = np.eye(free) / believed**2
+        covariance = inverse(matrix / hyper.design_effect + prior, bins)
+        mean = covariance @ right / hyper.design_effect
+        g, d = mean[curve], mean[errors]
+        taken_up = hyper.smoothness * np.sum(rough * covariance[curve, curve])
+        determined = max(size - 2 - taken_up, 1.0)
+        known = max(free - covariance[errors, errors].trace() / believed**2, 1e-3)
+        smoothness = max(determined / (g @ rough @ g + determined / SMOOTHEST), ROUGHEST)
+        tau = float(np.clip(np.sqrt(d @ d / known), least_error, max(SHAKIEST, least_error)))
+        suggested = Hyperparameters(
+            smoothness, tau, _design_effect(equations, matrix, mean, covariance)
+        )
+        rounds -= 1
+        if rounds == 0:
+            return Solution(g, d, covariance, basis, hyper, suggested, equations, prior)
+        hyper = suggested
+
+
+def inverse(
+    normal: Float[np.ndarray, "unknowns unknowns"], bins: CodeBins
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Inverse of a matrix of normal equations, g = 0 being held at mid-scale.
+
+    Args:
+        normal: of (g, free shutter errors).
+        bins: of codes.
+
+    Returns:
+        Of its shape.
+
+    Raises:
+        InputError: where it is singular.
+    """
+    held = normal.copy()
+    held[bins.middle, bins.middle] += normal.trace() / len(bins.centres)
+    try:
+        return cho_solve(cho_factor(held, lower=True), np.eye(len(held)))
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "the images determine no curve; check that each is an exposure of its own, as "
+            "different from the others as its time."
+        ) from error
+
+
+def _equations(statistics: PairStatistics, log_t: np.ndarray, basis: np.ndarray) -> Equations:
+    size = len(statistics.score) - len(log_t)
+    curve, errors = slice(0, size), slice(size, None)
+    mixed, times = statistics.matrix[curve, errors], statistics.matrix[errors, errors]
+    score = statistics.score
+    return Equations(
+        np.block(
+            [
+                [statistics.matrix[curve, curve], mixed @ basis],
+                [basis.T @ mixed.T, basis.T @ times @ basis],
+            ]
+        ),
+        np.concatenate([score[curve] - mixed @ log_t, basis.T @ (score[errors] - times @ log_t)]),
+    )
+
+
+def _design_effect(
+    tiles: Sequence[Equations], matrix: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> float:
+    if len(tiles) < 2:
+        return 1.0
+    pulls = np.stack([tile.matrix @ mean - tile.right for tile in tiles])
+    pulls -= pulls.mean(axis=0)
+    spread = np.einsum("ki,ij,kj->", pulls, covariance, pulls) * len(tiles) / (len(tiles) - 1)
+    return max(1.0, float(spread / np.sum(covariance * matrix)))
+
+
+def at_centres(
+    means: Float[np.ndarray, " bins *more"], middle: int
+) -> Float[np.ndarray, " bins *more"]:
+    """g at the centres of bins, 0 at mid-scale, from its means over them.
+
+    Light being log-uniform across a bin, the mean is that of the two ends, an eighth of the second
+    difference above the centre.
+
+    Args:
+        means: (bins, ...).
+        middle: bin at mid-scale.
+
+    Returns:
+        Of the same shape.
+    """
+    g = means.copy()
+    g[1:-1] -= np.diff(means, n=2, axis=0) / 8
+    return g - g[middle]
+
+
+def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:
+    """sum (ln t - mean)^2: what a common exponent is measured by."""
+    log_t = np.log(exposures)
+    return float(np.sum((log_t - log_t.mean()) ** 2))

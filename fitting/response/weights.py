@@ -1,0 +1,206 @@
+"""How observations are weighted, and what is left of them under a curve.
+
+Weights come from a noise model,  var(ln X) = relative + shot / X + read / X^2 + (width of the
+interval)^2 / 12,  at the PREDICTED exposure X = E_i t_j, and observations are chosen by it:
+weights and choices that follow the noisy code would bias the curve. Pixels of several classes
+(`places.py`) have a noise model each.
+
+Codes are DN; log exposures are relative.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .code_bins import CodeBins, interval_variance
+from .pixel_noise import NoiseModel, noise_variance
+
+LOOSEST = 0.3  # log standard deviation up to which noise is near enough Gaussian
+HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
+HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
+OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
+MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of clipping
+
+
+@dataclass(frozen=True)
+class WeightRule:
+    """Tables over a uniform grid of log exposure, with an empty cell at either end, a row for each
+    class of pixels.
+
+    Attributes:
+        by_bin: (classes, bins) weight to start from, by observed code.
+        start: log exposure of the first cell.
+        step: between cells.
+        weight: (classes, cells); None where `by_bin` is the only weight.
+        share: (classes, cells) share of the variance that is noise.
+        bias: (classes, cells) mean of weight times residual.
+    """
+
+    by_bin: Float[np.ndarray, "classes bins"]
+    start: float = 0.0
+    step: float = 1.0
+    weight: Float[np.ndarray, "classes cells"] | None = None
+    share: Float[np.ndarray, "classes cells"] | None = None
+    bias: Float[np.ndarray, "classes cells"] | None = None
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Linked pixels: those with two weights at least.
+
+    Attributes:
+        binned: (exposures, pixels) bins.
+        classes: (pixels,).
+        weights: (exposures, pixels).
+        cells: (exposures, pixels) of the rule's tables, flattened.
+        residuals: (exposures, pixels) in ln X.
+        total: (pixels,) sums of weights.
+        log_irradiance: (pixels,).
+    """
+
+    binned: Int[np.ndarray, "exposures pixels"]
+    classes: Int[np.ndarray, " pixels"]
+    weights: Float[np.ndarray, "exposures pixels"]
+    cells: Int[np.ndarray, "exposures pixels"]
+    residuals: Float[np.ndarray, "exposures pixels"]
+    total: Float[np.ndarray, " pixels"]
+    log_irradiance: Float[np.ndarray, " pixels"]
+
+
+def hat_rule(bins: CodeBins, classes: int = 1) -> WeightRule:
+    """Weights by the observed code, highest at mid-scale and falling to both ends (Debevec &
+    Malik's hat, squared).
+
+    Args:
+        bins: of codes.
+        classes: of pixels, all weighted alike.
+
+    Returns:
+        The rule.
+    """
+    height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
+    hat = height / height.max()
+    by_bin = np.where(hat > HAT_BRIM, (hat / HAT_DEVIATION) ** 2, 0)
+    return WeightRule(np.tile(by_bin, (classes, 1)))
+
+
+def noise_rule(noises: Sequence[NoiseModel | None], means: Float[np.ndarray, " bins"]) -> WeightRule:
+    """Weights by the predicted exposure under a curve and a noise model for each class.
+
+    Args:
+        noises: of the classes; None for one whose pixels are left out.
+        means: (bins,) of the curve, rising.
+
+    Returns:
+        The rule.
+    """
+    grid = np.linspace(means[0], means[-1], 4 * len(means))
+    absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(3))
+    rows = [absent if noise is None else _of_class(noise, means, grid) for noise in noises]
+    by_bin, weight, share, bias = (np.stack(column) for column in zip(*rows, strict=True))
+    return WeightRule(by_bin, grid[0], grid[1] - grid[0], weight, share, bias)
+
+
+def _of_class(
+    noise: NoiseModel, means: np.ndarray, grid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    interval = np.interp(grid, means, interval_variance(means))
+    variance = np.minimum(noise_variance(noise, grid) + interval, 1e6)  # it grows as X^-2
+    reach = MARGIN * np.sqrt(variance)
+    sharp = variance < LOOSEST**2
+    lowest = grid[np.argmax(sharp)]
+    inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
+    share = 1 - interval / variance
+    bias = interval * np.gradient(variance, grid) / variance**2 - share / 2
+    weight, share, bias = (
+        np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)
+    )
+    of_bins = noise_variance(noise, means) + interval_variance(means)
+    return np.where(of_bins < LOOSEST**2, 1 / of_bins, 0), weight, share, bias
+
+
+def observe(
+    binned: Int[np.ndarray, "exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+    log_t: Float[np.ndarray, " exposures"],
+    means: Float[np.ndarray, " bins"],
+    rule: WeightRule,
+    *,
+    screened: bool = True,
+) -> Observations:
+    """Weights and residuals of the linked among some pixels.
+
+    Args:
+        binned: (exposures, pixels) bins; -1 is unusable.
+        classes: (pixels,) rows of the rule's tables.
+        log_t: (exposures,) log exposure times.
+        means: (bins,) of the curve.
+        rule: of the weights.
+        screened: leave out pixels with a residual beyond five standard deviations, once a curve is
+            known.
+
+    Returns:
+        The observations.
+    """
+    by_each = means[binned] - log_t[:, None]
+    rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * len(means)]
+    weights = np.where(binned >= 0, rough, 0)
+    cells = np.zeros_like(binned)
+    if rule.weight is not None:
+        predicted = weighted_mean(weights, by_each) + log_t[:, None]
+        cells = cells_of(rule, predicted, classes)
+        weights = np.where(weights > 0, rule.weight.ravel()[cells], 0)
+    linked = np.count_nonzero(weights, axis=0) >= 2
+    weights, by_each = weights[:, linked], by_each[:, linked]
+    log_irradiance = weighted_mean(weights, by_each)
+    residuals = by_each - log_irradiance
+    known = rule.weight is not None  # before a curve is known, residuals tell nothing
+    steady = (weights * residuals**2 < (OUTLIER**2 if known and screened else np.inf)).all(axis=0)
+    return Observations(
+        binned=np.maximum(binned[:, linked][:, steady], 0),
+        classes=classes[linked][steady],
+        weights=weights[:, steady],
+        cells=cells[:, linked][:, steady],
+        residuals=residuals[:, steady],
+        total=weights[:, steady].sum(axis=0),
+        log_irradiance=log_irradiance[steady],
+    )
+
+
+def cells_of(
+    rule: WeightRule,
+    log_exposure: Float[np.ndarray, "*exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+) -> Int[np.ndarray, "*exposures pixels"]:
+    """Cells of a rule's tables, flattened, that hold given log exposures.
+
+    Args:
+        rule: with tables.
+        log_exposure: of pixels (last axis).
+        classes: (pixels,).
+
+    Returns:
+        Of the same shape as `log_exposure`.
+    """
+    assert rule.weight is not None
+    count = rule.weight.shape[1]
+    position = (log_exposure - rule.start) / rule.step + 1.5
+    return np.clip(position, 0, count - 1).astype(np.int32) + classes * count
+
+
+def weighted_mean(
+    weights: Float[np.ndarray, "exposures pixels"], values: Float[np.ndarray, "exposures pixels"]
+) -> Float[np.ndarray, " pixels"]:
+    """Mean over exposures.
+
+    Args:
+        weights: (exposures, pixels).
+        values: (exposures, pixels).
+
+    Returns:
+        (pixels,); 0 where all weights are.
+    """
+    total = weights.sum(axis=0)
+    return (weights * values).sum(axis=0) / np.where(total > 0, total, 1)
