@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .rig import Purpose, Rig
 
 COMMAND = "jaxvision-fit"
+INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,8 @@ def noise(
 def response(options: Options, path: RigPath) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
 
+    skipped: list[str] = []
+
     def calibrate_response(reporter: Reporter) -> tuple[list, dict]:
         rig = _rig(path, "a response calibration")
         from .response.calibration import calibrate, radiance_images
@@ -175,9 +178,12 @@ def response(options: Options, path: RigPath) -> None:
             f"radiance_{group}.exr" if group else "radiance.exr": radiance
             for group, radiance in radiance_images(calibration).items()
         }
+        skipped.extend(plane.label for plane, _ in calibration.skipped)
         return [section(calibration)], images
 
     _run("Camera response", path, options, calibrate_response)
+    if skipped:
+        raise typer.Exit(INCOMPLETE)
 
 
 @_command

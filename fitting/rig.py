@@ -116,11 +116,13 @@ class Exposure(Entry):
         file: name.
         exposure: s.
         group: separates stacks (an illumination band).
+        exposure_sd: standard deviation of the exposure, relative to it.
     """
 
     file: str
     exposure: Positive
     group: str = ""
+    exposure_sd: Positive | None = None
 
 
 class Light(Entry):

@@ -14,6 +14,7 @@ from .gamma import GammaFit, fit_gamma
 from .places import layout_of
 from .radiance_map import RadianceMap, merge
 from .read import ExposureStack, Plane
+from .solve import STEADIEST
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,17 @@ def _calibrate(
         black=plane.black,
         clip=plane.clip,
         layout=layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip),
+        least_error=max(STEADIEST, plane.exposure_sd),
     )
     own = for_group(sampling, plane.label)
-    gamma = fit_gamma(curve, label=plane.label, sampling=own, seed=seed)
+    gamma = fit_gamma(
+        curve,
+        label=plane.label,
+        black_sd=plane.black_sd,
+        exposure_sd=plane.exposure_sd,
+        sampling=own,
+        seed=seed,
+    )
     return ChannelResponse(plane, curve, gamma, merge(plane.codes, plane.exposures, curve))
 
 
@@ -106,7 +115,7 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
 
     Returns:
         float32, relative: (h, w, 3) for colour, (h / 2, w / 2, 3) for a mosaic (its greens
-        averaged), (h, w) for grey. A group that lacks a colour is left out.
+        averaged), (h, w) for grey. A colour that could not be calibrated is NaN.
     """
     images = {}
     for group in dict.fromkeys(channel.plane.group for channel in calibration.channels):
@@ -115,10 +124,13 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
             for channel in calibration.channels
             if channel.plane.group == group
         }
-        if {"green 1", "green 2"} <= maps.keys():
-            maps["green"] = (maps["green 1"] + maps["green 2"]) / 2
+        greens = [maps[site] for site in ("green 1", "green 2") if site in maps]
+        if greens:
+            maps["green"] = np.mean(greens, axis=0)
         if "grey" in maps:
             images[group] = maps["grey"]
-        elif {"red", "green", "blue"} <= maps.keys():
-            images[group] = np.stack([maps[colour] for colour in ("red", "green", "blue")], axis=-1)
+        else:
+            absent = np.full_like(next(iter(maps.values())), np.nan)
+            colours = [maps.get(colour, absent) for colour in ("red", "green", "blue")]
+            images[group] = np.stack(colours, axis=-1)
     return images

@@ -25,7 +25,7 @@ mid-scale.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int, Integer
+from jaxtyping import Float, Integer
 from scipy.special import stdtrit
 from scipy.stats import chi2
 from threadpoolctl import threadpool_limits

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from jaxvision.point_ops import srgb_encode
 
 from .calibration import ChannelResponse, ResponseCalibration
+from .findings import DRAWN
 
 COLOURS = {
     "red": "tab:red",
@@ -51,7 +52,7 @@ def _draw_curve(axis: Axes, channel: ChannelResponse) -> None:
     axis.plot(
         x[usable] - curve.bins.black, y[usable], ".", ms=2, alpha=0.15, color=colour, zorder=1
     )
-    band = 1.96 * curve.standard_error
+    band = curve.half_width
     axis.fill_between(
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
@@ -70,8 +71,8 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
     left, right = figure.subplots(1, 2)
     for channel in shown:
         curve, colour = channel.curve, COLOURS[channel.plane.channel]
-        band = np.where(curve.seen, 1.96 * curve.standard_error, np.nan)
-        judged = curve.standard_error < 0.1
+        band = np.where(curve.seen, curve.half_width, np.nan)
+        judged = curve.standard_error < DRAWN
         for axis, gap in ((left, channel.gamma.departure), (right, channel.gamma.srgb_departure)):
             gap = np.where(judged, gap, np.nan)
             axis.plot(curve.codes, 100 * gap, color=colour, lw=1.2, label=channel.plane.label)
@@ -162,9 +163,9 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
 
 def tone_mapped(radiance: np.ndarray) -> np.ndarray:
     """Reinhard's global operator: r / (1 + r) of the radiance over its log average, encoded as
-    sRGB; values in 0..1."""
-    positive = np.maximum(radiance.astype(np.float64), 1e-12)
-    relative = 0.36 * positive / np.exp(np.mean(np.log(positive)))
+    sRGB; values in 0..1, a NaN drawn black."""
+    positive = np.maximum(np.nan_to_num(radiance.astype(np.float64)), 1e-12)
+    relative = 0.36 * positive / np.exp(np.nanmean(np.log(np.maximum(radiance, 1e-12))))
     return np.asarray(srgb_encode(jnp.asarray(relative / (1 + relative))))
 
 

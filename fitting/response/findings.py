@@ -3,16 +3,19 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..inference.posterior import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve
+from .solve import ROUGHEST
 
 PURE = 0.05  # departure in ln exposure up to which a response counts as a pure gamma
-SURE = 0.02  # standard error of ln exposure up to which a departure is judged
+SURE = 0.05  # standard error of ln exposure up to which a departure is judged
+DRAWN = 0.1  # the same, up to which the figure shows it
 QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
 EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
+CLUSTERED = 2.0  # pixels that count as one, from which it is said
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
 
 
@@ -21,7 +24,7 @@ def largest_departure(
 ) -> tuple[float, float]:
     """The largest departure among the codes that are known well.
 
-    Codes count between 5 and 95 % of the range where the curve is known to 2 % and pixels to 10 %.
+    Codes count between 5 and 95 % of the range where the curve is known to 5 % and pixels to 10 %.
 
     Args:
         curve: measured.
@@ -30,20 +33,39 @@ def largest_departure(
     Returns:
         (|departure|, code) where it is largest; NaN where no code counts.
     """
+    return _largest(curve, departure, judged_codes(curve))
+
+
+def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
+    """Codes by which a departure is judged.
+
+    Args:
+        curve: measured.
+
+    Returns:
+        (bins,).
+    """
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
-    judged = central & curve.seen & known & np.isfinite(departure)
-    if not judged.any():
+    return central & curve.seen & known
+
+
+def _largest(
+    curve: ResponseCurve, departure: np.ndarray, counted: np.ndarray
+) -> tuple[float, float]:
+    counted = counted & np.isfinite(departure)
+    if not counted.any():
         return float("nan"), float("nan")
-    size = np.where(judged, np.abs(departure), -1)
+    size = np.where(counted, np.abs(departure), -1)
     return float(size.max()), float(curve.codes[np.argmax(size)])
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     """What the response and its images say, one sentence a finding."""
     channels = calibration.channels
-    found = [_shape_in_words(channels), *_shutter_in_words(channels)]
+    found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
+    found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -63,7 +85,10 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
                 "and were not used."
             )
     for plane, reason in calibration.skipped:
-        found.append(f"{plane.label or 'The stack'} was not calibrated: {reason}")
+        found.append(
+            f"{plane.label or 'The stack'} was not calibrated, and is NaN in the radiance map: "
+            f"{reason}"
+        )
     for channel in channels:
         found += [f"{channel.plane.label}: {text}" for text in channel.gamma.findings]
         if calibration.sampling is not None:
@@ -80,8 +105,9 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
         return "No code is known well enough to judge how far the response is a pure gamma."
     if size <= PURE:
         return (
-            f"A pure gamma describes the response: the measured curve departs from it by at most "
-            f"{np.expm1(size):.1%} in exposure ({where}, code {code:g})."
+            f"A pure gamma describes the response over {_judged_in_words(channels)}: the measured "
+            f"curve departs from it by at most {np.expm1(size):.1%} in exposure ({where}, code "
+            f"{code:g})."
         )
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
@@ -92,6 +118,75 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
         f"curve departs by up to {np.expm1(size):.0%} in exposure ({where}, code {code:g})"
         f"{better}. Use the curve rather than gamma."
+    )
+
+
+def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """The codes that every channel is judged by."""
+    judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
+    ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
+    low, high = max(low for low, _ in ends), min(high for _, high in ends)
+    return f"codes {low:g} to {high:g}, where it is known to {SURE:.0%}"
+
+
+def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """What the figure shows outside the judged codes, where that is more."""
+    beyond = [
+        _largest(
+            channel.curve,
+            channel.gamma.departure,
+            channel.curve.seen & (channel.curve.standard_error < DRAWN),
+        )
+        for channel in channels
+    ]
+    judged = [largest_departure(c.curve, c.gamma.departure)[0] for c in channels]
+    sizes = [size for size, _ in beyond]
+    if not np.isfinite(sizes).any() or not np.nanmax(sizes) > max(PURE, np.nanmax([0, *judged])):
+        return ""
+    worst = int(np.nanargmax(sizes))
+    size, code = beyond[worst]
+    channel = channels[worst]
+    place = int(np.argmin(np.abs(channel.curve.codes - code)))
+    return (
+        f"Beyond the codes that are judged, the figure shows a departure of {np.expm1(size):.0%} "
+        f"({channel.plane.label or 'the grey channel'}, code {code:g}, known to "
+        f"{channel.curve.standard_error[place]:.0%})."
+    )
+
+
+def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
+    told = [
+        f"{c.curve.held_out.mean:.2g} ± {c.curve.held_out.standard_error:.1g} DN"
+        f"{f' ({c.plane.label})' if c.plane.label else ''}"
+        for c in channels
+        if c.curve.held_out is not None and np.isfinite(c.curve.held_out.standard_error)
+    ]
+    if not told:
+        return ""
+    return f"An exposure that is left out is predicted from the others to {', '.join(told)} rms."
+
+
+def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
+    shared = [c for c in channels if c.curve.design_effect > CLUSTERED]
+    if not shared:
+        return ""
+    worst = max(shared, key=lambda c: c.curve.design_effect)
+    return (
+        f"Neighbouring pixels err together, up to {worst.curve.design_effect:.0f} counting as one "
+        f"({worst.plane.label or 'the grey channel'}): misregistration, motion, compression, or a "
+        "response that depends on colour. The bands rest on how far parts of the picture, and "
+        "exposures, agree."
+    )
+
+
+def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
+    rough = [c for c in channels if c.curve.smoothness <= ROUGHEST]
+    if not rough:
+        return ""
+    names = ", ".join(c.plane.label or "grey" for c in rough)
+    return (
+        f"The smoothness lies on its lower bound ({names}): the measured curve bends more than "
+        "cameras' do, so part of its detail is misfit."
     )
 
 

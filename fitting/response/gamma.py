@@ -43,6 +43,9 @@ from .curve import ResponseCurve
 from .solve import shutter_basis, spread_of_times
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
+BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
+EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
+FEWEST_CODES = 10
 TABULATED = (1e-6, 1.0)  # range of tau over which gamma's errors are mixed
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
@@ -64,6 +67,8 @@ class GammaSums(eqx.Module):
         score_c: of gamma.
         score_d: (free,) of d.
         spread: sum of squares of the log exposure times about their mean.
+        known: tau that is known beforehand, in quadrature beneath the fitted one.
+        added: variance of gamma from elsewhere: of black, and between weightings.
     """
 
     cc: Float[Array, ""]
@@ -74,6 +79,8 @@ class GammaSums(eqx.Module):
     score_c: Float[Array, ""]
     score_d: Float[Array, " free"]
     spread: Float[Array, ""]
+    known: Float[Array, ""]
+    added: Float[Array, ""]
 
 
 class GivenShutter(eqx.Module):
@@ -115,13 +122,21 @@ class GammaFit:
 
 
 def fit_gamma(
-    curve: ResponseCurve, *, label: str = "", sampling: SamplingOptions | None = None, seed: int = 0
+    curve: ResponseCurve,
+    *,
+    label: str = "",
+    black_sd: float = 0.0,
+    exposure_sd: float = 0.0,
+    sampling: SamplingOptions | None = None,
+    seed: int = 0,
 ) -> GammaFit:
     """The gamma that explains the pixels behind a response curve.
 
     Args:
         curve: with the sufficient statistics of its pixels.
         label: of the channel in the results.
+        black_sd: DN, standard deviation of the black level.
+        exposure_sd: relative error of the exposures that is known beforehand.
         sampling: draw (gamma, tau) by emcee; None to integrate over tau exactly, the posterior
             being Laplace's.
         seed: of every draw.
@@ -131,7 +146,8 @@ def fit_gamma(
     """
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
-    sums = _gamma_sums(curve, column, dispersion)
+    sums = _gamma_sums(curve, column, dispersion, exposure_sd)
+    sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
     start = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
@@ -158,16 +174,17 @@ def fit_gamma(
     )
 
 
-def log_code_means(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
+def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
     """Mean of ln(code - black) over each bin of codes, less that of the middle bin.
 
     Args:
         curve: with its bins.
+        shift: DN that black lies above where the curve has it.
 
     Returns:
         (bins,).
     """
-    ends = np.log(np.maximum(curve.bins.edges - curve.bins.black, 1e-3))
+    ends = np.log(np.maximum(curve.bins.edges - curve.bins.black - shift, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
 
@@ -182,7 +199,7 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
     Returns:
         Mean and variance of gamma, and the log evidence for that tau.
     """
-    free = sums.td.size
+    free, tau = sums.td.size, jnp.hypot(tau, sums.known)
     precision = sums.dd + jnp.eye(free, dtype=tau.dtype) / tau**2
     factor = jnp.linalg.cholesky(precision)
     along = jax.scipy.linalg.solve_triangular(factor, sums.cd, lower=True)
@@ -196,7 +213,9 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
         - jnp.sum(jnp.log(jnp.diagonal(factor)))
         - free * jnp.log(tau)
     )
-    return GivenShutter(mean, 1 / information + (mean * tau) ** 2 / sums.spread, evidence)
+    return GivenShutter(
+        mean, 1 / information + (mean * tau) ** 2 / sums.spread + sums.added, evidence
+    )
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
@@ -243,9 +262,43 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
     return max(1.0, float((of_gamma @ matrix @ of_gamma) / (of_curve @ matrix @ of_curve)))
 
 
-def _gamma_sums(curve: ResponseCurve, column: np.ndarray, dispersion: float) -> GammaSums:
-    size, matrix = len(column), curve.statistics.matrix / dispersion
-    score = curve.statistics.score / dispersion
+def _from_elsewhere(
+    curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
+) -> Array:
+    """Variance of gamma that the pixels' weighted fit does not know: of the black level, and what
+    another weighting changes beyond that one's own error (Hausman, Econometrica 46, 1978)."""
+    tau = jnp.asarray(SHUTTER_PRIOR.median)
+    mean = float(given_shutter(sums, tau).mean)
+    shifted = log_code_means(curve, shift=BLACK_STEP)
+    moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion, 0.0), tau).mean)
+    of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
+    excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
+    return jnp.asarray(of_black + max([0.0, *excess]), float)
+
+
+def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
+    """(gamma, its variance) as the slope of the curve: codes of the central range weighted alike,
+    and light of each magnitude weighted alike."""
+    z = curve.codes - curve.bins.black
+    share = z / (curve.bins.edges[-1] - curve.bins.black)
+    used = curve.seen & (share > EDGES[0]) & (share < EDGES[1])
+    if used.sum() < FEWEST_CODES:
+        return []
+    x, found = np.log(z[used]), []
+    for weight in (np.ones(used.sum()), 1 / z[used]):
+        row = weight * (x - np.average(x, weights=weight))
+        row /= row @ x
+        covariance = curve.covariance[np.ix_(used, used)]
+        found.append((float(row @ curve.log_exposure[used]), float(row @ covariance @ row)))
+    return found
+
+
+def _gamma_sums(
+    curve: ResponseCurve, column: np.ndarray, dispersion: float, known: float
+) -> GammaSums:
+    overstated = dispersion * curve.design_effect
+    size, matrix = len(column), curve.statistics.matrix / overstated
+    score = curve.statistics.score / overstated
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
     return GammaSums(
@@ -257,6 +310,8 @@ def _gamma_sums(curve: ResponseCurve, column: np.ndarray, dispersion: float) -> 
         score_c=jnp.asarray(score[:size] @ column, float),
         score_d=jnp.asarray(score[size:] @ basis, float),
         spread=jnp.asarray(spread_of_times(curve.exposures), float),
+        known=jnp.asarray(known, float),
+        added=jnp.zeros(()),
     )
 
 

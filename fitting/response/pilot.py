@@ -71,7 +71,7 @@ def fit_pilot(
     count = int(classes.max()) + 1
     full = np.bincount(classes, minlength=count)
     noises: list[NoiseModel | None] = [None] * count
-    rule, alive = hat_rule(bins, count), full > 0
+    rule, alive = hat_rule(bins, classes=count), full > 0
     hyper, offset_t, found = Hyperparameters(FIRST_SMOOTHNESS, STEADIEST), log_t, None
     for turn in range(PASSES):
         statistics = pair_statistics(codes, classes, offset_t, bins, rule, means)

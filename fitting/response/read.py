@@ -37,6 +37,8 @@ class Plane:
         mask: (h, w), true where the scene may be used.
         black: DN without light.
         clip: DN from which a pixel is saturated.
+        black_sd: DN, with which black is known; 0 for exactly.
+        exposure_sd: rms of what is known of the exposures' relative errors; 0 where nothing is.
     """
 
     group: str
@@ -47,6 +49,8 @@ class Plane:
     mask: Bool[np.ndarray, "h w"]
     black: float
     clip: float
+    black_sd: float = 0.0
+    exposure_sd: float = 0.0
 
     @property
     def label(self) -> str:
@@ -133,7 +137,20 @@ def _planes(
         codes = np.stack([frame[name] for frame in channels])
         black = floor_level(codes, times, rig.camera) if known_black is None else known_black
         clip = rig.camera.saturation or ceiling_level(codes, times, rig.camera)
-        planes.append(Plane(group, name, files, times, codes, masks[name], black, clip))
+        planes.append(
+            Plane(
+                group,
+                name,
+                files,
+                times,
+                codes,
+                masks[name],
+                black,
+                clip,
+                black_sd=rig.camera.black_sd or 0.0,
+                exposure_sd=float(np.sqrt(np.mean([(e.exposure_sd or 0.0) ** 2 for e in entries]))),
+            )
+        )
     return planes
 
 

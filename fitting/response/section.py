@@ -13,8 +13,6 @@ from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .findings import PURE, findings, largest_departure
 from .gamma import GAMMA, SHUTTER_ERROR
 
-WIDTH_95 = 1.959964  # standard deviations of a Gaussian
-
 
 def section(calibration: ResponseCalibration) -> Section:
     """A calibrated response as its reader sees it.
@@ -60,7 +58,7 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
     labels = [channel.plane.label or "grey" for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
     error = np.concatenate([curve.standard_error for curve in curves])
-    exposure, half = np.exp(log_exposure), WIDTH_95 * error
+    exposure, half = np.exp(log_exposure), np.concatenate([c.half_width for c in curves])
     with np.errstate(over="ignore"):  # far beyond all pixels there is no upper bound: inf
         upper = np.exp(log_exposure + half)
     return {
@@ -106,6 +104,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
                 f"{np.expm1(gap):.1%}",
                 f"{np.expm1(srgb):.1%}",
                 f"{channel.gamma.dispersion:.2f}",
+                _held_out(channel),
                 f"{clean:.1%}",
             )
         )
@@ -119,13 +118,20 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
             "off gamma",
             "off sRGB",
             "χ² ratio",
+            "left out (DN)",
             "merged",
         ),
         tuple(rows),
         "Off gamma and off sRGB: largest departure of the measured curve, in exposure, between "
         "5 and 95 % of the range. χ² ratio: misfit of the best gamma over that of the free curve. "
-        "Merged: pixels with at least one exposure clear of clipping.",
+        "Left out: rms error of the prediction of each exposure from the others. Merged: pixels "
+        "with at least one exposure clear of clipping.",
     )
+
+
+def _held_out(channel: ChannelResponse) -> str:
+    found = channel.curve.held_out
+    return "" if found is None else f"{found.mean:.2g} ± {found.standard_error:.1g}"
 
 
 def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
@@ -161,10 +167,12 @@ def _settings(calibration: ResponseCalibration) -> dict[str, Any]:
                 "black": channel.plane.black,
                 "clip": channel.plane.clip,
                 "smoothness": channel.curve.smoothness,
+                "design_effect": channel.curve.design_effect,
                 "noise": vars(channel.curve.noise),
                 "codes": channel.curve.codes.tolist(),
                 "log_exposure": channel.curve.log_exposure.tolist(),
                 "standard_error": channel.curve.standard_error.tolist(),
+                "half_width_95": channel.curve.half_width.tolist(),
             }
             for channel in calibration.channels
         },

@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from jaxvision.errors import InputError
 
 from .code_bins import CodeBins
-from .code_pairs import PairStatistics, total
+from .code_pairs import PairStatistics
 
 SMOOTHEST = 1e4  # precision beyond which the exponent is constant for every purpose
 ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves: what is rougher is misfit

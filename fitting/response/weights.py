@@ -69,7 +69,7 @@ class Observations:
     log_irradiance: Float[np.ndarray, " pixels"]
 
 
-def hat_rule(bins: CodeBins, classes: int = 1) -> WeightRule:
+def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
     """Weights by the observed code, highest at mid-scale and falling to both ends (Debevec &
     Malik's hat, squared).
 
@@ -86,7 +86,9 @@ def hat_rule(bins: CodeBins, classes: int = 1) -> WeightRule:
     return WeightRule(np.tile(by_bin, (classes, 1)))
 
 
-def noise_rule(noises: Sequence[NoiseModel | None], means: Float[np.ndarray, " bins"]) -> WeightRule:
+def noise_rule(
+    noises: Sequence[NoiseModel | None], means: Float[np.ndarray, " bins"]
+) -> WeightRule:
     """Weights by the predicted exposure under a curve and a noise model for each class.
 
     Args:
