@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, gamma, srgb
+from scipy import stats
 
 from fitting.inference.estimates import find
 from fitting.response.calibration import calibrate as calibrate_response
@@ -70,7 +71,10 @@ def test_the_curve_leaves_whole(calibration):
         ratio = exposure[middle] / linear[middle]
         np.testing.assert_allclose(ratio / np.median(ratio), 1, atol=0.05)
         half = np.log(curve["upper_95"] / curve["lower_95"])[rows] / 2
-        np.testing.assert_allclose(half, 1.96 * curve["standard_error"][rows] / exposure, rtol=1e-3)
+        [fitted] = [c.curve for c in calibration.channels if c.plane.label == channel]
+        quantile = stats.t.ppf(0.975, fitted.freedom[fitted.seen])
+        error = curve["standard_error"][rows] / exposure
+        np.testing.assert_allclose(half, quantile * error, rtol=1e-6)
 
 
 def test_pictures_are_drawn(calibration, tmp_path):
@@ -174,6 +178,7 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
         codes=np.arange(2),
         log_exposure=np.array([0.0, 700.0]),
         standard_error=np.array([0.1, 50.0]),
+        half_width=np.array([0.196, 98.0]),
         seen=np.array([True, False]),
     )
     columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(label=""))])

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from oracles.stacks import exposure_stack, gamma, log_exposures, s_shaped, srgb
+from oracles.splits import apart, fitted, split_tests
+from oracles.stacks import exposure_stack, gamma, jpeg_stack, log_exposures, s_shaped, srgb
 
 from fitting.response.code_bins import code_bins
 from fitting.response.code_pairs import pair_statistics
@@ -63,6 +64,55 @@ def test_band_holds_the_truth_and_widens_with_shutter_errors():
             widths.append(curve.standard_error[230])  # far from mid-scale, and quiet
     assert np.mean(inside) > 0.99
     assert np.mean(widths[4:]) > 2 * np.mean(widths[:4])
+
+
+def test_jpeg_photographs_from_hand():
+    """Half a pixel of misregistration, 1 % shutters, moving leaves, JPEG: the curve is the camera's
+    to 3 % rms and within its band, and so are those of two checkerboards."""
+    codes = jpeg_stack(s_shaped, TIMES[::2], np.random.default_rng(1))
+    everywhere, known = np.ones(codes.shape[1:], bool), {"black": 0.0, "clip": 255.0}
+    curve = fitted(codes, everywhere, TIMES[::2], **known)
+    assert curve.design_effect > 2
+    assert curve.held_out is not None
+    assert np.isfinite(curve.held_out.standard_error)
+    judged = (curve.codes >= 20) & (curve.codes <= 235)
+    truth = log_exposures(s_shaped, curve.codes)
+    assert log_rms(curve.log_exposure[judged], truth[judged]) < 0.03
+    gap = curve.log_exposure - truth + truth[curve.bins.middle]
+    assert np.mean(np.abs(gap) <= curve.half_width + 1e-9) > 0.9
+    squares = np.indices(everywhere.shape).sum(axis=0) // 16 % 2 == 0
+    one, other = (fitted(codes, part, TIMES[::2], **known) for part in (squares, ~squares))
+    assert apart(one, other)[1].mean() > 0.9
+
+
+@pytest.mark.slow
+def test_parts_of_jpeg_stacks_agree_within_their_errors():
+    """Curves from halves, checkerboards and every other exposure. What exposures share, halves of
+    one picture share too: their differences may be smaller than their errors, never larger."""
+    found = [
+        split_tests(
+            jpeg_stack(response, TIMES, np.random.default_rng(seed), shape=(200, 260)),
+            np.ones((200, 260), bool),
+            TIMES,
+            black=0.0,
+            clip=255.0,
+        )
+        for seed, response in enumerate((srgb, s_shaped, gamma(1.8)))
+    ]
+    scores, inside = np.array(found).T
+    assert np.sqrt(np.mean(scores**2)) < 1.2
+    assert inside.mean() > 0.9
+
+
+def test_known_shutter_errors_widen():
+    """`exposure_sd` of the rig, which nine images cannot tell by themselves: its exponent."""
+    _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(11), pixels=4000)
+    plain = fit_response_curve(codes, TIMES, bits=8)
+    doubted = fit_response_curve(codes, TIMES, bits=8, least_error=0.05)
+    spread = np.sum((np.log(TIMES) - np.log(TIMES).mean()) ** 2)
+    exponent = np.abs(plain.log_exposure[40]) * 0.05 / np.sqrt(spread)
+    assert doubted.standard_error[40] > 0.95 * exponent
+    assert doubted.standard_error[40] > 2 * plain.standard_error[40]
 
 
 def test_shutter_errors_are_seen():

@@ -20,7 +20,7 @@ from .code_bins import CodeBins
 from .code_pairs import pair_statistics
 from .pilot import Pilot
 from .solve import Hyperparameters, Solution, at_centres, inverse, solve
-from .weights import weighted_mean
+from .weights import cells_of, weighted_mean
 
 MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
 FEWEST_EXPOSURES = 3  # leaving one out must leave two
@@ -138,10 +138,7 @@ def over_exposures(
     departures = _jackknife([at_centres(fit.means, coarse.middle) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
     explained = _pixel_variance(whole, matrix, coarse)
-    rms = [
-        _prediction_error(codes, classes, log_t, j, fit, coarse, pilot)
-        for j, fit in enumerate(fits)
-    ]
+    rms = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
     fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
     on_fine = Repeats(
         np.stack([np.interp(fine, x, row) for row in departures]), np.interp(fine, x, explained)
@@ -198,7 +195,6 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
 
 def _prediction_error(
     codes: np.ndarray,
-    classes: np.ndarray,
     log_t: np.ndarray,
     j: int,
     fit: Solution,
@@ -208,10 +204,16 @@ def _prediction_error(
     """Root mean square, DN, of exposure j's codes less those that the others predict."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
-    binned = coarse.lookup[codes]
-    rough = pilot.rule.by_bin.max(axis=0)[np.maximum(binned, 0)]
-    weights = np.where(binned >= 0, rough, 0)[kept]
-    log_irradiance = weighted_mean(weights, g[binned[kept]] - log_t[kept, None])
+    binned, rule = coarse.lookup[codes], pilot.rule
+    assert rule.weight is not None
+    quietest = np.full(codes.shape[1], np.argmax(rule.by_bin.sum(axis=1)))
+    others, by_each = binned[kept], g[binned[kept]] - log_t[kept, None]
+    rough = np.where(others >= 0, rule.by_bin[quietest[0]][np.maximum(others, 0)], 0)
+    first = weighted_mean(rough, by_each)
+    cells = cells_of(rule, first + log_t[kept, None], quietest)
+    weights = np.where(rough > 0, rule.weight.ravel()[cells], 0)
+    weights = np.where(weights.any(axis=0), weights, rough)
+    log_irradiance = weighted_mean(weights, by_each)
     predicted = np.interp(log_irradiance + log_t[j], g, coarse.centres)
     judged = (weights.sum(axis=0) > 0) & (binned[j] >= 0)
     if np.count_nonzero(judged) < FEWEST_PREDICTED:

@@ -1,9 +1,12 @@
-"""Exposure stacks simulated in NumPy alone: Poisson electrons, read noise, clipping, a response
-curve, rounding."""
+"""Exposure stacks simulated in NumPy, SciPy and Pillow alone: Poisson electrons, read noise,
+clipping, a response curve, rounding, and photographs with what goes wrong in them."""
 
+import io
 from collections.abc import Callable
 
 import numpy as np
+from PIL import Image
+from scipy import ndimage
 
 Response = Callable[[np.ndarray], np.ndarray]
 
@@ -51,3 +54,54 @@ def log_exposures(response: Response, codes: np.ndarray, *, bits: int = 8) -> np
     """True ln exposure of codes, by inverting the response on a fine grid."""
     x = np.concatenate([np.geomspace(1e-9, 1e-3, 100_001), np.linspace(1e-3, 1, 200_001)[1:]])
     return np.log(np.interp(codes / (2**bits - 1), response(x), x))
+
+
+def jpeg_stack(
+    response: Response,
+    times: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    shape: tuple[int, int] = (120, 160),
+    quality: int = 90,
+    shift: float = 0.5,
+    shutter_error: float = 0.01,
+    leaves: int = 6,
+    full_well: float = 20_000.0,
+    read_noise: float = 4.0,
+) -> np.ndarray:
+    """Codes uint16 (exposures, h, w) of one scene by hand-held JPEG photographs: each is shifted by
+    up to `shift` pixels, has a shutter error of its own, and leaves that moved."""
+    (h, w), rim = shape, 8
+    scene = _scene(rng, h + 2 * rim, w + 2 * rim)
+    corners = rng.integers(0, [h - 20, w - 20], (leaves, 2)) + rim
+    frames = []
+    for t in times * np.exp(rng.normal(0, shutter_error, len(times))):
+        moved = scene.copy()
+        for row, column in corners:
+            leaf = slice(row, row + 20), slice(column, column + 20)
+            moved[leaf] = np.roll(scene, rng.integers(-4, 5, 2), (0, 1))[leaf]
+        placed = ndimage.shift(moved, rng.uniform(-shift, shift, 2), order=3, mode="nearest")
+        light = np.clip(placed[rim:-rim, rim:-rim] * t, 0, 50)
+        electrons = rng.poisson(light * full_well) + rng.normal(0, read_noise, shape)
+        exposed = response(np.clip(electrons / full_well, 0, 1))
+        file = io.BytesIO()
+        Image.fromarray(np.round(255 * exposed).astype(np.uint8)).save(
+            file, "JPEG", quality=quality
+        )
+        frames.append(np.asarray(Image.open(file)))
+    return np.stack(frames).astype(np.uint16)
+
+
+def _scene(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
+    """Light of a scene over some three decades: texture whose spectrum falls as 1 / f, and 20
+    rectangles, as a lens blurs them."""
+    frequency = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
+    frequency[0, 0] = 1
+    log_light = np.fft.ifft2(np.fft.fft2(rng.normal(size=(h, w))) / frequency**1.1).real
+    log_light /= log_light.std()
+    for _ in range(20):
+        row, column = rng.integers(0, h), rng.integers(0, w)
+        part = slice(row, row + h // 5), slice(column, column + w // 5)
+        log_light[part] = 0.6 * log_light[part] + rng.normal()
+    log_light = 1.4 * (log_light - np.median(log_light)) / log_light.std()
+    return ndimage.gaussian_filter(0.2 * np.exp(log_light), 0.7)

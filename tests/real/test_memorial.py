@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from exposure_rigs import write_memorial_rig
+from oracles.splits import split_tests
 
 from fitting.response.calibration import calibrate as calibrate_response
 from fitting.response.calibration import radiance_images
@@ -31,3 +32,22 @@ def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
     for channel, rival in enumerate(ROBERTSON):
         own = apart[..., channel][trusted]
         assert np.sqrt(np.mean((own - np.median(own)) ** 2)) < rival
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_parts_of_the_stack_agree_within_their_errors(data_folder, tmp_path):
+    """Curves from halves, checkerboards and every other exposure; they lay 1.7 to 7.9 of their
+    errors apart while pixels counted as independent."""
+    stack = read_exposure_stack(load_rig(write_memorial_rig(data_folder, tmp_path)))
+    scores, inside = zip(
+        *[
+            split_tests(
+                plane.codes, plane.mask, plane.exposures, black=plane.black, clip=plane.clip
+            )
+            for plane in stack.planes
+        ],
+        strict=True,
+    )
+    assert np.sqrt(np.mean(np.square(scores))) < 1.2
+    assert np.mean(inside) > 0.9
