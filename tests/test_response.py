@@ -183,3 +183,17 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
     )
     columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(label=""))])
     np.testing.assert_allclose(columns["upper_95"], [np.exp(0.196), np.inf], rtol=1e-4)
+
+
+def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
+    images = colour_images()
+    images[..., 2] = 3
+    calibration = calibrate_response(read_exposure_stack(load_rig(write_rig(tmp_path, images))))
+    assert [channel.plane.channel for channel in calibration.channels] == ["red", "green"]
+    merged = radiance_images(calibration)[""]
+    assert np.isnan(merged[..., 2]).all()
+    assert np.isfinite(merged[..., :2]).all()
+    section = response_section(calibration)
+    [named] = [text for text in section.findings if text.startswith("blue was not calibrated")]
+    assert "NaN in the radiance map" in named
+    section.pictures[3].draw()

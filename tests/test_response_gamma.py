@@ -64,3 +64,17 @@ def test_srgb_is_recognised():
     central = slice(20, 236)
     assert np.nanmax(np.abs(found.srgb_departure[central])) < 0.02
     assert np.nanmax(np.abs(found.departure[central])) > 0.05
+
+
+def test_what_is_known_of_black_and_shutter_widens():
+    """Gamma is the slope of ln X over ln(code - black), and an exponent common to all shutter times
+    moves it by sd / sqrt(sum (ln t - mean)^2)."""
+    _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=4000)
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    plain = fit_gamma(curve).gamma
+    of_black = fit_gamma(curve, black_sd=1.0).gamma
+    assert of_black.standard_error > 3 * plain.standard_error
+    of_shutter = fit_gamma(curve, exposure_sd=0.05).gamma
+    spread = np.sum((np.log(TIMES) - np.log(TIMES).mean()) ** 2)
+    expected = np.hypot(2.2 * 0.05 / np.sqrt(spread), plain.standard_error)
+    assert of_shutter.standard_error == pytest.approx(expected, rel=0.1)
