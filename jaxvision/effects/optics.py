@@ -105,10 +105,16 @@ class _Grids:
         return all(_equal(getattr(view.low, name), getattr(view.high, name)) for name in names)
 
     @property
+    def straight(self) -> bool:
+        """Whether all coefficients of the distortion are 0 at both ends."""
+        ends = [getattr(end, "distortion", None) for end in self.view]
+        return not any(np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(ends))
+
+    @property
     def opening(self) -> float:
         """W m^-2 per W m^-2 sr^-1: the largest gain of any pixel, whichever parts have gone."""
         most = max(opening_of(view) for view in corners(self.view))
-        if not self.has("distortion"):
+        if not self.has("distortion") or self.straight:
             return most
         if not self.fixed:
             return INF
@@ -185,8 +191,7 @@ def _passes(grids: _Grids, *gone: str) -> bool:
 def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
     """The largest displacement over the grid, and the largest change of the brightness, with the
     rim that the lens has and without."""
-    lens = [end.distortion for end in grids.view if not isinstance(end, Orthographic)]
-    if all(_is_zero(coefficients) for coefficients in lens):
+    if grids.straight:
         return np.zeros_like(radiance), 0.0, "all coefficients are 0"
     if not grids.fixed:
         return np.full_like(radiance, INF), INF, "the lens may change"
@@ -344,10 +349,6 @@ def _equal(low: Any, high: Any) -> bool:
     a, tree = jax.tree.flatten(low)
     b, other = jax.tree.flatten(high)
     return tree == other and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-
-
-def _is_zero(coefficients: Any) -> bool:
-    return all(not np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(coefficients))
 
 
 # The functions that bound each part, by the name of its field.
