@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammainc, gammaincc, gammaln, log_ndtr, logsumexp, ndtr
+from jax.scipy.special import gammainc, gammaincc, gammaln, logsumexp, ndtr
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
@@ -23,6 +23,7 @@ from jaxvision.sensor.adc import largest_number
 from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
 from .inference.likelihoods import Censored, is_concrete
+from .inference.tails import log_ndtr
 
 FAR = 40.0  # standard deviations: no probability is left beyond
 ROUNDING = 0.5  # DN between a code and the ends of its interval

@@ -124,7 +124,7 @@ def uniform_direction(u: Float[Array, "2"]) -> Vec:
 def uniform_pdf(w: Vec3) -> Scalars:
     """1 / (2 pi) in sr^-1 above the surface, 0 below: the density of `uniform_direction`."""
     z = as_vec(w).z
-    return jnp.where(z > 0, jnp.full_like(z, 0.5 / jnp.pi), 0)
+    return jnp.where(z > 0, 0.5 / jnp.pi, jnp.where(z <= 0, 0, z))
 
 
 def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:

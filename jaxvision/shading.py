@@ -215,7 +215,8 @@ def reflected_radiance(
         toward, reflectance = mirror
         seen = _seen_along(light, as_vec(in_world(frame, toward, wo)))
         radiance = plus(radiance, apart(reflectance * seen, bands))
-    return jnp.stack(together(tuple(jnp.where(viewer.z > 0, band, 0) for band in radiance)))
+    unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
+    return jnp.stack(together(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
 
 
 def _seen_along(light: Lighting, direction: Vec) -> Colour:

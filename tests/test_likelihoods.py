@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy import stats
@@ -19,6 +20,7 @@ from fitting import (
 )
 from fitting.inference.likelihoods import Likelihood, with_values
 from fitting.inference.misfit import judge
+from fitting.inference.tails import log_ndtr
 from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
 
@@ -235,3 +237,16 @@ def test_gain_is_found_from_the_noise_of_a_sensor_in_a_record():
     assert result.converged
     for estimate, truth in zip(result.estimates, (0.25, 0.5), strict=True):
         assert abs(estimate.value - truth) < 4 * estimate.standard_error < 0.4 * truth
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_the_slope_of_a_clipped_pixel_holds_in_the_far_tail(dtype):
+    """phi / Phi by the continued fraction of mpmath's own functions, to ten thousand deviations and
+    beyond, where it is the distance itself."""
+    z = jnp.asarray([-1e10, -1e4, -40, -5.001, -4.999, -1, 0, 3], dtype)
+    slopes = jax.vmap(jax.grad(log_ndtr))(z)
+    for x, slope in zip(z.tolist(), slopes.tolist(), strict=True):
+        with mp.workdps(60):
+            x = mp.mpf(x)
+            true = mp.npdf(x) / mp.ncdf(x) if x > -1e5 else -x
+            assert abs(slope / true - 1) < 64 * float(jnp.finfo(dtype).eps), x

@@ -25,13 +25,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.scipy.special import gammaln, log_ndtr
+from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 from scipy.special import ndtr, ndtri, stdtr
 
 from jaxvision.errors import InputError
 
 from .priors import HALF_LOG_2PI
+from .tails import log_ndtr
 
 Numbers = Float[Array, "..."] | Float[np.ndarray, "..."]
 Scale = Any  # a number, an array, or the name of a parameter whose value takes its place

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._bands import by_band
 from .._types import Colour, Scalar
 from .._vector import Vec, Vector, as_vec
-from ._lobe import choose, diffuse_share, divisor, lit_and_seen, mixed_pdf
+from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
 from ._registry import register
 
 Convention = Literal["shading", "brdf", "normalised"]
@@ -58,14 +58,14 @@ def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
         value = scaled(material, lobe.value(material, light, viewer))
         if convention == "shading":
             value = value / divisor(light.z)
-        return _two_terms(material, jnp.ones_like(value), value, lit_and_seen(light, viewer))
+        return _two_terms(material, light, viewer, jnp.ones_like(value), value)
 
     def shading(material: Any, wi: Vector, wo: Vector) -> Colour:
         light, viewer = as_vec(wi), as_vec(wo)
         value = scaled(material, lobe.value(material, light, viewer))
         if convention != "shading":
             value = value * light.z
-        return _two_terms(material, light.z, value, lit_and_seen(light, viewer))
+        return _two_terms(material, light, viewer, light.z, value)
 
     def diffuse_part(material: Any) -> Scalar:
         plain, with_cosine = lobe.sizes(material)
@@ -93,7 +93,7 @@ def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
     register(record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
 
 
-def _two_terms(material: Any, body: Scalar, lobe: Scalar, seen: Bool[Array, ""]) -> Colour:
+def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:
     """k_d body + k_s lobe, (bands,) in sr^-1, 0 where the surface is not seen or not lit."""
-    body, lobe = jnp.where(seen, body, 0), jnp.where(seen, lobe, 0)
+    body, lobe = where_seen(wi, wo, body), where_seen(wi, wo, lobe)
     return by_band(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)

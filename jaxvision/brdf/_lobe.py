@@ -48,9 +48,14 @@ def mirrored(w: Vector) -> Vec:
     return Vec(-v.x, -v.y, v.z)
 
 
-def lit_and_seen(wi: Vector, wo: Vector) -> Array:
-    """Whether both directions lie above the surface."""
-    return (as_vec(wi).z > 0) & (as_vec(wo).z > 0)
+def where_above(height: Scalar, value: Scalars) -> Scalars:
+    """`value` at a height above the surface, 0 at one that is not, and NaN where it is NaN."""
+    return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
+
+
+def where_seen(wi: Vector, wo: Vector, value: Scalars) -> Scalars:
+    """`value` where both directions lie above the surface, else 0; NaN where one of them is."""
+    return where_above(jnp.minimum(as_vec(wi).z, as_vec(wo).z), value)
 
 
 def divisor(cosine: Scalar) -> Scalar:

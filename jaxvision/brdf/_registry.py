@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from .._types import Colour, Scalar
 from .._vector import Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
+from ._lobe import where_above
 from ._specular import Specular, one_way
 
 POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
@@ -117,7 +118,7 @@ def register_delta(
 
     def albedo(material: Any, wo: Vector) -> Colour:
         viewer = as_vec(wo)
-        return jnp.where(viewer.z > 0, specular(material, viewer).reflectance, 0)
+        return where_above(viewer.z, specular(material, viewer).reflectance)
 
     _FAMILIES[record] = Family(
         evaluate, sample, pdf, albedo, evaluate, specular=specular, absorption=absorption

@@ -78,7 +78,7 @@ def log_cos_half(wi: Vector, wo: Vector) -> Scalars:
         The logarithm, () <= 0, no unit; 0 where H.z <= 0, which happens only below the surface.
     """
     both = as_vec(wi) + as_vec(wo)
-    above = both.z > smallest_divisor(both.z.dtype)
+    above = ~(both.z <= smallest_divisor(both.z.dtype))
     z = or_one(both.z, above)
     squared = jnp.square(both.x / z) + jnp.square(both.y / z)
     return -jnp.log1p(jnp.where(above, squared, 0)) / 2

@@ -152,7 +152,7 @@ def body_colour(
     # The mean is the main direction: all pixels lie on one side of the illuminant.
     total = (weight[..., None] * across).reshape(-1, image.shape[-1]).sum(axis=0)
     length = _length(total)
-    tinted = length > jnp.finfo(image.dtype).eps * jnp.abs(weight * along).sum()
+    tinted = ~(length <= jnp.finfo(image.dtype).eps * jnp.abs(weight * along).sum())
     side = total / or_one(length, tinted)
     m = jnp.maximum((across @ side) * weight, 0).reshape(-1)
     positive = m > smallest_divisor(m.dtype)

@@ -1,12 +1,12 @@
 """The BRDF of any material, its sampler and its albedo. Local frame, unless stated."""
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import Colour, Scalar, check_shape
 from .._vector import Vec, Vector, as_array, as_vec
 from ..hemisphere import local_frame, to_local
 from ..scene import Material
+from ._lobe import where_above
 from ._registry import family
 
 
@@ -75,7 +75,7 @@ def albedo(material: Material, wo: Vector) -> Colour:
         The albedo, (bands,), no unit; 0 where wo.z <= 0.
     """
     viewer = _direction("wo", wo)
-    return jnp.where(viewer.z > 0, family(material).albedo(material, viewer), 0)
+    return where_above(viewer.z, family(material).albedo(material, viewer))
 
 
 def shading(material: Material, wi: Vector, wo: Vector) -> Colour:

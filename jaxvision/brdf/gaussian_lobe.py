@@ -23,7 +23,7 @@ from .._vector import Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._conventions import Lobe, register_lobe
-from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored
+from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored, where_above
 
 
 class _Concentrated(Material):
@@ -144,8 +144,8 @@ def gaussian_lobe_shading(
     """
     cos_i = dot(normal, wi)
     lobe = _lobe_between(mirror_direction(normal, wi), wo, concentration)
-    seen = (cos_i > 0) & (dot(normal, wo) > 0)
-    return jnp.where(seen, diffuse * cos_i + specular * lobe, 0)
+    height = jnp.minimum(cos_i, dot(normal, wo))
+    return where_above(height, diffuse * cos_i + specular * lobe)
 
 
 def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:

@@ -26,7 +26,7 @@ from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
 from ._interpolation import in_bin, in_bins, multilinear
-from ._lobe import lit_and_seen
+from ._lobe import where_seen
 from ._lobe_sampler import LobeSampler, albedo, pdf, sample
 from ._registry import register
 
@@ -130,7 +130,7 @@ def evaluate(material: HalfDifferenceTable, wi: Vector, wo: Vector) -> Colour:
         places = in_bin(h, n_h), in_bin(d, n_d), in_bin(p, n_p)
     else:
         places = in_bins(h, n_h), in_bins(d, n_d), in_bins(p, n_p, periodic=True)
-    return jnp.where(lit_and_seen(wi, wo), multilinear(material.values, *places), 0)
+    return where_seen(wi, wo, multilinear(material.values, *places))
 
 
 register(HalfDifferenceTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

@@ -7,7 +7,7 @@ from .._numerics import dot
 from .._types import Colour, as_float, as_optional_float, check_fields
 from .._vector import Vector
 from ..scene import Material
-from ._lobe import lit_and_seen
+from ._lobe import where_seen
 from ._registry import register
 
 
@@ -46,7 +46,7 @@ def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
 
 def evaluate(material: Lambert, wi: Vector, wo: Vector) -> Colour:
     """f_r = k_d, (bands,) in sr^-1."""
-    return jnp.where(lit_and_seen(wi, wo), material.diffuse, 0)
+    return where_seen(wi, wo, material.diffuse)
 
 
 def albedo(material: Lambert, wo: Vector) -> Colour:

@@ -24,7 +24,7 @@ from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
 from ._interpolation import Place, among, around_circle, multilinear
-from ._lobe import lit_and_seen
+from ._lobe import where_seen
 from ._lobe_sampler import LobeSampler, albedo, pdf, sample, tabulated_lobe
 from ._registry import family, register
 
@@ -164,7 +164,7 @@ def evaluate(material: AngleTable, wi: Vector, wo: Vector) -> Colour:
     value = _looked_up(material, wi, wo)
     if material.reciprocal:
         value = (value + _looked_up(material, wo, wi)) / 2
-    return jnp.where(lit_and_seen(wi, wo), value, 0)
+    return where_seen(wi, wo, value)
 
 
 register(IsotropicTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

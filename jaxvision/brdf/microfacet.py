@@ -50,16 +50,16 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
     scale = jnp.pi * a[0] * a[1]
     match distribution:
         case "beckmann":
-            above = n.z > 1e-5  # the weight of steeper facets underflows
+            above = ~(n.z <= 1e-5)  # the weight of steeper facets underflows
             z = or_one(n.z, above)
             steepness = across / (z * z)
             # where the exponential is 0, z^4 in a derivative would leave the range of a float
-            counts = above & (steepness < -log_of_zero(z.dtype))
+            counts = above & ~(steepness >= -log_of_zero(z.dtype))
             z = or_one(z, counts)
             density = jnp.exp(-jnp.where(counts, steepness, 0)) / (scale * jnp.square(z * z))
             return jnp.where(counts, density, 0)
         case "ggx":
-            facing = n.z > 0
+            facing = ~(n.z <= 0)
             spread = or_one(across + n.z * n.z, facing)
             return jnp.where(facing, 1 / (scale * jnp.square(spread)), 0)
         case _:
@@ -75,7 +75,7 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
     match distribution:
         case "beckmann":
             t = safe_sqrt(squared)
-            tilted = t > smallest_divisor(t.dtype)
+            tilted = ~(t <= smallest_divisor(t.dtype))
             steepness = v.z / or_one(t, tilted)
             bell = jnp.exp(-jnp.square(steepness)) / (2 * jnp.sqrt(jnp.pi))
             hidden = t * bell - v.z * erfc(steepness) / 2
@@ -83,8 +83,7 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
         case "ggx":
             root = safe_sqrt(v.z * v.z + squared)
             below = 2 * (root + v.z)
-            positive = below > smallest_divisor(below.dtype)
-            return divide(squared, below, where=positive)
+            return divide(squared, below, ~(below <= smallest_divisor(below.dtype)))
         case _:
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 

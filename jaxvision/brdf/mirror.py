@@ -5,12 +5,11 @@ Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s 
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from .._types import Colour, as_float, check_fields
 from .._vector import Vec
 from ..scene import Material
-from ._lobe import mirrored
+from ._lobe import mirrored, where_above
 from ._registry import register_delta
 from ._specular import Specular
 
@@ -31,7 +30,7 @@ class Mirror(Material):
 
 def specular(material: Mirror, w: Vec) -> Specular:
     """The mirror direction of `w`, unit, local, and the reflectance, no unit, 0 from below."""
-    return Specular(mirrored(w), jnp.where(w.z > 0, material.reflectance, 0))
+    return Specular(mirrored(w), where_above(w.z, material.reflectance))
 
 
 register_delta(Mirror, specular=specular)

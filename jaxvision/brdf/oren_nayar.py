@@ -21,7 +21,7 @@ from .._numerics import arctan2, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Vector, as_vec
 from ..scene import Material
-from ._lobe import divisor, lit_and_seen
+from ._lobe import divisor, where_seen
 from ._registry import register
 
 
@@ -51,7 +51,7 @@ class OrenNayar(Material):
 def evaluate(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
     """f_r, (bands,) in sr^-1."""
     form = _qualitative if material.form == "qualitative" else _full
-    return jnp.where(lit_and_seen(wi, wo), form(material, wi, wo), 0)
+    return where_seen(wi, wo, form(material, wi, wo))
 
 
 def _qualitative(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:

@@ -26,7 +26,7 @@ from .._types import Colour, Scalar, Scalars
 from .._vector import Vec, Vector, as_vec
 from ..geometry import mirror_direction
 from ._conventions import Lobe, register_lobe
-from ._lobe import PowerLobe, about, lobe_integrals, log_cosine, mirrored
+from ._lobe import PowerLobe, about, lobe_integrals, log_cosine, mirrored, where_above
 
 
 class Phong(PowerLobe):
@@ -83,8 +83,8 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
         >>> print(jv.phong_lobe(jnp.log(jnp.array(0.9)), jnp.array(10.0)).round(6))
         0.348678
     """
-    front = log_cos_mirror > log_of_zero(log_cos_mirror.dtype)
-    return jnp.exp(jnp.where(front, exponent * jnp.where(front, log_cos_mirror, 0), -jnp.inf))
+    behind = log_cos_mirror <= log_of_zero(log_cos_mirror.dtype)
+    return jnp.exp(jnp.where(behind, -jnp.inf, exponent * jnp.where(behind, 0, log_cos_mirror)))
 
 
 def phong_shading(
@@ -109,8 +109,8 @@ def phong_shading(
     """
     cos_i = dot(normal, wi)
     lobe = phong_lobe(log_cos_between(mirror_direction(normal, wi), wo), exponent)
-    seen = (cos_i > 0) & (dot(normal, wo) > 0)
-    return jnp.where(seen, diffuse * cos_i + specular * lobe, 0)
+    height = jnp.minimum(cos_i, dot(normal, wo))
+    return where_above(height, diffuse * cos_i + specular * lobe)
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:

@@ -38,6 +38,7 @@ from ._half_vector import (
     stretch,
 )
 from ._interpolation import in_unit, multilinear
+from ._lobe import where_above
 from ._registry import register
 from ._warp import Slices, Square, Warp, bilinear, slices, tabulated_warp, unwarp, warp
 
@@ -152,12 +153,12 @@ def shading(material: RGL, wi: Vector, wo: Vector) -> Colour:
     """f_r cos(theta_i), (bands,) in sr^-1: the tabulated quantity itself; 0 where either direction
     lies below the surface. `wi`, `wo`: unit, local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
-    front = (wi.z > 0) & (wo.z > 0)
+    height = jnp.minimum(wi.z, wo.z)
     wi, wo = _unfolded(material, wi, wo)
     at, origin, wo_place = _seen_from(material, wo)
     h_place = half_to_square(as_vec(normalize(wi + wo)), origin)
     s, _ = unwarp(material.vndf, at, h_place)
-    return jnp.where(front, _reflected_by(material, at, s, h_place, wo_place), 0)
+    return where_above(height, _reflected_by(material, at, s, h_place, wo_place))
 
 
 def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
@@ -220,7 +221,7 @@ def albedo(material: RGL, wo: Vector, *, order: int = 64) -> Colour:
         return jnp.where(ahead, _reflected_by(material, at, (x, y), place, wo_place) * area, 0)
 
     rows = jax.vmap(jax.vmap(weight, (None, 0)), (0, None))(nodes, nodes)
-    return jnp.where(wo.z > 0, jnp.mean(rows, axis=(0, 1)), 0)
+    return where_above(wo.z, jnp.mean(rows, axis=(0, 1)))
 
 
 register(RGL, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)

@@ -39,9 +39,10 @@ from ._lobe import (
     choose,
     diffuse_share,
     divisor,
-    lit_and_seen,
     mirrored,
     mixed_pdf,
+    where_above,
+    where_seen,
 )
 from ._registry import register
 from .fresnel import Interface, fresnel
@@ -109,7 +110,7 @@ def microfacet_lobe(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour
     seen = visibility(
         wi, wo, h, alpha, distribution=material.distribution, shadowing=material.shadowing
     )
-    lobe = jnp.where(lit_and_seen(wi, wo), facets * seen, 0)
+    lobe = where_seen(wi, wo, facets * seen)
     if material.interface is None:
         return lobe[None]
     return fresnel(material.interface, dot(as_vec(wo), h)) * lobe
@@ -117,7 +118,7 @@ def microfacet_lobe(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour
 
 def evaluate(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour:
     """f_r, (bands,) in sr^-1."""
-    body = jnp.where(lit_and_seen(wi, wo), material.diffuse, 0)
+    body = where_seen(wi, wo, material.diffuse)
     return body + material.specular * microfacet_lobe(material, wi, wo)
 
 
@@ -253,7 +254,7 @@ def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
     rays = jax.vmap(ray)
     cos_psi, sin_psi = -jnp.sin(beyond), jnp.cos(beyond)
     lobe = turn @ (rays(cos_psi, sin_psi) + rays(cos_psi, -sin_psi))
-    return jnp.pi * material.diffuse + material.specular * jnp.where(viewer.z > 0, lobe, 0)
+    return jnp.pi * material.diffuse + material.specular * where_above(viewer.z, lobe)
 
 
 register(TorranceSparrow, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)

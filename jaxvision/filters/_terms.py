@@ -70,7 +70,7 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     # where the weights cancel, the sum is the rounding error of so many additions
     rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
     least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
-    held = jnp.abs(inside) > jnp.maximum(least, smallest_divisor(image.dtype))
+    held = ~(jnp.abs(inside) <= jnp.maximum(least, smallest_divisor(image.dtype)))
     return restore(divide(total, inside, held))
 
 

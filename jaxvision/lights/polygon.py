@@ -100,7 +100,7 @@ def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     quarters = jnp.where(steep, jnp.pi / 2, jnp.where(cosine < 0, jnp.pi, 0))
     turned = quarters * jax.lax.rsqrt(or_one(square, wide))
     angle = turned + jnp.where(steep, -cosine, cosine) * inverse * arctan
-    return jnp.where(defined, angle, 0)
+    return jnp.where(defined, angle, jnp.where(jnp.isnan(square), square, 0))
 
 
 def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, Scalars]:
@@ -162,8 +162,9 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -
         nodes_integral(corners[0], u, v, receiver, order=4),
         contour_integral(corners, receiver),
     )
-    front = -dot(cross(u, v), corners[0]) > 0
-    return light.radiance * jnp.where(front, jnp.maximum(lit, 0), 0)
+    front = -dot(cross(u, v), corners[0])
+    behind = jnp.where(front <= 0, 0, front)  # or NaN
+    return light.radiance * jnp.where(front > 0, jnp.maximum(lit, 0), behind)
 
 
 @jax.custom_jvp

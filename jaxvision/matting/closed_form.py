@@ -105,6 +105,7 @@ def closed_form_matte(
     # the solver's own residual is updated, not computed, and rounds its own way
     left = jnp.linalg.norm(wanted - apply_stencil(system, solution))
     converged = left <= 4 * tolerance * jnp.linalg.norm(wanted)
+    solution = jnp.where(jnp.isnan(left), left, solution)  # where the solver could not begin
     return Matte(jnp.clip(solution, 0, 1)[..., None], converged)
 
 

@@ -7,12 +7,21 @@ cumulative distribution function", ACM TOMS 42 (2016), Q_N2):
 
     x = mu + sqrt(mu) z + (1/3 + z^2/6) - (z/36 + z^3/72) / sqrt(mu)
         + (-8/405 + 7 z^2/810 + z^4/270) / mu,         N = floor(x)
+
+A count is differentiated along the draw, as if its deviation from the mean grew like the noise:
+
+    N(m) = m + (N - m_0) sqrt(m / m_0),    dN/dm = 1/2 + N / (2 m)
+
+On average the slope is 1, and that of N^2 is 2 m + 1: gradients of first and second moments are
+unbiased at every light level. Those of N^3 are too large by 1/2 (of 3 m^2 + 6 m + 1), and the slope
+of one draw has the variance 1 / (4 m), so that faint light needs many pixels. For expected images
+use `expected_signal` and `signal_variance`, whose gradients have no noise.
 """
 
 import jax
 import jax.numpy as jnp
 
-from .._numerics import safe_sqrt, with_gradient_of
+from .._numerics import divide, safe_sqrt, smallest_divisor, with_gradient_of
 from .._types import Key, Scalars
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, PoissonShotNoise, ShotNoise
 from ._draws import Frame, Words, gaussian, subkey, tail_probability, upper_quantile, words
@@ -27,9 +36,9 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
     `FastPoissonShotNoise` differs from the Poisson distribution in total variation by less than
     2e-6 up to a mean of 10 and 1.4e-4 just above, falling to 2e-5 from 1000 on, for means up to
-    1e5, in float32 too; its mean is right to 1e-6, its variance to 3e-4. Exact draws, and fast ones
-    up to a mean of 10, have the gradient of their expectation. Fast draws above 10 and Gaussian
-    ones are differentiated along the draw itself, so a Gaussian's gradients are noisy near 0.
+    1e5, in float32 too; its mean is right to 1e-6, its variance to 3e-4. All are differentiated
+    along the draw, by 1/2 + N / (2 mean), which leaves the slopes of first and second moments
+    unbiased; its variance is 1 / (4 mean).
 
     Args:
         key: random key of the frame.
@@ -43,7 +52,7 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
         case PoissonShotNoise():
             expected = jnp.clip(jax.lax.stop_gradient(mean), 0, MOST_ELECTRONS)
             drawn = jax.random.poisson(subkey(key, Frame.SHOT), expected).astype(mean.dtype)
-            return with_gradient_of(jnp.where(jnp.isnan(expected), expected, drawn), mean)
+            return _along_draw(jnp.where(jnp.isnan(expected), expected, drawn), mean)
         case FastPoissonShotNoise():
             return _inverse_poisson(words(key, Frame.SHOT, mean.shape), mean)
         case GaussianShotNoise():
@@ -57,20 +66,23 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
     """The count that a Poisson variable of that `mean` exceeds with a probability of at most (bits
     + 1/2) / 2^32; `bits`: 32 uniform ones for each entry.
     """
-    bounded = jnp.clip(mean, 0, MOST_ELECTRONS)
+    bounded = jax.lax.stop_gradient(jnp.clip(mean, 0, MOST_ELECTRONS))
     few = bounded < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, bounded)
     z, root = upper_quantile(bits, mean.dtype), jnp.sqrt(many)
     # the remainder is small beside a large mean and keeps its digits if rounded separately
-    whole = jax.lax.stop_gradient(jnp.floor(many))
+    whole = jnp.floor(many)
     x = (many - whole) + root * z + (1 / 3 + z**2 / 6)
     x = x - (z / 36 + z**3 / 72) / root + (-8 / 405 + 7 * z**2 / 810 + z**4 / 270) / many
-    drawn = jax.lax.stop_gradient(jnp.maximum(whole + jnp.floor(x), 0))
-    counted = with_gradient_of(drawn, whole + x)
-    summed = _summed_inverse(
-        tail_probability(bits, mean.dtype), jax.lax.stop_gradient(jnp.where(few, bounded, 0))
-    )
-    return jnp.where(few, with_gradient_of(summed, mean), counted)
+    counted = jnp.maximum(whole + jnp.floor(x), 0)
+    summed = _summed_inverse(tail_probability(bits, mean.dtype), jnp.where(few, bounded, 0))
+    return _along_draw(jnp.where(few, summed, counted), mean)
+
+
+def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
+    """A count with the slope 1/2 + N / (2 mean); 1 without light."""
+    slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
+    return with_gradient_of(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
 
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:

@@ -27,6 +27,7 @@ from jaxvision.brdf.phong import phong_lobe
 from jaxvision.point_ops import gamma_decode, gamma_encode
 
 from ...inference.parameters import Parameter, ParameterSpace, to_natural
+from ...inference.tails import log_ndtr
 from ..models import REFLECTANCES, amplitude, has_lobe, shape_of, unit_shading
 from ..names import INDEX, Model
 
@@ -282,7 +283,7 @@ def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Ar
     if samples.saturated is None:
         return gaussian
     above = jnp.where(samples.saturated, (predicted - samples.clip) / samples.deviation, 0)
-    return jnp.where(samples.saturated, jax.scipy.special.log_ndtr(above), gaussian)
+    return jnp.where(samples.saturated, log_ndtr(above), gaussian)
 
 
 def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Samples) -> Array:

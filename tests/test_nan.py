@@ -1,0 +1,116 @@
+"""NaN in gives NaN out: no public function of numbers turns an undefined input into a defined
+result. The calls are those of `examples/`; a new function is swept by having one.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from examples import ROOMS, examples_of
+from public_names import traced
+
+# Rooms in which no ray decides by comparing what it meets, which with NaN is nothing.
+SWEPT = sorted(
+    set(ROOMS) - {"geometry", "light_to_numbers", "lights", "measured", "radiosity", "transport"}
+)
+# Functions that say what they make of NaN, or compare a number with a draw: the places in their
+# arguments. A draw takes no part whose chance is NaN.
+EXCEPTIONS = {
+    "brdf.dichromatic.sample": ("body", "interface"),
+    "brdf.evaluation.sample": ("diffuse", "specular"),
+    "brdf.torrance_sparrow.sample": ("diffuse", "specular", "interface"),
+    "development.jpeg_loss.jpeg": ("[0]",),  # NaN is black
+    "histogram.counts.soft_histogram": ("[0]",),  # and counted in no bin
+    "optics.defocus.chromatic_defocus": ("[2]",),  # a depth of NaN is in focus
+    "optics.defocus.gather_defocus": ("[2]",),
+    "optics.defocus.layered_defocus": ("[2]",),
+    "optics.defocus.scatter_defocus": ("[2]",),
+    "sensor.fixed_pattern.hot_rates": ("fraction",),
+    "sensor.fixed_pattern.sensitivity": ("dead_pixels",),
+    "sensor.raw.collect": ("dead_pixels", "hot_pixels", "fraction"),
+    "sensor.raw.raw_image": ("dead_pixels", "hot_pixels", "fraction"),
+    "sensor.read_out.read_out_noise": ("fraction",),
+}
+# A solver on the host refuses numbers that are not finite.
+REFUSE = {"development.colour_matrix.camera_colour", "development.colour_matrix.fit_colour_matrix"}
+
+
+def is_float(leaf):
+    return jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def read_inputs(jaxpr, wanted):
+    """Which inputs of a program its `wanted` outputs are computed from."""
+    needed = {v for v, is_wanted in zip(jaxpr.outvars, wanted, strict=True) if is_wanted}
+    needed = {v for v in needed if isinstance(v, jax.extend.core.Var)}
+    for equation in reversed(jaxpr.eqns):
+        used = [v in needed for v in equation.outvars]
+        if not any(used):
+            continue
+        inputs = [True] * len(equation.invars)
+        inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+        if equation.primitive.name in ("jit", "pjit", "custom_jvp_call") and inner is not None:
+            inputs = read_inputs(inner.jaxpr, used)
+        needed |= {
+            v
+            for v, is_read in zip(equation.invars, inputs, strict=True)
+            if is_read and isinstance(v, jax.extend.core.Var)
+        }
+    return [v in needed for v in jaxpr.invars]
+
+
+def swallowed(function, arguments):
+    """The names of the floating arguments that a NaN in all their numbers does not leave, of those
+    that the function reads."""
+    paths, structure = jax.tree_util.tree_flatten_with_path(arguments)
+    leaves = [leaf for _, leaf in paths]
+    numbers = [i for i, leaf in enumerate(leaves) if is_float(leaf)]
+
+    def results(leaves):
+        found = jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
+        return [x for x in found if is_float(x)]
+
+    def arrives(k):
+        broken = list(leaves)
+        for place, i in enumerate(numbers):
+            broken[i] = jnp.where(k == place, jnp.nan, broken[i])
+        return jnp.stack([jnp.isnan(x).any() for x in results(broken)]).any()
+
+    program = jax.make_jaxpr(results)(leaves).jaxpr
+    if not program.outvars:
+        return []
+    is_read = read_inputs(program, [True] * len(program.outvars))
+    arrived = jax.jit(lambda: jax.lax.map(arrives, jnp.arange(len(numbers))))()
+    names = [jax.tree_util.keystr(path) for path, _ in paths]
+    came = dict(zip(numbers, np.asarray(arrived), strict=True))
+    return [names[i] for i in numbers if is_read[i] and not came[i]]
+
+
+def faults(calls):
+    known, wrong = traced(), {}
+    for name, (arguments, options) in calls.items():
+        lost = swallowed(partial(known[name], **options), arguments)
+        excused = EXCEPTIONS.get(name, ())
+        lost = [place for place in lost if not any(word in place for word in excused)]
+        if lost:
+            wrong[name] = lost
+    return wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("room", SWEPT)
+def test_nan_in_gives_nan_out(room):
+    wrong = faults({n: call for n, call in examples_of(room).items() if n not in REFUSE})
+    assert not wrong, wrong
+
+
+STRIDE = 25  # of the functions that are quick to compile the default run sweeps each so many
+
+
+def test_nan_in_gives_nan_out_of_some():
+    rooms = ("brdf", "colour", "optics", "point_ops")
+    calls = {name: call for room in rooms for name, call in examples_of(room).items()}
+    wrong = faults({name: calls[name] for name in sorted(calls)[::STRIDE]})
+    assert not wrong, wrong
