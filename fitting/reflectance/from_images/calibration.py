@@ -22,7 +22,7 @@ from .read import ReflectanceObservation
 from .samples import Selection, select
 
 FEWEST_SAMPLES = 50
-USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe")
+USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow-ggx")
 
 
 @dataclass(frozen=True)

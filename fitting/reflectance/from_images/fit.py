@@ -2,7 +2,8 @@
 
 Variable projection finds the global optimum of the plain squares without a start. Its residuals
 give the spread, and with it the weights, of the fit proper: one step of feasible generalised least
-squares. (More steps would let a wrong model discount the very highlights that it misses.) Where
+squares. Where the model misses more than the sensor's noise, the weights take that for a constant
+(`spread`): a wrong model must not discount the very highlights that it misses. Where
 pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out, or
 trusting them, would bias the highlight.
 """
@@ -42,7 +43,14 @@ from .model import (
 )
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
-from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread, variance
+from .spread import (
+    Spread,
+    chi_square_per_dof,
+    fit_spread,
+    flat_spread,
+    sensor_spread,
+    variance,
+)
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
@@ -63,8 +71,8 @@ class ChannelFit:
         information: (P, P) on that scale, as if all samples were independent.
         robustness: covariance that does not assume so; None where the data leave a direction open.
         identifiability: of the information.
-        spread: of the weights.
-        chi_square: per degree of freedom, with the spread of the weights.
+        spread: of the residuals of plain squares.
+        chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
         log_likelihood: with the spread of the final residuals.
         converged: whether the optimum was reached.
@@ -126,7 +134,11 @@ def fit_channel(
     geometry = None if cells.geometry is None else samples.geometry
     samples = replace(samples, form=cells.form, geometry=geometry)
     first = minimise_residuals(residuals, start, cells).vector
-    samples, spread = _weighted(first, samples, sensor)
+    spread = fit_spread(*_residual_signal_slope(first, samples), sensor=sensor)
+    weights = spread
+    if spread.relative is not None:
+        weights = flat_spread(*_residual_signal_slope(first, samples), sensor=sensor)
+    samples = _weighted(first, samples, weights)
     near = minimise_residuals(residuals, first, average(samples, grouping)).vector
     vector, information, converged = _optimum(near, samples)
 
@@ -139,7 +151,7 @@ def fit_channel(
             vector, samples, selection, information, np.arange(len(space))
         )
     residual, signal, slope = _residual_signal_slope(vector, samples)
-    likeliest, _ = _weighted(vector, samples, sensor)
+    likeliest = _weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
     dof = len(residual) - len(space)
     return ChannelFit(
         channel=observation.channels[channel],
@@ -152,7 +164,7 @@ def fit_channel(
         robustness=robustness,
         identifiability=judged,
         spread=spread,
-        chi_square=chi_square_per_dof(residual, signal, slope, spread, dof),
+        chi_square=chi_square_per_dof(residual, signal, slope, weights, dof),
         sensor_chi_square=None
         if sensor is None
         else chi_square_per_dof(residual, signal, slope, sensor, dof),
@@ -298,13 +310,12 @@ def _residual_signal_slope(
     return residual, signal, slope
 
 
-def _weighted(vector: Array, samples: Samples, sensor: Spread | None) -> tuple[Samples, Spread]:
-    """The samples with deviations from the spread of their residuals."""
-    spread = fit_spread(*_residual_signal_slope(vector, samples), sensor=sensor)
+def _weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
+    """The samples with the deviations of a spread."""
     signal = linear_signal(vector, samples)
     slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
     deviation = np.sqrt(variance(spread, np.asarray(signal), slope=np.asarray(slope)))
-    return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype)), spread
+    return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype))
 
 
 def _optimum(vector: Array, samples: Samples) -> tuple[Array, Array, bool]:

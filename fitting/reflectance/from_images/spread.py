@@ -6,6 +6,13 @@ A linear signal X (DN) scatters with the variance
 
 in which floor and shot are the sensor's, and `relative` is what the model misses: the pixels' own
 gains (PRNU), or a surface that is not the model's.
+
+What a model misses is no noise: weights that fall with it would discount the highlights that it
+misses, which the errors of its pictures consist of. A fit therefore takes a misfit for a constant,
+
+    floor + shot X + misfit^2,
+
+with which it is plain least squares where the misfit rules, and efficient where there is none.
 """
 
 from dataclasses import dataclass
@@ -132,6 +139,39 @@ def fit_spread(
     count = 2 if sensor is None else 1
     found = scipy.optimize.minimize(deviance, start[:count], bounds=bounds[:count])
     return spread_of(found.x)
+
+
+def flat_spread(
+    residual: Float[np.ndarray, " samples"],
+    signal: Float[np.ndarray, " samples"],
+    slope: Float[np.ndarray, " samples"],
+    *,
+    sensor: Spread | None,
+) -> Spread:
+    """The spread that weighs a fit: the sensor's, and a constant that makes residuals likeliest.
+
+    Args:
+        residual: (samples,) DN.
+        signal: (samples,) X, DN.
+        slope: (samples,) d DN / d X.
+        sensor: its spread; None where unknown.
+
+    Returns:
+        The spread, its misfit in the floor.
+    """
+    counts, squares, x, d = _binned(residual, signal, slope)
+    own = Spread(0.0, 0.0, None) if sensor is None else sensor
+    typical = 2 * np.log(np.sqrt(np.average(squares / d**2, weights=counts)))
+
+    def with_misfit(log_square: float) -> Spread:
+        return Spread(own.floor + float(np.exp(log_square)), own.shot, None)
+
+    def deviance(log_square: float) -> float:
+        v = variance(with_misfit(log_square), x, slope=d)
+        return float(np.sum(counts * (np.log(v) + squares / v)))
+
+    bounds = (typical - 24, typical + 4)
+    return with_misfit(scipy.optimize.minimize_scalar(deviance, bounds=bounds).x)
 
 
 def _binned(
