@@ -7,6 +7,10 @@ from .fits.budget import (
 from .fits.plan import (
     Plan as Plan,
 )
+from .checks.problem import (
+    Check as Check,
+    check as check,
+)
 from .fits.result import (
     Bands as Bands,
     Fit as Fit,

@@ -9,12 +9,12 @@ good, so that `--help` and a mistake are answered at once.
 import inspect
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,6 +22,7 @@ from jaxvision.command_line import command_app, failures_as_sentences, leave
 from jaxvision.errors import InputError
 
 from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
+from .reflectance.paths import check_files, check_one_rig
 from .report.progress import Progress, Reporter, reporting
 
 if TYPE_CHECKING:
@@ -236,7 +237,8 @@ def brdf(
     }
 
     def calibrate_images(reporter: Reporter) -> tuple[list, dict]:
-        rig = _one_rig(paths, objective)
+        check_one_rig(paths, objective)
+        rig = _rig(paths[0], "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.read import read_reflectance_observation
         from .reflectance.from_images.section import section
@@ -250,7 +252,7 @@ def brdf(
         return [section(calibration)], {}
 
     def calibrate_files(reporter: Reporter) -> tuple[list, dict]:
-        _check_files(paths, of_rigs)
+        check_files([_existing(path) for path in paths], of_rigs)
         from .reflectance.from_files.calibration import calibrate
         from .reflectance.from_files.read import read_measured_brdf
         from .reflectance.from_files.section import materials_section, section
@@ -273,32 +275,6 @@ def brdf(
         _run("Measured reflectance", paths[0], options, calibrate_files)
     else:
         _run("Reflectance", paths[0], options, calibrate_images)
-
-
-def _one_rig(paths: Sequence[Path], objective: Objective | None) -> "Rig":
-    if len(paths) > 1:
-        raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
-    if paths[0].is_file() and paths[0].suffix != ".toml":
-        raise InputError(
-            f"{paths[0]}: neither a rig nor a file of measured reflectance by its suffix; give "
-            "a folder with a rig.toml, or a .brdf, .bsdf or .binary file."
-        )
-    if objective is not None:
-        raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
-    return _rig(paths[0], "a reflectance calibration")
-
-
-def _check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
-    for path in paths:
-        if not is_measured_brdf(_existing(path)):
-            raise InputError(
-                f"{path}: not a measured-BRDF file, unlike the others; give either such files "
-                "(.brdf, .bsdf, .binary) or one rig folder."
-            )
-    for name, value in of_rigs.items():
-        if value:
-            option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
 
 
 @_command
@@ -352,6 +328,26 @@ def demo(options: Options) -> None:
     _run("A simulated lab afternoon", out, options, calibrate_demo)
 
 
+@_command
+def check(
+    options: Options,
+    kind: Annotated[
+        Literal["brdf", "noise"], typer.Argument(help="Fits to check.", metavar="KIND")
+    ],
+    simulations: Annotated[int, typer.Option(help="Fits of each case.", min=2)] = 200,
+) -> None:
+    """Simulate data, fit them again and again, and count how often intervals hold the truth; with
+    --out the same command goes on where it was interrupted."""
+
+    def run_check(reporter: Reporter) -> tuple[list, dict]:
+        from .checks.command import run
+
+        kept = None if options.out is None else options.out / CHECKPOINT
+        return [run(kind, simulations, kept, reporter)], {}
+
+    _run("Check", Path(kind), options, run_check)
+
+
 _failures = partial(
     failures_as_sentences,
     COMMAND,
@@ -366,7 +362,9 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
             sections, images = calibrate(reporter)
-            _refuse_short_chains(sections, options)
+            from .report.short_chains import refuse_short_chains
+
+            refuse_short_chains(sections, kept=options.out is not None)
         from jaxvision.io import write_image
 
         from .report.console import output, print_section
@@ -389,24 +387,6 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
         print_section(console, section)
     if options.out is not None:
         console.print(f"\nReport: {options.out / 'report.html'}")
-
-
-def _refuse_short_chains(sections: "list[Section]", options: Options) -> None:
-    """No report is written from chains that cannot be trusted; those of --out are kept, and the
-    same command goes on from them."""
-    from .inference.posterior import convergence_in_words
-
-    posteriors = [pair for section in sections for pair in section.posteriors.items()]
-    short = [(group, posterior) for group, posterior in posteriors if posterior.missing_steps]
-    if not short:
-        return
-    group, worst = max(short, key=lambda pair: pair[1].missing_steps)
-    remedy = f"allow --steps {worst.steps + worst.missing_steps}" + (
-        " and run again: it goes on from here."
-        if options.out is not None
-        else "; with --out it would go on from here."
-    )
-    raise InputError(f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}")
 
 
 @contextmanager

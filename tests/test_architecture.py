@@ -44,7 +44,7 @@ FITTING_FLOORS = [
     {"rig", "inference"},
     {"observation", "report"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
-    {"demo", "joint"},
+    {"demo", "joint", "checks"},
     {"cli"},
 ]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}

@@ -1,0 +1,96 @@
+"""Coverage of intervals, judged from where the truth lies in each posterior.
+
+A fit puts the truth at the place u of its posterior, its cumulative probability there. Over many
+simulations u is uniform if posteriors are right. An interval of probability q holds the truth where
+|u - 1/2| < q / 2; z = Phi^-1(u) is standard normal; and the ranks of simulation-based calibration
+(Talts et al. 2018) are u in steps. The band of the ranks is simultaneous: the largest departure of
+their distribution from the diagonal (Kolmogorov).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtri
+from scipy.stats import binom, kstwo
+
+LEVELS = (0.50, 0.68, 0.95)
+CHANCE = 0.01  # of flagging a right fit, over all parameters and tests together
+EDGE = 1e-12  # places this close to 0 and 1 count as there
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often the intervals of one parameter hold the truth.
+
+    Attributes:
+        name: of the parameter.
+        simulations: fits that gave an interval.
+        held: share that held the truth, at each of `LEVELS`.
+        band: (low, high) of that share by chance, at each level.
+        z_mean: of z.
+        z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
+        departure: largest distance of the ranks' distribution from the diagonal.
+        allowed: of it, by chance.
+        faults: what lies outside its band, in words.
+    """
+
+    name: str
+    simulations: int
+    held: tuple[float, ...]
+    band: tuple[tuple[float, float], ...]
+    z_mean: float
+    z_sd: float
+    departure: float
+    allowed: float
+    faults: tuple[str, ...]
+
+
+def coverage(
+    places: Float[np.ndarray, "simulations parameters"], names: tuple[str, ...]
+) -> tuple[Coverage, ...]:
+    """Judges the places of the truth in the posteriors of many fits.
+
+    Args:
+        places: (simulations, parameters) u; NaN where a fit gave no interval.
+        names: of the parameters.
+
+    Returns:
+        One verdict a parameter.
+
+    Example:
+        >>> from fitting.checks.coverage import coverage
+        >>> narrow = np.random.default_rng(0).beta(0.7, 0.7, size=(2000, 1))
+        >>> coverage(narrow, ("gain",))[0].faults[0]
+        '50 % intervals hold 39 %'
+    """
+    chance = CHANCE / (len(names) * (len(LEVELS) + 1))
+    return tuple(
+        _judged(u[np.isfinite(u)], name, chance) for u, name in zip(places.T, names, strict=True)
+    )
+
+
+def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
+    count = len(u)
+    held = tuple(float(np.mean(np.abs(u - 0.5) < q / 2)) if count else np.nan for q in LEVELS)
+    band = tuple(
+        tuple(float(x) / max(count, 1) for x in binom.ppf((chance / 2, 1 - chance / 2), count, q))
+        for q in LEVELS
+    )
+    z = ndtri(np.clip(u, EDGE, 1 - EDGE))
+    ranked = np.sort(u)
+    steps = np.arange(count + 1) / max(count, 1)
+    departure = float(np.max(np.maximum(steps[1:] - ranked, ranked - steps[:-1]), initial=0.0))
+    allowed = float(kstwo.ppf(1 - chance, max(count, 1)))
+    faults = [
+        f"{q:.0%} intervals hold {share:.0%}".replace("%", " %")
+        for q, share, (low, high) in zip(LEVELS, held, band, strict=True)
+        if not low <= share <= high
+    ]
+    if departure > allowed:
+        faults.append(f"ranks depart by {departure:.3f}, {allowed:.3f} by chance")
+    return Coverage(
+        *(name, count, held, band),
+        *(float(np.mean(z)) if count else np.nan, float(np.std(z)) if count else np.nan),
+        *(departure, allowed, tuple(faults)),
+    )

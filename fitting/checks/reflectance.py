@@ -1,0 +1,143 @@
+"""Photographs of a glossy sphere, simulated in NumPy, and where their fits put the truth."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import t
+
+from jaxvision.errors import InputError
+
+from ..reflectance.from_images.calibration import open_parameters
+from ..reflectance.from_images.fit import fit_channel
+from ..reflectance.from_images.from_memory import from_photographs
+from ..reflectance.from_images.geometry_cells import Grouping, group
+from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.read import ReflectanceObservation
+from ..reflectance.from_images.samples import Selection, select
+from ..rig import Camera, SphereGeometry
+
+SIZE, RADIUS, WHITE = 28, 13.0, 3000.0  # pixels, pixels, DN
+GAIN, READ_NOISE, BLACK, BITS = 0.25, 6.0, 60.0, 12
+NAMES = ("diffuse", "specular", "exponent")
+WIDEST = 60.0  # degrees between lights and view
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """What is simulated; the truth is Phong's shading.
+
+    Attributes:
+        lights: how many.
+        truth: k_d, k_s, n.
+        light_sd: relative error of each light's intensity.
+        prnu: relative error of each pixel's gain.
+        clip: DN from which pixels saturate.
+    """
+
+    lights: int = 12
+    truth: tuple[float, float, float] = (0.4, 0.45, 40.0)
+    light_sd: float = 0.0
+    prnu: float = 0.0
+    clip: float = 2.0**BITS - 1
+
+    @cached_property
+    def signal(self) -> np.ndarray:
+        """(lights, h, w) DN above black."""
+        normals, wi = _normals(), _directions(self.lights)
+        diffuse, specular, exponent = self.truth
+        cosine = np.einsum("hwc,lc->lhw", normals, wi)
+        mirrored = 2 * cosine * normals[..., 2] - wi[:, None, None, 2]
+        shaded = diffuse * cosine + specular * np.maximum(mirrored, 0) ** exponent
+        return WHITE * np.where(cosine > 0, shaded, 0)
+
+    @cached_property
+    def observed(self) -> tuple[ReflectanceObservation, Selection, Grouping]:
+        """Photographs of the first seed, their samples and cells: all but the numbers of any."""
+        observation = from_photographs(
+            list(photographs(self, 0)),
+            _directions(self.lights),
+            camera=Camera(
+                bits=BITS, black_level=BLACK, gain=GAIN, read_noise=READ_NOISE, saturation=self.clip
+            ),
+            sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
+            intensities=np.full(self.lights, WHITE),
+        )
+        observation = replace(observation, held_out=np.zeros(self.lights, bool))
+        chosen = select(observation, held_out=False, form=Form("phong"))
+        at = chosen.light, chosen.pixel
+        cells = group(chosen.light, observation.cosine[at], observation.mirror_angle[at])
+        return observation, chosen, cells
+
+
+CASES = {
+    "clean": Sphere(),
+    "lights off by .3 %": Sphere(light_sd=0.003),
+    "lights off by 1 %": Sphere(light_sd=0.01),
+    "PRNU 1 %": Sphere(prnu=0.01),
+    "saturated highlight": Sphere(clip=2000.0),
+    "weak highlight": Sphere(truth=(0.4, 0.01, 40.0)),
+    "4 lights, clean": Sphere(lights=4),
+    "4 lights off by 1 %": Sphere(lights=4, light_sd=0.01),
+    "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
+}
+
+
+def photographs(sphere: Sphere, seed: int) -> np.ndarray:
+    """Poisson electrons, read noise, rounding and clipping.
+
+    Args:
+        sphere: to photograph.
+        seed: of every draw.
+
+    Returns:
+        (lights, h, w) DN.
+    """
+    rng = np.random.default_rng(seed)
+    lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
+    pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
+    electrons = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
+    noisy = electrons + READ_NOISE * rng.standard_normal(electrons.shape)
+    return np.clip(np.round(BLACK + GAIN * noisy), 0, sphere.clip)
+
+
+def places(sphere: Sphere, seed: int) -> np.ndarray:
+    """Where one fit puts the truth.
+
+    Args:
+        sphere: to photograph.
+        seed: of the photographs.
+
+    Returns:
+        (parameters,) cumulative probabilities of `NAMES`.
+
+    Raises:
+        InputError: where the fit prints no interval.
+    """
+    observation, chosen, cells = sphere.observed
+    dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
+    again = replace(observation, dn=dn)
+    found, matt = (
+        fit_channel(again, 0, Form(model), chosen, cells) for model in ("phong", "lambert")
+    )
+    if found.robustness is None or open_parameters(found, matt):
+        raise InputError("the data leave a parameter open.")
+    deviation = np.sqrt(np.diagonal(found.robustness.covariance))
+    return t.cdf((np.log(sphere.truth) - found.vector) / deviation, found.robustness.freedom)
+
+
+def _normals() -> np.ndarray:
+    """(h, w, 3), zeros outside of the sphere."""
+    row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
+    x, y = column / RADIUS, -row / RADIUS
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    return np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
+
+
+def _directions(lights: int) -> np.ndarray:
+    """(lights, 3) unit vectors about the view, the same for equal numbers."""
+    rng = np.random.default_rng(0)
+    z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
+    azimuth = rng.uniform(0, 2 * np.pi, lights)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

@@ -1,0 +1,73 @@
+"""A check as its reader sees it."""
+
+from collections.abc import Mapping
+
+from ..report.section import Section, Table
+from .coverage import LEVELS, Coverage
+
+
+def line(one: Coverage) -> str:
+    """Coverage of one parameter in one line of text."""
+    shares = ", ".join(
+        f"{q:.0%}: {share:.3f}" for q, share in zip(LEVELS, one.held, strict=True)
+    ).replace("%", " %")
+    return (
+        f"{one.name}: {one.simulations} fits; {shares}; z {one.z_mean:+.2f} ± {one.z_sd:.2f}"
+        f"{'' if not one.faults else '  OUTSIDE'}"
+    )
+
+
+def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: int) -> Section:
+    """Coverage of every case of a kind.
+
+    Args:
+        kind: of fit.
+        cases: coverage of every parameter, by case.
+        simulations: fits of each case.
+
+    Returns:
+        Findings and the table.
+    """
+    faults = tuple(
+        f"{case}, {one.name}: {'; '.join(one.faults)}."
+        for case, parameters in cases.items()
+        for one in parameters
+        if one.faults
+    )
+    withheld = tuple(
+        f"{case}: {simulations - parameters[0].simulations} of {simulations} fits print no "
+        "interval and are not counted."
+        for case, parameters in cases.items()
+        if parameters[0].simulations < simulations
+    )
+    rows = tuple(
+        (
+            *(case, one.name, one.simulations, *one.held),
+            *(" to ".join(f"{end:.3f}" for end in one.band[-1]), one.z_mean, one.z_sd),
+            *(one.departure, one.allowed),
+        )
+        for case, parameters in cases.items()
+        for one in parameters
+    )
+    table = Table(
+        title="Coverage",
+        columns=(
+            *("case", "parameter", "fits", "50 %", "68 %", "95 %"),
+            *("95 %, by chance", "z mean", "z s.d.", "ranks", "ranks, by chance"),
+        ),
+        rows=rows,
+        caption="Share of fits to simulated data whose interval holds the truth. `ranks` is the "
+        "largest distance of the distribution of the truth's place in its posterior from the "
+        "uniform one. By chance, one right check in a hundred has a figure outside.",
+    )
+    whole = () if faults else ("Every interval holds the truth as often as it says.",)
+    return Section(
+        kind="check",
+        title=f"Check of {kind} on simulated data",
+        estimates=(),
+        findings=(*whole, *faults, *withheld),
+        pictures=(),
+        tables=(table,),
+        posteriors={},
+        settings={"kind": kind, "simulations": simulations},
+    )

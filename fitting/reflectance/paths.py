@@ -1,0 +1,36 @@
+"""Whether paths go together: one rig, or files of measured reflectance."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxvision.errors import InputError
+
+from .names import Objective, is_measured_brdf
+
+
+def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
+    """`InputError` for what is no single rig, and for options that only files take."""
+    if len(paths) > 1:
+        raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
+    if paths[0].is_file() and paths[0].suffix != ".toml":
+        raise InputError(
+            f"{paths[0]}: neither a rig nor a file of measured reflectance by its suffix; give "
+            "a folder with a rig.toml, or a .brdf, .bsdf or .binary file."
+        )
+    if objective is not None:
+        raise InputError(f"{paths[0]}: --objective is for files of measured reflectance.")
+
+
+def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
+    """`InputError` for files of another kind, and for options that only rigs take."""
+    for path in paths:
+        if not is_measured_brdf(path):
+            raise InputError(
+                f"{path}: not a measured-BRDF file, unlike the others; give either such files "
+                "(.brdf, .bsdf, .binary) or one rig folder."
+            )
+    for name, value in of_rigs.items():
+        if value:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
