@@ -114,7 +114,7 @@ def check(
         again = problem.with_data(drawn)
         begin = {p.name: np.asarray(values[p.name]) for p in problem.free}
         found = fit(again, start=begin, posterior=posterior, seed=number)
-        if not found.optimum.converged:
+        if not found.optimum.stationary:
             raise InputError("the search did not converge.")
         draws = found.posterior.samples
         return (np.sum(draws < natural, axis=0) + rng.uniform(size=len(natural))) / (len(draws) + 1)
