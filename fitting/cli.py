@@ -331,19 +331,15 @@ def demo(options: Options) -> None:
 @_command
 def check(
     options: Options,
-    kind: Annotated[
-        Literal["brdf", "noise"], typer.Argument(help="Fits to check.", metavar="KIND")
-    ],
-    simulations: Annotated[int, typer.Option(help="Fits of each case.", min=2)] = 200,
+    kind: Annotated[Literal["brdf", "noise"], typer.Argument(help="Fits to check.")],
+    simulations: Annotated[int, typer.Option(help="Of each case.", min=2)] = 200,
 ) -> None:
-    """Simulate data, fit them again and again, and count how often intervals hold the truth; with
-    --out the same command goes on where it was interrupted."""
+    """Simulate data, fit them, count how often intervals hold the truth (--out: resumable)."""
 
     def run_check(reporter: Reporter) -> tuple[list, dict]:
         from .checks.command import run
 
-        kept = None if options.out is None else options.out / CHECKPOINT
-        return [run(kind, simulations, kept, reporter)], {}
+        return [run(kind, simulations, options.out and options.out / CHECKPOINT, reporter)], {}
 
     _run("Check", Path(kind), options, run_check)
 
@@ -362,14 +358,13 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
             sections, images = calibrate(reporter)
-            from .report.short_chains import refuse_short_chains
-
-            refuse_short_chains(sections, kept=options.out is not None)
         from jaxvision.io import write_image
 
         from .report.console import output, print_section
         from .report.page import as_json, write_report
+        from .report.short_chains import refuse_short_chains
 
+        refuse_short_chains(sections, kept=options.out is not None)
         settings = {"input": path.name, **asdict(options)}
         if options.out is not None:
             with reporter.step("writing the report"):
@@ -391,8 +386,7 @@ def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None
 
 @contextmanager
 def _folder(out: Path | None) -> Iterator[None]:
-    """Made before the work, so that a place where nothing can be written is known before it and
-    not after; gone again if that fails and has left nothing."""
+    """Made before the work, so that nothing is lost; gone again if that fails and left nothing."""
     made = out is not None and not out.exists()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
