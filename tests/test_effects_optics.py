@@ -60,7 +60,7 @@ def test_a_rim_that_cuts_nothing_is_proved_to():
     assert (row.effect.rank, row.effect.bound) == ("exact", 0)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_distortion_moves_light_no_farther_than_its_place(seed):
     """Rays traced by another iteration; the brightness by a numerical derivative."""

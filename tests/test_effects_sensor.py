@@ -81,7 +81,7 @@ def check_sensor(seed):
 
 
 def test_a_few_random_sensors_against_moments():
-    ratios = [check_sensor(seed)[0] for seed in range(6)]
+    ratios = [check_sensor(seed)[0] for seed in range(4)]
     assert np.median([r for r in ratios if r is not None]) <= 1.5
 
 
@@ -295,24 +295,25 @@ def test_noise_that_goes_uncovers_the_rest():
     assert second > first
 
 
-def test_bounds_hold_over_the_whole_box_of_what_may_change():
+@pytest.mark.sweep
+@pytest.mark.parametrize("seed", [2, 9])
+def test_bounds_hold_over_the_whole_box_of_what_may_change(seed):
     """Bounds at two ends hold for sensors between them."""
     rng = np.random.default_rng(1)
-    for seed in (2, 9):
-        sensor, f, light, _ = draw(seed, wells=False)
-        low, high = f["read_noise"] / 3, f["read_noise"] * 3
-        ends = Ends(replace(sensor, read_noise=low), replace(sensor, read_noise=high))
-        rows, _ = sensor_stage(ends, np.array([light.max()]), shape=SHAPE)
-        electrons = light * float(sensor.quantum_efficiency)
-        for noise in rng.uniform(low, high, 10):
-            now = {**f, "read_noise": noise}
-            for row in rows:
-                name = row.effect.name
-                if row.drop is None or row.effect.rank == "estimate" or name in NOT_MOMENTS:
-                    continue
-                if name != "sensor.quantum_efficiency":
-                    actual = changed(now, {name}, electrons)
-                    assert actual <= row.effect.bound * (1 + 1e-9) + ROUNDING, name
+    sensor, f, light, _ = draw(seed, wells=False)
+    low, high = f["read_noise"] / 3, f["read_noise"] * 3
+    ends = Ends(replace(sensor, read_noise=low), replace(sensor, read_noise=high))
+    rows, _ = sensor_stage(ends, np.array([light.max()]), shape=SHAPE)
+    electrons = light * float(sensor.quantum_efficiency)
+    for noise in rng.uniform(low, high, 20):
+        now = {**f, "read_noise": noise}
+        for row in rows:
+            name = row.effect.name
+            if row.drop is None or row.effect.rank == "estimate" or name in NOT_MOMENTS:
+                continue
+            if name != "sensor.quantum_efficiency":
+                actual = changed(now, {name}, electrons)
+                assert actual <= row.effect.bound * (1 + 1e-9) + ROUNDING, name
 
 
 def test_an_attenuator_is_bounded_by_what_it_takes_away():
