@@ -170,14 +170,16 @@ def widened(
     none = np.zeros(len(covariance))
     of_tiles = none if tiles is None else tiles.excess
     of_exposures = none if exposures is None else exposures.excess
-    variance = np.diagonal(covariance) + of_tiles + np.maximum(of_exposures, shutter)
+    own = np.diagonal(covariance)
+    variance = own + of_tiles + np.maximum(of_exposures, shutter)
+    some = np.where(variance > 0, variance, 1)  # none at mid-scale, where g = 0 by definition
     share = np.zeros(len(covariance))
     if tiles is not None:
-        share += (of_tiles / variance) ** 2 / (len(tiles.departures) - 1)
+        share += (of_tiles / some) ** 2 / (len(tiles.departures) - 1)
     if exposures is not None:
         free = len(exposures.departures) - 2
-        share += (np.where(of_exposures > shutter, of_exposures, 0) / variance) ** 2 / free
-    scale = np.sqrt(variance / np.diagonal(covariance))
+        share += (np.where(of_exposures > shutter, of_exposures, 0) / some) ** 2 / free
+    scale = np.sqrt(variance / np.where(own > 0, own, 1))
     return covariance * np.outer(scale, scale), 1 / np.maximum(share, MOST_FREE**-1)
 
 
