@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from examples.random_sensors import SHAPE, draw
+from random_sensors import SHAPE, draw
 from test_absent_effects import primitives
 
 import jaxvision as jv

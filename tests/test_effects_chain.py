@@ -6,11 +6,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from examples.random_sensors import draw, without
 from oracles import lenses
 from oracles.direct_light import picture
 from oracles.random_scenes import random_scene
 from oracles.sensor_moments import distance, law
+from random_sensors import draw, without
 from scipy import ndimage
 
 from jaxvision import effects

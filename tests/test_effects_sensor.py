@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import jax
 import numpy as np
 import pytest
-from examples.random_sensors import SHAPE, draw, without
 from oracles.sensor_moments import distance, law, transfer_matrix
 from oracles.sensors import EVERY_EFFECT
+from random_sensors import SHAPE, draw, without
 from scipy import stats
 
 from jaxvision import scene as s
