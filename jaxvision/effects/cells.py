@@ -30,6 +30,7 @@ from .stages import Ends
 
 _BUDGET = 6000  # cells of a scene
 _FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface
+_NOT_FLAT = 1e-9  # rad, of a run of triangles, which need not lie in one plane
 _TRIANGLES = 400  # of a mesh that are cells of their own
 
 
@@ -244,11 +245,13 @@ def _of_mesh(shape: TriangleMesh) -> Parts:
     first = np.arange(0, len(faces), run)
     low = np.minimum.reduceat(own.min(1), first)
     high = np.maximum.reduceat(own.max(1), first)
-    centre, member = (low + high) / 2, np.arange(len(faces)) // run
+    member = np.arange(len(faces)) // run
+    # a flat cell has its middle in its plane
+    centre = own.mean(1) if run == 1 else (low + high) / 2
     reach = np.linalg.norm(own - centre[member][:, None], axis=-1).max(1)
     axis = unit(np.add.reduceat(normal, first))
     apart = np.arccos(np.clip(np.einsum("fk,fk->f", normal, axis[member]), -1, 1)) + tilt
-    spread = np.maximum.reduceat(np.where(run == 1, tilt, apart), first)
+    spread = tilt if run == 1 else np.maximum(np.maximum.reduceat(apart, first), _NOT_FLAT)
     return [centre, np.maximum.reduceat(reach, first), axis, np.minimum(spread, np.pi)]
 
 
