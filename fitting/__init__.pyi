@@ -4,9 +4,6 @@
 from .fits.budget import (
     Budget as Budget,
 )
-from .fits.plan import (
-    Plan as Plan,
-)
 from .checks.problem import (
     Check as Check,
     check as check,
@@ -17,6 +14,9 @@ from .fits.result import (
 )
 from .fits.solve import (
     fit as fit,
+)
+from .inference.design import (
+    Plan as Plan,
 )
 from .inference.emcee_run import (
     SamplingOptions as SamplingOptions,

@@ -278,6 +278,35 @@ def brdf(
 
 
 @_command
+def plan(
+    options: Options,
+    path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=_path)],
+    target: Annotated[str, typer.Option(help="Parameter to be known better, such as exponent.")],
+    model: Annotated[Model, typer.Option(help="Model of the reflectance.")] = "phong",
+    index: Annotated[
+        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
+    ] = INDEX,
+) -> None:
+    """What to photograph next: lights ranked by how far each would narrow a parameter of the
+    reflectance."""
+
+    def plan_images(reporter: Reporter) -> tuple[list, dict]:
+        rig = _rig(path, "a reflectance calibration")
+        from .reflectance.from_images.calibration import calibrate
+        from .reflectance.from_images.plan import plan_section
+        from .reflectance.from_images.read import read_reflectance_observation
+
+        with reporter.step("reading images"):
+            observation = read_reflectance_observation(rig)
+        with reporter.step("fitting reflectance"):
+            calibration = calibrate(observation, model=model, index=index, seed=options.seed)
+        with reporter.step("ranking lights"):
+            return [plan_section(calibration, target)], {}
+
+    _run("What to photograph next", path, options, plan_images)
+
+
+@_command
 def joint(
     options: Options,
     path: RigPath,

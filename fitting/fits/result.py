@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError, nearest
 
+from ..inference.design import Plan
 from ..inference.estimates import Estimate
 from ..inference.likelihoods import with_noise_scaled
 from ..inference.misfit import Misfit
@@ -29,7 +30,7 @@ from ..inference.search import Optimum
 from ..report.formatting import format_interval, format_unit, format_value
 from .budget import Budget, Noise, budget
 from .information import Target
-from .plan import Plan, plan
+from .plan import plan
 from .words import agreeing, prior_share
 
 LEVELS = (0.16, 0.84, 0.025, 0.975)

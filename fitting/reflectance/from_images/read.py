@@ -114,7 +114,7 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
     shape = (frames.shape[2], frames.shape[3])
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
     wi, falloff = _light_field(rig, normals)
-    cosine, log_cos_mirror, mirror_angle = _angles(normals, wi)
+    cosine, log_cos_mirror, mirror_angle = angles(normals, wi)
     black = rig.camera.black_level or 0.0
     held_out, how = _held_out(rig)
     observation = ReflectanceObservation(
@@ -254,8 +254,18 @@ def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, 
     return cosine, log_cos_between(mirrored, view), angle_between(mirrored, view)
 
 
-def _angles(normals: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, ...]:
-    """n.l, log of the mirror angle's cosine, and the mirror angle, each (lights, pixels)."""
+def angles(
+    normals: Float[np.ndarray, "pixels 3"], wi: Float[np.ndarray, "lights pixels 3"]
+) -> tuple[np.ndarray, ...]:
+    """What a light makes of a pixel.
+
+    Args:
+        normals: (pixels, 3) unit.
+        wi: (lights, pixels, 3) unit, toward the light.
+
+    Returns:
+        n.l, log of the mirror angle's cosine, and the mirror angle in rad, each (lights, pixels).
+    """
     per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
 

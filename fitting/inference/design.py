@@ -1,0 +1,97 @@
+"""Optimal design: measurements ranked by how far they would narrow a chosen quantity.
+
+A measurement adds Fisher's information F to a posterior of covariance C. About the mode the
+variance of a quantity of gradient g falls from g^T C g to
+
+    g^T (C^-1 + F)^-1 g,
+
+all other parameters marginalised (c-optimality; Chaloner & Verdinelli, Statistical Science 10,
+1995; Atkinson, Donev & Tobias, "Optimum Experimental Designs", 2007). D-optimality, which serves
+all parameters alike, ranks by ln det(1 + C F) / 2, the information gained in nats.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What one more measurement would do.
+
+    Attributes:
+        name: of the candidate.
+        sd: expected standard deviation of the target after it, in its unit.
+        fall: share of the target's variance that it takes away, 0 to 1.
+        gain: expected information about all parameters, nats.
+    """
+
+    name: str
+    sd: float
+    fall: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Candidates, the one that narrows the target most first. Print it.
+
+    Attributes:
+        target: in words.
+        value: of the target at the best fit, in its unit.
+        sd: its standard deviation now.
+        candidates: ranked.
+    """
+
+    target: str
+    value: float
+    sd: float
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> str:
+        """Name of the first candidate."""
+        return self.candidates[0].name
+
+    def __str__(self) -> str:
+        width = max(len(candidate.name) for candidate in self.candidates)
+        rows = [
+            f"  {c.name.ljust(width)}  {c.sd:10.4g}  {100 * c.fall:6.1f} %  {c.gain:8.3g}"
+            for c in self.candidates
+        ]
+        head = f"  {'measure'.ljust(width)}        s.d.  variance  gain/nat"
+        return "\n".join([f"{self.target} = {self.value:.5g} ± {self.sd:.2g}; next:", head, *rows])
+
+
+def ranked(
+    target: str,
+    value: float,
+    slope: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    added: Mapping[str, Float[np.ndarray, "parameters parameters"]],
+) -> Plan:
+    """Ranks measurements by what they add.
+
+    Args:
+        target: in words.
+        value: of the target, in its unit.
+        slope: (P,) of the target by the unconstrained values.
+        covariance: (P, P) of them.
+        added: (P, P) Fisher's information of each candidate, by name.
+
+    Returns:
+        The plan.
+    """
+    root = np.linalg.cholesky(covariance)
+    along = root.T @ slope
+    now = float(along @ along)
+    found = []
+    for name, information in added.items():
+        more = np.eye(len(root)) + root.T @ information @ root
+        after = float(along @ np.linalg.solve(more, along))
+        gain = float(np.linalg.slogdet(more)[1]) / 2
+        found.append(Candidate(name, float(np.sqrt(after)), 1 - after / now, gain))
+    best_first = tuple(sorted(found, key=lambda candidate: candidate.sd))
+    return Plan(target, value, float(np.sqrt(now)), best_first)

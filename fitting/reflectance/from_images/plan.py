@@ -1,0 +1,164 @@
+"""Which light to photograph next, so that a parameter of the reflectance is known better.
+
+Candidates are the rig's own lights again, those that were held out among them, and distant lights
+all over the hemisphere in front of the object, as strong as the rig's. Each adds the Fisher
+information of its pixels; where residuals move together, by light or by pixel, it counts as many
+times less as the design effect says.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.errors import InputError, nearest
+
+from ...inference.design import Plan, ranked
+from ...inference.parameters import names
+from ...report.section import Section, Table
+from ..models import LABELS
+from .calibration import ReflectanceCalibration
+from .fit import ChannelFit
+from .model import encoding_gamma, encoding_slope, linear_signal, predicted_dn, scores_and_slopes
+from .read import ReflectanceObservation, angles
+from .samples import Selection, make_samples
+from .spread import variance
+
+FROM_VIEW = (0, 20, 40, 60, 80)  # degrees
+AROUND = (0, 45, 90, 135, 180, 225, 270, 315)  # degrees, from the right counter-clockwise
+SHOWN = 12  # candidates in the table
+
+
+def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
+    """Ranks lights by how far each would narrow a parameter of the reported model.
+
+    Args:
+        calibration: of what has been photographed.
+        target: name of a parameter of the model.
+
+    Returns:
+        The plan of each channel whose parameters are all determined, by its name.
+
+    Raises:
+        InputError: for a target that the model has not, and where no channel is determined.
+    """
+    rigs = calibration.observation
+    new, described = _all_around(rigs)
+    lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
+    lights += [(name, new, i) for i, name in enumerate(described)]
+    plans = {}
+    for fit in calibration.reported:
+        known = names(fit.space)
+        if target not in known:
+            raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")
+        if fit.channel not in calibration.posteriors or fit.robustness is None:
+            continue
+        covariance = fit.robustness.gaussian_covariance
+        place = known.index(target)
+        value = float(fit.natural[place])
+        slope = np.zeros(len(known))
+        slope[place] = value  # all parameters are logarithms
+        added = {
+            name: added_information(observation, fit, light) / fit.design_effect
+            for name, observation, light in lights
+        }
+        plans[fit.channel] = ranked(target, value, slope, covariance, added)
+    if not plans:
+        raise InputError("The images do not determine the model: read what `brdf` says of them.")
+    return plans
+
+
+def added_information(
+    observation: ReflectanceObservation, fit: ChannelFit, light: int
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Fisher's information of one more image, its pixels independent.
+
+    Args:
+        observation: of the object under the light.
+        fit: of one channel, taken for the truth.
+        light: index.
+
+    Returns:
+        (P, P) on the unconstrained scale.
+    """
+    pixel = np.flatnonzero(observation.cosine[light] > 0)
+    selection = Selection(np.full_like(pixel, light), pixel)
+    channel = observation.channels.index(fit.channel)
+    samples = make_samples(observation, channel, fit.form, selection)
+    vector = jnp.asarray(fit.vector)
+    signal = linear_signal(vector, samples)
+    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    deviation = np.sqrt(variance(fit.spread, np.asarray(signal), slope=np.asarray(slope)))
+    expected = predicted_dn(vector, samples)
+    samples = replace(
+        samples,
+        dn=expected,
+        deviation=jnp.asarray(deviation, expected.dtype),
+        saturated=expected >= samples.clip,
+    )
+    _, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
+    return slopes @ slopes.T
+
+
+def _all_around(rigs: ReflectanceObservation) -> tuple[ReflectanceObservation, list[str]]:
+    """The object under distant lights over the hemisphere, and where they stand."""
+    described, directions = [], []
+    for tilt in FROM_VIEW:
+        for turn in AROUND if tilt else (0,):
+            there = f"light {tilt}° from the view" + (f", turned by {turn}°" if tilt else "")
+            described.append(there)
+            away = np.sin(np.radians(tilt))
+            across = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+            directions.append((away * across[0], away * across[1], np.cos(np.radians(tilt))))
+    count, pixels = len(described), len(rigs.normals)
+    wi = np.broadcast_to(np.array(directions)[:, None], (count, pixels, 3))
+    cosine, log_cos_mirror, mirror_angle = angles(rigs.normals, wi)
+    strength = np.median(rigs.intensity * np.median(rigs.falloff, axis=1), axis=1)
+    new = replace(
+        rigs,
+        files=tuple(described),
+        dn=np.zeros((len(rigs.channels), count, pixels)),
+        intensity=np.broadcast_to(strength[:, None], (len(rigs.channels), count)),
+        falloff=np.ones((count, pixels)),
+        wi=wi,
+        cosine=cosine,
+        mirror_angle=mirror_angle,
+        log_cos_mirror=log_cos_mirror,
+        held_out=np.zeros(count, bool),
+    )
+    return new, described
+
+
+def plan_section(calibration: ReflectanceCalibration, target: str) -> Section:
+    """Plans as their reader sees them.
+
+    Args:
+        calibration: of what has been photographed.
+        target: name of a parameter of the model.
+
+    Returns:
+        The best light in words, and a table for each channel.
+
+    Raises:
+        InputError: as `plan` does.
+    """
+    plans = plan(calibration, target)
+    findings, tables = [], []
+    for channel, found in plans.items():
+        first, of = found.candidates[0], f" of {channel}" if len(plans) > 1 else ""
+        findings.append(
+            f"{target}{of} is {found.value:.4g} ± {found.sd:.2g}; {first.name} would bring it to "
+            f"± {first.sd:.2g}, and its variance down by {100 * first.fall:.0f} %."
+        )
+        rows = tuple((c.name, c.sd, 100 * c.fall, c.gain) for c in found.candidates[:SHOWN])
+        heads = ("image", f"expected s.d. of {target}", "variance less [%]", "all parameters [nat]")
+        tables.append(Table(f"What to photograph next{': ' + channel if of else ''}", heads, rows))
+    return Section(
+        kind="plan",
+        title=f"What to photograph next: {LABELS[calibration.model]}, {target}",
+        estimates=(),
+        findings=tuple(findings),
+        tables=tuple(tables),
+        settings={"model": calibration.model, "target": target},
+    )

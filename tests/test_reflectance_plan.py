@@ -1,0 +1,70 @@
+"""What to photograph next: foretold errors against fits with the image in question."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.inference.parameters import names
+from fitting.reflectance import Camera, SphereGeometry, from_photographs
+from fitting.reflectance.from_images.calibration import calibrate
+from fitting.reflectance.from_images.plan import added_information, plan, plan_section
+from jaxvision.errors import InputError
+
+SIDE, GAIN, READ_NOISE = 48, 0.5, 5.0
+TILTS = np.radians([15, 30, 45, 60, 75, 40, 50, 20])
+TURNS = np.radians(np.arange(8) * 137)
+LIGHTS = np.stack(
+    [np.sin(TILTS) * np.cos(TURNS), np.sin(TILTS) * np.sin(TURNS), np.cos(TILTS)], axis=-1
+)
+
+
+def photographs():
+    """A Phong ball, k_d = .3, k_s = .4, n = 25, by NumPy, under eight lights with sensor noise."""
+    rng = np.random.default_rng(5)
+    at = (np.arange(SIDE) - (SIDE - 1) / 2) / (SIDE / 2 - 1)
+    x, y = np.meshgrid(at, -at)
+    on = x**2 + y**2 < 1
+    normal = np.stack([x, y, np.sqrt(np.where(on, 1 - x**2 - y**2, 0))], axis=-1)
+    images = []
+    for light in LIGHTS:
+        cosine = normal @ light
+        mirrored = 2 * cosine * normal[..., 2] - light[2]
+        lobe = np.where(mirrored > 0, np.maximum(mirrored, 0) ** 25, 0)
+        electrons = 4000 * on * np.where(cosine > 0, 0.3 * cosine + 0.4 * lobe, 0)
+        noisy = rng.poisson(electrons) + READ_NOISE * rng.standard_normal(on.shape)
+        images.append(np.clip(np.round(GAIN * noisy + 50), 0, 4095).astype(np.uint16))
+    centre = (SIDE - 1) / 2
+    return from_photographs(
+        images,
+        LIGHTS,
+        camera=Camera(bits=12, black_level=50, gain=GAIN, read_noise=READ_NOISE),
+        sphere=SphereGeometry(centre=(centre, centre), radius=SIDE / 2 - 1),
+        intensities=np.full(8, 2000.0),
+        held_out=(5, 6),
+    )
+
+
+@pytest.mark.slow
+def test_a_planned_image_narrows_the_fit_as_foretold():
+    """Information of the fit and of one more image against that of the fit with that image."""
+    observation = photographs()
+    calibration = calibrate(observation, model="phong")
+    before = calibration.reported[0]
+    for light in (5, 6):
+        held_out = observation.held_out & (np.arange(8) != light)
+        after = calibrate(replace(observation, held_out=held_out), model="phong").reported[0]
+        added = added_information(observation, before, light)
+        foretold = np.sqrt(np.diagonal(np.linalg.inv(before.information + added)))
+        reached = np.sqrt(np.diagonal(np.linalg.inv(after.information)))
+        np.testing.assert_allclose(foretold, reached, rtol=0.1)
+    (found,) = plan(calibration, "exponent").values()
+    sds = [candidate.sd for candidate in found.candidates]
+    assert sds == sorted(sds)
+    assert sds[0] < found.sd
+    assert names(before.space)[2] == "exponent"
+    section = plan_section(calibration, "exponent")
+    assert found.best in section.findings[0]
+    assert section.tables[0].rows[0][0] == found.best
+    with pytest.raises(InputError, match="'exponnt' is no parameter; the nearest is 'exponent'"):
+        plan(calibration, "exponnt")
