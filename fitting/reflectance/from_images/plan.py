@@ -82,7 +82,8 @@ def added_information(
     Returns:
         (P, P) on the unconstrained scale.
     """
-    pixel = np.flatnonzero(observation.cosine[light] > 0)
+    lit = observation.cosine[light] > 0
+    pixel = np.arange(len(lit))  # all of them: one shape, one compilation
     selection = Selection(np.full_like(pixel, light), pixel)
     channel = observation.channels.index(fit.channel)
     samples = make_samples(observation, channel, fit.form, selection)
@@ -97,7 +98,7 @@ def added_information(
         deviation=jnp.asarray(deviation, expected.dtype),
         saturated=expected >= samples.clip,
     )
-    _, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
+    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)[:, lit]
     return slopes @ slopes.T
 
 
