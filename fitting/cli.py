@@ -1,135 +1,45 @@
 """The `jaxvision-fit` command: noise, response and reflectance from a folder of images, apart or
 together, reflectance from files of measured BRDFs, and a demo that simulates such a folder first.
 
-Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
 The libraries that compute are imported once the arguments, the paths and the rig are known to be
 good, so that `--help` and a mistake are answered at once.
 """
 
-import inspect
 import os
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from jaxvision.command_line import command_app, failures_as_sentences, leave
 from jaxvision.errors import InputError
 
+from .commands import (
+    CHECKPOINT,
+    Options,
+    RigPath,
+    app,
+    command,
+    existing,
+    read_rig,
+    refuse_mcmc,
+    run,
+    typed_path,
+)
 from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .reflectance.paths import check_files, check_one_rig
-from .report.progress import Progress, Reporter, reporting
+from .report.progress import Reporter
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from .report.section import Section
-    from .rig import Purpose, Rig
-
-COMMAND = "jaxvision-fit"
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
-@dataclass(frozen=True)
-class Options:
-    """What every sub-command shares."""
-
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Write report, results and chains to this folder.", metavar="DIR"),
-    ] = None
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
-    mcmc: Annotated[
-        bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
-    ] = False
-    seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
-    steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
-    walkers: Annotated[
-        int, typer.Option(help="Walkers (--mcmc), at the least 2 a parameter and 2.", min=4)
-    ] = 64
-
-    def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
-        """How a calibration samples, None for Laplace, and the seed of its draws."""
-        from .inference.emcee_run import SamplingOptions
-
-        if not self.mcmc:
-            return {"sampling": None, "seed": self.seed}
-        sampling = SamplingOptions(
-            walkers=self.walkers,
-            steps=self.steps,
-            block=min(100, self.steps),
-            checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
-            progress=progress,
-        )
-        return {"sampling": sampling, "seed": self.seed}
-
-
-CHECKPOINT = "checkpoint"
-Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
-
-app = command_app("Calibrate camera noise, camera response and surface reflectance from images.")
-
-
-def _existing(path: Path) -> Path:
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder; check the name.")
-    return path
-
-
-def _rig(path: Path, purpose: "Purpose") -> "Rig":
-    """A rig that names what a calibration needs, and whose images exist."""
-    from .rig import load_rig, require, require_images
-
-    rig = load_rig(path)
-    require(rig, purpose)
-    require_images(rig, purpose)
-    return rig
-
-
-def _path(text: str) -> Path:
-    """A path as it was typed; an empty one, which would be the working folder, ends the command."""
-    if not text:
-        leave(COMMAND, "a path is empty; name a folder or a file.", 2)
-    return Path(text)
-
-
-RigPath = Annotated[
-    Path,
-    typer.Argument(
-        help="Folder with a rig.toml (or the rig file itself).", metavar="PATH", parser=_path
-    ),
-]
-
-
-def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Registers a sub-command; its `options` gathers the options that all commands share."""
-    shared = inspect.signature(Options).parameters
-    own = dict(inspect.signature(function).parameters)
-    del own["options"]
-
-    def command(**given: Any) -> None:
-        options = Options(**{name: given.pop(name) for name in shared})
-        function(options, **given)
-
-    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
-    command.__signature__ = inspect.Signature(parameters)
-    command.__annotations__ = {p.name: p.annotation for p in parameters}
-    app.command(function.__name__, help=function.__doc__)(command)
-    return function
-
-
-@_command
+@command
 def noise(
     options: Options,
     path: Annotated[
         Path,
         typer.Argument(
-            help="Rig folder, or a CSV of sums per exposure.", metavar="PATH", parser=_path
+            help="Rig folder, or a CSV of sums per exposure.", metavar="PATH", parser=typed_path
         ),
     ],
     bits: Annotated[
@@ -143,9 +53,9 @@ def noise(
 
     def calibrate_noise(reporter: Reporter) -> tuple[list, dict]:
         if path.suffix.lower() == ".csv":
-            _existing(path)
+            existing(path)
         else:
-            _rig(path, "photon transfer")
+            read_rig(path, "photon transfer")
         from .noise.calibration import calibrate
         from .noise.read import read_photon_transfer
         from .noise.section import section
@@ -156,17 +66,17 @@ def noise(
             calibration = calibrate(measurement, **options.draws("noise", progress))
         return [section(calibration)], {}
 
-    _run("Photon transfer", path, options, calibrate_noise)
+    run("Photon transfer", path, options, calibrate_noise)
 
 
-@_command
+@command
 def response(options: Options, path: RigPath) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
 
     skipped: list[str] = []
 
     def calibrate_response(reporter: Reporter) -> tuple[list, dict]:
-        rig = _rig(path, "a response calibration")
+        rig = read_rig(path, "a response calibration")
         from .response.calibration import calibrate, radiance_images
         from .response.read import read_exposure_stack
         from .response.section import section
@@ -182,12 +92,12 @@ def response(options: Options, path: RigPath) -> None:
         skipped.extend(plane.label for plane, _ in calibration.skipped)
         return [section(calibration)], images
 
-    _run("Camera response", path, options, calibrate_response)
+    run("Camera response", path, options, calibrate_response)
     if skipped:
         raise typer.Exit(INCOMPLETE)
 
 
-@_command
+@command
 def brdf(
     options: Options,
     paths: Annotated[
@@ -196,7 +106,7 @@ def brdf(
             help="A rig folder, or files of measured reflectance: .brdf (Cornell), .bsdf (RGL), "
             ".binary (MERL).",
             metavar="PATH",
-            parser=_path,
+            parser=typed_path,
         ),
     ],
     model: Annotated[
@@ -238,7 +148,7 @@ def brdf(
 
     def calibrate_images(reporter: Reporter) -> tuple[list, dict]:
         check_one_rig(paths, objective)
-        rig = _rig(paths[0], "a reflectance calibration")
+        rig = read_rig(paths[0], "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.read import read_reflectance_observation
         from .reflectance.from_images.section import section
@@ -252,7 +162,7 @@ def brdf(
         return [section(calibration)], {}
 
     def calibrate_files(reporter: Reporter) -> tuple[list, dict]:
-        check_files([_existing(path) for path in paths], of_rigs)
+        check_files([existing(path) for path in paths], of_rigs)
         from .reflectance.from_files.calibration import calibrate
         from .reflectance.from_files.read import read_measured_brdf
         from .reflectance.from_files.section import materials_section, section
@@ -272,15 +182,15 @@ def brdf(
         return [*compared, *(section(calibration) for calibration in calibrations)], {}
 
     if any(is_measured_brdf(path) for path in paths):
-        _run("Measured reflectance", paths[0], options, calibrate_files)
+        run("Measured reflectance", paths[0], options, calibrate_files)
     else:
-        _run("Reflectance", paths[0], options, calibrate_images)
+        run("Reflectance", paths[0], options, calibrate_images)
 
 
-@_command
+@command
 def plan(
     options: Options,
-    path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=_path)],
+    path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=typed_path)],
     target: Annotated[str, typer.Option(help="Parameter to be known better, such as exponent.")],
     model: Annotated[Model, typer.Option(help="Model of the reflectance.")] = "phong",
     index: Annotated[
@@ -291,7 +201,8 @@ def plan(
     reflectance."""
 
     def plan_images(reporter: Reporter) -> tuple[list, dict]:
-        rig = _rig(path, "a reflectance calibration")
+        refuse_mcmc(options, "lights are ranked by Laplace's approximation")
+        rig = read_rig(path, "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.plan import plan_section
         from .reflectance.from_images.read import read_reflectance_observation
@@ -303,10 +214,10 @@ def plan(
         with reporter.step("ranking lights"):
             return [plan_section(calibration, target)], {}
 
-    _run("What to photograph next", path, options, plan_images)
+    run("What to photograph next", path, options, plan_images)
 
 
-@_command
+@command
 def joint(
     options: Options,
     path: RigPath,
@@ -322,7 +233,7 @@ def joint(
     rig gives an _sd is uncertain."""
 
     def calibrate_joint(reporter: Reporter) -> tuple[list, dict]:
-        rig = _rig(path, "a reflectance calibration")
+        rig = read_rig(path, "a reflectance calibration")
         from .joint.calibration import calibrate
         from .joint.read import read_joint_measurement
         from .joint.section import section
@@ -334,10 +245,10 @@ def joint(
             calibration = calibrate(measurement, **by, **options.draws("joint", progress))
         return [section(calibration)], {}
 
-    _run("Joint calibration", path, options, calibrate_joint)
+    run("Joint calibration", path, options, calibrate_joint)
 
 
-@_command
+@command
 def demo(options: Options) -> None:
     """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
     in the folder jaxvision-demo, or the one of --out."""
@@ -354,10 +265,10 @@ def demo(options: Options) -> None:
         sections = calibrate_lab(out / "lab", reporter.step, options.draws)
         return [section(sections, truth), *sections], {}
 
-    _run("A simulated lab afternoon", out, options, calibrate_demo)
+    run("A simulated lab afternoon", out, options, calibrate_demo)
 
 
-@_command
+@command
 def check(
     options: Options,
     kind: Annotated[Literal["brdf", "noise"], typer.Argument(help="Fits to check.")],
@@ -366,65 +277,14 @@ def check(
     """Simulate data, fit them, count how often intervals hold the truth (--out: resumable)."""
 
     def run_check(reporter: Reporter) -> tuple[list, dict]:
-        from .checks.command import run
+        refuse_mcmc(options, "the intervals checked are those of Laplace's approximation")
+        from .checks.command import run as simulated
 
-        return [run(kind, simulations, options.out and options.out / CHECKPOINT, reporter)], {}
+        return [
+            simulated(kind, simulations, options.out and options.out / CHECKPOINT, reporter)
+        ], {}
 
-    _run("Check", Path(kind), options, run_check)
-
-
-_failures = partial(
-    failures_as_sentences,
-    COMMAND,
-    interrupted="interrupted; with --mcmc and --out the same command resumes.",
-)
-
-
-def _run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
-    """Calibrates, writes what was asked for, prints the result."""
-    with _failures(), reporting() as reporter:
-        if options.out is not None and options.out.exists() and not options.out.is_dir():
-            raise InputError(f"{options.out}: is a file; give --out a folder.")
-        with _folder(options.out):
-            sections, images = calibrate(reporter)
-        from jaxvision.io import write_image
-
-        from .report.console import output, print_section
-        from .report.page import as_json, write_report
-        from .report.short_chains import refuse_short_chains
-
-        refuse_short_chains(sections, kept=options.out is not None)
-        settings = {"input": path.name, **asdict(options)}
-        if options.out is not None:
-            with reporter.step("writing the report"):
-                for name, pixels in images.items():
-                    write_image(options.out / name, pixels)
-                write_report(
-                    options.out, sections, title=title, seed=options.seed, settings=settings
-                )
-                shutil.rmtree(options.out / CHECKPOINT, ignore_errors=True)
-    if options.as_json:
-        print(as_json(sections, seed=options.seed, settings=settings))
-        return
-    console = output()
-    for section in sections:
-        print_section(console, section)
-    if options.out is not None:
-        console.print(f"\nReport: {options.out / 'report.html'}")
-
-
-@contextmanager
-def _folder(out: Path | None) -> Iterator[None]:
-    """Made before the work, so that nothing is lost; gone again if that fails and left nothing."""
-    made = out is not None and not out.exists()
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    try:
-        yield
-    except BaseException:
-        if out is not None and made and not any(out.iterdir()):
-            out.rmdir()
-        raise
+    run("Check", Path(kind), options, run_check)
 
 
 def main() -> None:

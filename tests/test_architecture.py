@@ -45,6 +45,7 @@ FITTING_FLOORS = [
     {"observation", "report"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"demo", "joint", "checks"},
+    {"commands"},
     {"cli"},
 ]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}

@@ -217,6 +217,7 @@ def test_residuals_of_a_sensors_draws_are_standard_normal(likelihood):
     assert stats.kstest(np.asarray(residuals)[:, 0], "norm").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_gain_is_found_from_the_noise_of_a_sensor_in_a_record():
     """Photon transfer as a problem of one's own: the sensor's gain by its path."""
     camera = sensor(read_noise=4.0, gain=0.25, offset=64.0, bits=12)

@@ -41,6 +41,7 @@ def test_intervals_hold_the_truth_when_shutters_err():
     assert np.median(widths) < 8 * np.std(errors)
 
 
+@pytest.mark.slow
 def test_three_exposures_need_wider_intervals_than_nine():
     nine = fitted(gamma(2.2), TIMES, 1, pixels=4000, shutter_error=0.01).gamma
     three = fitted(gamma(2.2), TIMES[3:6], 1, pixels=4000, shutter_error=0.01).gamma

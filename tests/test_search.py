@@ -42,7 +42,10 @@ def scipy_best(scale=None):
     return scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options).x
 
 
-@pytest.mark.parametrize("scale", [SD, None], ids=["known", "unknown"])
+@pytest.mark.parametrize(
+    "scale",
+    [pytest.param(SD, id="known", marks=pytest.mark.slow), pytest.param(None, id="unknown")],
+)
 def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
     template = Problem(
         FREE if scale else FREE | SCALE, peak, StudentT(scale or "scale"), DATA, inputs=PLACE

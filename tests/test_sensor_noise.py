@@ -136,7 +136,7 @@ def test_fast_counts_of_one_photon_in_ten_million_frames():
     np.testing.assert_array_equal(_inverse_poisson(words, jnp.full(2, mean)), [1, 0])
 
 
-KINDS = (s.PoissonShotNoise(), s.FastPoissonShotNoise(), s.GaussianShotNoise())
+KINDS = (s.FastPoissonShotNoise(), s.PoissonShotNoise(), s.GaussianShotNoise())
 
 
 @pytest.mark.sweep

@@ -73,10 +73,8 @@ def coverage(
 def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
     count = len(u)
     held = tuple(float(np.mean(np.abs(u - 0.5) < q / 2)) if count else np.nan for q in LEVELS)
-    band = tuple(
-        tuple(float(x) / max(count, 1) for x in binom.ppf((chance / 2, 1 - chance / 2), count, q))
-        for q in LEVELS
-    )
+    ends = [binom.ppf((chance / 2, 1 - chance / 2), count, q) / max(count, 1) for q in LEVELS]
+    band = tuple((float(low), float(high)) for low, high in ends)
     z = ndtri(np.clip(u, EDGE, 1 - EDGE))
     ranked = np.sort(u)
     steps = np.arange(count + 1) / max(count, 1)

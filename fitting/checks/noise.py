@@ -58,13 +58,8 @@ def places(camera: Camera, seed: int) -> np.ndarray:
         InputError: where the fit has no maximum.
     """
     posterior = calibrate(measured(camera, seed)).posterior
-    truth = dict(
-        zip(
-            NAMES,
-            (camera.gain, camera.gain * EFFICIENCY, camera.black, camera.read_noise, DARK_CURRENT),
-            strict=True,
-        )
-    )
+    true = (camera.gain, camera.gain * EFFICIENCY, camera.black, camera.read_noise, DARK_CURRENT)
+    truth: dict[str, float] = dict(zip(NAMES, true, strict=True))
     space = tuple(p for p in posterior.space if p.name in truth)
     wanted = to_unconstrained(space, jnp.asarray([truth[p.name] for p in space]))
     at = [names(posterior.space).index(p.name) for p in space]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 
 from ..fits.solve import fit
-from ..inference.parameters import names, prior_values
+from ..inference.parameters import Parameter, names, prior_values
 from ..inference.problem import Problem, likelihood_at, prediction, values_from
 from .coverage import Coverage, coverage
 from .simulations import simulated
@@ -47,7 +47,7 @@ def check(
     *,
     simulations: int = 200,
     truth: dict[str, Any] | None = None,
-    posterior: str = "laplace",
+    posterior: Literal["laplace", "emcee", "nuts"] = "laplace",
     kept: Path | str | None = None,
     seed: int = 0,
 ) -> Check:
@@ -87,26 +87,11 @@ def check(
     """
     space = problem.space
     labels = names(space)
-    quantiles = None
-    if truth is None:
-        known = [prior_values(parameter) for parameter in space]
-        open_ = [label for label, one in zip(labels, known, strict=True) if one is None]
-        if open_:
-            raise InputError(
-                f"check: {', '.join(open_)} has neither prior nor bounds to draw a truth from; "
-                "give them, or a truth."
-            )
-        quantiles = np.stack(known)
+    truths = _from_priors(space) if truth is None else _given(problem, truth)
 
     def simulate(number: int) -> np.ndarray:
         rng = np.random.default_rng([seed, number])
-        if quantiles is None:
-            given = {p.name: np.asarray(truth[p.name], np.float64) for p in problem.free}
-            natural = np.concatenate(
-                [np.broadcast_to(given[p.name], p.shape or ()).ravel() for p in problem.free]
-            )
-        else:
-            natural = np.array([rng.choice(row) for row in quantiles])
+        natural = np.array([rng.choice(row) for row in truths])
         values = values_from(problem, jnp.asarray(natural))
         drawn = likelihood_at(problem, values).draw(
             jax.random.key(int(rng.integers(2**31))), prediction(problem, values)
@@ -123,3 +108,25 @@ def check(
         simulate, simulations, parameters=len(labels), kept=None if kept is None else Path(kept)
     )
     return Check(coverage(places, labels), places)
+
+
+def _from_priors(space: tuple[Parameter, ...]) -> list[np.ndarray]:
+    """Values of each parameter that are equally likely beforehand."""
+    known = [prior_values(parameter) for parameter in space]
+    labels = zip(names(space), known, strict=True)
+    if unknown := [label for label, values in labels if values is None]:
+        raise InputError(
+            f"check: {', '.join(unknown)} has neither prior nor bounds to draw a truth from; "
+            "give them, or a truth."
+        )
+    return [values for values in known if values is not None]
+
+
+def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
+    """The one value of each number that the caller calls true."""
+    if absent := [p.name for p in problem.free if p.name not in truth]:
+        raise InputError(f"check: truth names no {', '.join(absent)}; give a value of each.")
+    shaped = [
+        np.broadcast_to(np.asarray(truth[p.name], float), p.shape or ()) for p in problem.free
+    ]
+    return [np.array([value]) for values in shaped for value in values.ravel()]

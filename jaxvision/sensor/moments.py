@@ -181,9 +181,12 @@ def _at_one_end(
     mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
 ) -> tuple[Scalars, Scalars]:
     """Mean and variance of a Gaussian variable clipped at one end, or at none."""
-    if low is None and high is None:
+    if low is not None:
+        sign, end = 1, low
+    elif high is not None:
+        sign, end = -1, high
+    else:
         return mean, sigma * sigma
-    sign, end = (1, low) if low is not None else (-1, high)
     inside = _inside(mean, sigma, end, sign)
     moved = clipped + sign * sigma * tail_mean(-jnp.abs(inside))
     return moved, sigma * sigma * tail_variance(inside)

@@ -294,18 +294,16 @@ def _descend(search: _Search, kept: np.ndarray, start: SeparableFit) -> _End:
         goal, pull = here + (wanted - root) / slope, weights * slope**2
         window = (best.nonlinear - reach, best.nonlinear + reach)
         found = _separable(search, goal, pull, window)
-        for share in SHARES:
-            part = _between(best, found, share)
-            there = _prediction(search, part)
-            cost = _cost(search, kept, there)
-            if cost < lowest:
-                break
-        if cost >= lowest * (1 - SETTLED):
-            if reach <= NARROWEST:
-                return _End(best, lowest, True)
+        parts = (_between(best, found, share) for share in SHARES)
+        tried = ((part, _prediction(search, part)) for part in parts)
+        costs = ((part, there, _cost(search, kept, there)) for part, there in tried)
+        lower = next((step for step in costs if step[2] < lowest * (1 - SETTLED)), None)
+        if lower is not None:
+            best, here, lowest = lower
+        elif reach <= NARROWEST:
+            return _End(best, lowest, True)
+        else:
             reach /= 16
-            continue
-        best, here, lowest = part, there, cost
     return _End(best, lowest, False)
 
 

@@ -1,0 +1,176 @@
+"""What all sub-commands of `jaxvision-fit` share: their options, how one is registered, and how one
+runs: bad input ends with one sentence on standard error and exit status 2, an interrupt with status
+130; results are printed and written only when all of them are there.
+"""
+
+import inspect
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from jaxvision.command_line import command_app, failures_as_sentences, leave
+from jaxvision.errors import InputError
+
+from .report.progress import Progress, Reporter, reporting
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .report.section import Section
+    from .rig import Purpose, Rig
+
+COMMAND = "jaxvision-fit"
+CHECKPOINT = "checkpoint"
+_failures = partial(
+    failures_as_sentences,
+    COMMAND,
+    interrupted="interrupted; with --mcmc and --out the same command resumes.",
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every sub-command shares."""
+
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write report, results and chains to this folder.", metavar="DIR"),
+    ] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
+    mcmc: Annotated[
+        bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
+    ] = False
+    seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
+    steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
+    walkers: Annotated[
+        int, typer.Option(help="Walkers (--mcmc), at the least 2 a parameter and 2.", min=4)
+    ] = 64
+
+    def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
+        """How a calibration samples, None for Laplace, and the seed of its draws."""
+        from .inference.emcee_run import SamplingOptions
+
+        if not self.mcmc:
+            return {"sampling": None, "seed": self.seed}
+        sampling = SamplingOptions(
+            walkers=self.walkers,
+            steps=self.steps,
+            block=min(100, self.steps),
+            checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
+            progress=progress,
+        )
+        return {"sampling": sampling, "seed": self.seed}
+
+
+Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
+
+app = command_app("Calibrate camera noise, camera response and surface reflectance from images.")
+
+
+def existing(path: Path) -> Path:
+    """The path, if there is anything."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; check the name.")
+    return path
+
+
+def read_rig(path: Path, purpose: "Purpose") -> "Rig":
+    """A rig that names what a calibration needs, and whose images exist."""
+    from .rig import load_rig, require, require_images
+
+    rig = load_rig(path)
+    require(rig, purpose)
+    require_images(rig, purpose)
+    return rig
+
+
+def refuse_mcmc(options: Options, why: str) -> None:
+    """Of a command that has no chain."""
+    if options.mcmc:
+        raise InputError(f"--mcmc: {why}; leave it out.")
+
+
+def typed_path(text: str) -> Path:
+    """A path as it was typed; an empty one, which would be the working folder, ends the command."""
+    if not text:
+        leave(COMMAND, "a path is empty; name a folder or a file.", 2)
+    return Path(text)
+
+
+RigPath = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder with a rig.toml (or the rig file itself).", metavar="PATH", parser=typed_path
+    ),
+]
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Registers a sub-command; its `options` gathers the options that all commands share."""
+    shared = inspect.signature(Options).parameters
+    own = dict(inspect.signature(function).parameters)
+    del own["options"]
+
+    def registered(**given: Any) -> None:
+        options = Options(**{name: given.pop(name) for name in shared})
+        function(options, **given)
+
+    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
+    registered.__signature__ = inspect.Signature(parameters)
+    registered.__annotations__ = {p.name: p.annotation for p in parameters}
+    sentences = " ".join((function.__doc__ or "").split())
+    app.command(function.__name__, help=sentences)(registered)
+    return function
+
+
+def run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
+    """Calibrates, writes what was asked for, prints the result."""
+    with _failures(), reporting() as reporter:
+        if options.out is not None and options.out.exists() and not options.out.is_dir():
+            raise InputError(f"{options.out}: is a file; give --out a folder.")
+        with _folder(options.out):
+            sections, images = calibrate(reporter)
+        from jaxvision.io import write_image
+
+        from .report.console import output, print_section
+        from .report.page import as_json, write_report
+        from .report.short_chains import refuse_short_chains
+
+        refuse_short_chains(sections, kept=options.out is not None)
+        settings = {"input": path.name, **asdict(options)}
+        if options.out is not None:
+            with reporter.step("writing the report"):
+                for name, pixels in images.items():
+                    write_image(options.out / name, pixels)
+                write_report(
+                    options.out, sections, title=title, seed=options.seed, settings=settings
+                )
+                shutil.rmtree(options.out / CHECKPOINT, ignore_errors=True)
+    if options.as_json:
+        print(as_json(sections, seed=options.seed, settings=settings))
+        return
+    console = output()
+    for section in sections:
+        print_section(console, section)
+    if options.out is not None:
+        console.print(f"\nReport: {options.out / 'report.html'}")
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[None]:
+    """Made before the work, so that nothing is lost; gone again if that fails and left nothing."""
+    made = out is not None and not out.exists()
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if out is not None and made and not any(out.iterdir()):
+            out.rmdir()
+        raise
