@@ -8,9 +8,10 @@ import pytest
 from oracles.cameras import CameraTruth, make_die, sweep
 from scipy import stats as scipy_stats
 
-from fitting.noise.emva1288 import evaluate, linearity_errors, ranges, sheet, statistics, surprise
+from fitting.noise.emva1288 import evaluate, linearity_errors, ranges, sheet, statistics
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.pattern import fitted_pattern, standard_pattern
+from fitting.noise.regressions import surprise
 
 
 def measurement_of(light, exposure, bright, dark, *, pixels=10_000, frames=2, **options):

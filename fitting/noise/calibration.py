@@ -18,11 +18,13 @@ from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.parameters import to_unconstrained
 from ..inference.posterior import Posterior, laplace_or_emcee
-from .emva1288 import QUANTITIES, Evaluation, Quantity, Ranges, evaluate, ranges, through_origin
+from .emva1288 import Evaluation, Ranges, evaluate, ranges
 from .fit import LikelihoodFit, choose_model, likelihood_sheet, needed_window, noise_data
 from .levels import PhotonTransfer, linear_levels
 from .model import log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
+from .quantities import QUANTITIES, Quantity
+from .regressions import through_origin
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}

@@ -21,18 +21,18 @@ standard's, the errors tell of the scatter.
 Decibels are 20 log10. Usable bits are log2 of the dynamic range.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaincc
 from jaxtyping import Array, Bool, Float
 
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
-from .levels import Levels, PhotonTransfer, linear_levels, saturation_index
+from .levels import PhotonTransfer, linear_levels, saturation_index
+from .quantities import NEED_PHOTONS
+from .regressions import chi_square, line, line_misfit, surprise, through_origin
+from .sampling import SamplingErrors, sampling_errors
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
@@ -40,54 +40,6 @@ LEAST_DARK_VARIANCE = 0.24  # DN^2; below, the standard says, rounding rules and
 UNLIKELY = 0.01  # p-value of a chi-square from which scatter is believed
 
 Sheet = dict[str, Float[Array, ""]]
-
-
-class Quantity(NamedTuple):
-    """A line of the sheet.
-
-    Attributes:
-        name: a word.
-        symbol: the standard's.
-        unit: of the value.
-        positive: whether its intervals are symmetric in the logarithm.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    positive: bool = True
-
-
-QUANTITIES = (
-    Quantity("system_gain", "K", "DN/e⁻"),
-    Quantity("inverse_gain", "1/K", "e⁻/DN"),
-    Quantity("quantum_efficiency", "η", "%"),
-    Quantity("responsivity", "R", "DN/photon"),
-    Quantity("temporal_dark_noise", "σ_y.dark", "DN"),
-    Quantity("read_noise", "σ_d", "e⁻"),
-    Quantity("dark_current_mean", "μ_I.mean", "e⁻/s", False),
-    Quantity("dark_current_variance", "μ_I.var", "e⁻/s", False),
-    Quantity("saturation_photons", "μ_p.sat", "photons"),
-    Quantity("saturation_electrons", "μ_e.sat", "e⁻"),
-    Quantity("snr_max", "SNR_max", "1"),
-    Quantity("snr_max_db", "SNR_max", "dB", False),
-    Quantity("snr_max_bits", "SNR_max", "bit", False),
-    Quantity("threshold_photons", "μ_p.min", "photons"),
-    Quantity("threshold_electrons", "μ_e.min", "e⁻"),
-    Quantity("dynamic_range", "DR", "1"),
-    Quantity("dynamic_range_db", "DR", "dB", False),
-    Quantity("usable_bits", "log₂ DR", "bit", False),
-    Quantity("linearity_error_min", "LE_min", "%", False),
-    Quantity("linearity_error_max", "LE_max", "%", False),
-    Quantity("dsnu", "DSNU", "e⁻"),
-    Quantity("prnu", "PRNU", "%"),
-)
-NEED_PHOTONS = ("quantum_efficiency", "responsivity", "saturation_photons", "threshold_photons")
-NEED_SATURATION = tuple(
-    quantity.name
-    for quantity in QUANTITIES
-    if quantity.name.startswith(("saturation", "snr_max", "dynamic_range", "usable_bits"))
-)
 
 
 class Ranges(eqx.Module):
@@ -124,20 +76,6 @@ class Statistics(eqx.Module):
     dark_mean: Float[Array, " darks"]
     dark_variance: Float[Array, " darks"]
     saturation: Float[Array, ""] | None
-
-
-class SamplingErrors(eqx.Module):
-    """Sampling (co)variances of a level's mean and temporal variance.
-
-    Attributes:
-        mean: (levels,) variance of the mean, DN^2.
-        variance: (levels,) variance of the variance, DN^4.
-        both: (levels,) their covariance, DN^3.
-    """
-
-    mean: Float[Array, " levels"]
-    variance: Float[Array, " levels"]
-    both: Float[Array, " levels"]
 
 
 class Misfit(eqx.Module):
@@ -376,89 +314,6 @@ def evaluate(measurement: PhotonTransfer, within: Ranges) -> Evaluation:
     )
 
 
-def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
-    """Least-squares slope of y = b x.
-
-    Args:
-        x: (levels,).
-        y: (levels,).
-        within: (levels,) those that enter.
-
-    Returns:
-        b.
-    """
-    return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
-
-
-def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
-    """The weighted least-squares line.
-
-    Args:
-        x: (points,).
-        y: (points,).
-        weights: (points,), inverse variances; None for equal ones.
-
-    Returns:
-        (intercept, slope).
-    """
-    weights = jnp.ones_like(x) if weights is None else weights
-    total = jnp.sum(weights)
-    centre_x, centre_y = jnp.sum(weights * x) / total, jnp.sum(weights * y) / total
-    away = x - centre_x
-    slope = jnp.sum(weights * away * (y - centre_y)) / jnp.sum(weights * away**2)
-    return centre_y - slope * centre_x, slope
-
-
-def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> SamplingErrors:
-    """Sampling (co)variances of mean and variance over n pixels and L frames.
-
-    Args:
-        levels: of either kind.
-        shot_variance: (levels,) DN^2, the part that is Poisson and so skew: kappa_3 = K var,
-            kappa_4 = K^2 var.
-        gain: K, DN/e-.
-
-    Returns:
-        The (co)variances.
-    """
-    shot = jnp.maximum(shot_variance, 0)
-    n, frames = levels.pixels, levels.frames
-    return SamplingErrors(
-        mean=levels.variance / (n * frames),
-        variance=(2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n,
-        both=gain * shot / (n * frames),
-    )
-
-
-def surprise(chi_square: Array, degrees: Array) -> Array:
-    """The p-value of a chi-square.
-
-    Args:
-        chi_square: any shape.
-        degrees: of freedom, of the same shape.
-
-    Returns:
-        Of the same shape; 1 without degrees of freedom.
-    """
-    free = jnp.maximum(degrees, 1)
-    return jnp.where(degrees > 0, gammaincc(free / 2, chi_square / 2), 1)
-
-
-def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Chi-square of points about their own weighted line.
-
-    Args:
-        x: (points,).
-        y: (points,).
-        variances: (points,) of y.
-
-    Returns:
-        (chi-square, degrees of freedom).
-    """
-    intercept, slope = line(x, y, weights=1 / variances)
-    return (jnp.sum((y - intercept - slope * x) ** 2 / variances), jnp.asarray(x.size - 2, y.dtype))
-
-
 def _signal(stats: Statistics, measurement: PhotonTransfer) -> Array:
     return stats.bright_mean - stats.dark_mean[measurement.dark_of]
 
@@ -484,9 +339,9 @@ def _sampling(
     dark = sampling_errors(measurement.dark, jnp.zeros_like(stats.dark_mean), gain)
     ratios, factors = [], []
 
-    def judge(chi_square: Array, degrees: Array) -> Array:
-        ratio = chi_square / jnp.maximum(degrees, 1)
-        factor = jnp.where(surprise(chi_square, degrees) < UNLIKELY, jnp.maximum(ratio, 1), 1)
+    def judge(chi2: Array, degrees: Array) -> Array:
+        ratio = chi2 / jnp.maximum(degrees, 1)
+        factor = jnp.where(surprise(chi2, degrees) < UNLIKELY, jnp.maximum(ratio, 1), 1)
         ratios.append(ratio)
         factors.append(factor)
         return factor
@@ -505,16 +360,11 @@ def _sampling(
     degrees = jnp.sum(used, dtype=gain.dtype) - 1
     responsivity = through_origin(measurement.bright.light, signal, used)
     missed = signal - responsivity * measurement.bright.light
-    mean_factor = judge(_chi_square(missed, bright.mean + own_dark.mean, used), degrees)
+    mean_factor = judge(chi_square(missed, bright.mean + own_dark.mean, used), degrees)
     missed = shot - gain * signal
     spread = bright.variance + own_dark.variance + gain**2 * (bright.mean + own_dark.mean)
-    variance_factor = judge(_chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
+    variance_factor = judge(chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
     bright = SamplingErrors(
         mean_factor * bright.mean, variance_factor * bright.variance, bright.both
     )
     return (bright, dark), Misfit(*ratios, factors=jnp.stack(factors))
-
-
-def _chi_square(missed: Array, variances: Array, used: Array) -> Array:
-    safe = jnp.where(used & (variances > 0), variances, 1)
-    return jnp.sum(jnp.where(used, missed**2 / safe, 0))

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 from ..report.section import Picture
 from .calibration import NoiseCalibration
-from .emva1288 import line, linearity_deviation
+from .emva1288 import linearity_deviation
 from .model import Moments, NoiseData, predicted_moments
+from .regressions import line
 
 SIZE = (7.2, 6.0)
 BLUE, ORANGE, GREY = "tab:blue", "tab:orange", "0.45"

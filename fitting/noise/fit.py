@@ -20,7 +20,7 @@ from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstrained
-from .emva1288 import Ranges, Sheet, derived_figures, line_misfit, linearity_errors
+from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
 from .model import (
     BLACK_SCATTER,
@@ -44,6 +44,7 @@ from .model import (
     named,
 )
 from .quantised import FINEST_READ_NOISE, Window, window_for
+from .regressions import line_misfit
 
 MISFIT = 1e-3  # p-value below which a model is not believed
 FINE_READ_NOISE = 0.4  # DN; below, the variance of rounding is not 1/12

@@ -10,10 +10,10 @@ from ..inference.parameters import names
 from ..inference.posterior import estimates
 from ..report.section import Section, Table
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
-from .emva1288 import NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .figures import noise_pictures
 from .findings import findings
 from .pattern import SEEN
+from .quantities import NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 
 

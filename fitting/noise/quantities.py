@@ -1,0 +1,51 @@
+"""The lines of the EMVA 1288 data sheet: names, symbols and units."""
+
+from typing import NamedTuple
+
+
+class Quantity(NamedTuple):
+    """A line of the sheet.
+
+    Attributes:
+        name: a word.
+        symbol: the standard's.
+        unit: of the value.
+        positive: whether its intervals are symmetric in the logarithm.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    positive: bool = True
+
+
+QUANTITIES = (
+    Quantity("system_gain", "K", "DN/e⁻"),
+    Quantity("inverse_gain", "1/K", "e⁻/DN"),
+    Quantity("quantum_efficiency", "η", "%"),
+    Quantity("responsivity", "R", "DN/photon"),
+    Quantity("temporal_dark_noise", "σ_y.dark", "DN"),
+    Quantity("read_noise", "σ_d", "e⁻"),
+    Quantity("dark_current_mean", "μ_I.mean", "e⁻/s", False),
+    Quantity("dark_current_variance", "μ_I.var", "e⁻/s", False),
+    Quantity("saturation_photons", "μ_p.sat", "photons"),
+    Quantity("saturation_electrons", "μ_e.sat", "e⁻"),
+    Quantity("snr_max", "SNR_max", "1"),
+    Quantity("snr_max_db", "SNR_max", "dB", False),
+    Quantity("snr_max_bits", "SNR_max", "bit", False),
+    Quantity("threshold_photons", "μ_p.min", "photons"),
+    Quantity("threshold_electrons", "μ_e.min", "e⁻"),
+    Quantity("dynamic_range", "DR", "1"),
+    Quantity("dynamic_range_db", "DR", "dB", False),
+    Quantity("usable_bits", "log₂ DR", "bit", False),
+    Quantity("linearity_error_min", "LE_min", "%", False),
+    Quantity("linearity_error_max", "LE_max", "%", False),
+    Quantity("dsnu", "DSNU", "e⁻"),
+    Quantity("prnu", "PRNU", "%"),
+)
+NEED_PHOTONS = ("quantum_efficiency", "responsivity", "saturation_photons", "threshold_photons")
+NEED_SATURATION = tuple(
+    quantity.name
+    for quantity in QUANTITIES
+    if quantity.name.startswith(("saturation", "snr_max", "dynamic_range", "usable_bits"))
+)

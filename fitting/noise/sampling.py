@@ -1,0 +1,42 @@
+"""How far the mean and the variance of a few frames scatter about those of all frames."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .levels import Levels
+
+
+class SamplingErrors(eqx.Module):
+    """Sampling (co)variances of a level's mean and temporal variance.
+
+    Attributes:
+        mean: (levels,) variance of the mean, DN^2.
+        variance: (levels,) variance of the variance, DN^4.
+        both: (levels,) their covariance, DN^3.
+    """
+
+    mean: Float[Array, " levels"]
+    variance: Float[Array, " levels"]
+    both: Float[Array, " levels"]
+
+
+def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> SamplingErrors:
+    """Sampling (co)variances of mean and variance over n pixels and L frames.
+
+    Args:
+        levels: of either kind.
+        shot_variance: (levels,) DN^2, the part that is Poisson and so skew: kappa_3 = K var,
+            kappa_4 = K^2 var.
+        gain: K, DN/e-.
+
+    Returns:
+        The (co)variances.
+    """
+    shot = jnp.maximum(shot_variance, 0)
+    n, frames = levels.pixels, levels.frames
+    return SamplingErrors(
+        mean=levels.variance / (n * frames),
+        variance=(2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n,
+        both=gain * shot / (n * frames),
+    )
