@@ -110,7 +110,7 @@ def write_camera(
 
     Example:
         >>> from tempfile import mkdtemp
-        >>> file, camera = mkdtemp() + "/mine.toml", jv.read_camera("ideal")
+        >>> file, camera = mkdtemp() + "/mine.toml", jv.read_camera("emva1288")
         >>> jv.write_camera(camera, file)
         >>> float(jv.read_camera(file).sensor.gain) == float(camera.sensor.gain)
         True

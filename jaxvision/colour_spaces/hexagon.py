@@ -40,7 +40,7 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
     sextants = 6 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = within(n + sextants, 6)
+        k = within(n + sextants, 6.0)
         return value - value * saturation * _trapezium(k, 4 - k, 0)
 
     return joined(channel(5), channel(3), channel(1))
@@ -82,7 +82,7 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
     twelfths = 12 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = within(n + twelfths, 12)
+        k = within(n + twelfths, 12.0)
         return lightness - reach * _trapezium(k - 3, 9 - k, -1)
 
     return joined(channel(0), channel(8), channel(4))

@@ -19,10 +19,11 @@ Bounds must hold on every picture between the full and the pruned one, so they u
 ignore all that only takes light away (shadows, rims, wells).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import equinox as eqx
 import numpy as np
 
 from ..scene import AmbientLight, Camera, Light, Surface
@@ -31,11 +32,14 @@ from .certificate import Effect
 T = TypeVar("T")
 
 
-class Ends(NamedTuple, Generic[T]):
+class Ends(eqx.Module, Generic[T]):
     """A record at the two ends of what a fit may change; one record twice where nothing is free."""
 
     low: T
     high: T
+
+    def __iter__(self) -> Iterator[T]:
+        return iter((self.low, self.high))
 
     def of(self, name: str) -> "Ends[Any]":
         """A field of both."""

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
+from jaxtyping import Array, Bool
 
 from .._chebyshev import chebyshev
 from .._numerics import difference_of_products
@@ -142,7 +143,7 @@ def density(a: Scalars) -> Scalars:
     return jnp.exp(-square / 2) * (1 - lost / 2) / float(np.sqrt(2 * np.pi))
 
 
-def is_narrow(width: Scalars, offset: Scalars) -> Scalars:
+def is_narrow(width: Scalars, offset: Scalars) -> Bool[Array, "..."]:
     """Whether `in_narrow_window` holds for a window of that width and offset."""
     return width * jnp.maximum(offset, 1) < (0.5 if width.dtype == jnp.float64 else 1.0)
 
