@@ -94,6 +94,7 @@ def test_nuts_finds_a_banana(banana):
     assert_same_quantiles(unconstrained(banana), exact, (worth, len(exact)))
 
 
+@pytest.mark.slow
 def test_the_step_adapts_to_the_acceptance_that_is_asked_for():
     assert 0.9 < run(TWIST, draws=300, seed=3, acceptance=0.95).acceptance < 0.99
 

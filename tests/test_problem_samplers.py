@@ -38,6 +38,7 @@ def on_a_grid():
     return {"height": (height, weight.sum(1)), "rate": (rate, weight.sum(0))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("posterior", "sampling"),
     [("emcee", SamplingOptions(walkers=64, block=300)), ("nuts", NutsOptions(draws=1000))],

@@ -153,7 +153,7 @@ def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
     np.testing.assert_allclose(single, double, rtol=3e-6)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("record", [NormalisedPhong, NormalisedBlinn])
 def test_albedo_of_the_sharpest_lobes(record):
     """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off; no
@@ -176,6 +176,7 @@ def test_albedo_of_the_sharpest_lobes(record):
     assert single.max() <= 1 + 1e-6
 
 
+@pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_gradients_in_the_roughness_at_grazing_angles(dtype, distribution):
