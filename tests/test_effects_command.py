@@ -73,6 +73,7 @@ def test_effects_are_listed(scene):
     [
         (["--tolerance", "lots"], "a tolerance is a number and its unit"),
         (["--tolerance", "1DN"], "needs a camera with a sensor"),
+        (["--camera", "consumer_bayer"], "the camera has 31 bands and the scene 3"),
         (["--free", "lights[0].intensity"], "give a name and two numbers"),
         (["--free", "lights[0].intensty=0,1"], "the nearest is 'lights[0].intensity'"),
     ],

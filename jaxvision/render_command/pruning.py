@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from .. import effects
+from .._band_count import band_count
 from ..effects import Effect, Pruned, Tolerance
 from ..errors import InputError
 from ..rendering import PixelSamples
@@ -38,7 +39,17 @@ def _asked(settings: RenderEntry) -> dict[str, Any]:
 
 def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
     """The scene's view, before the camera's sensor if there is one."""
-    return source.view if camera is None else replace(camera, view=source.view)
+    if camera is None:
+        return source.view
+    conversion, scene = camera.sensor.photon_conversion, source.scene
+    own = 1 if conversion is None else np.size(conversion.wavelength)
+    bands = band_count([surface.material for surface in scene.surfaces], scene.lights)
+    if own not in (1, bands):
+        raise InputError(
+            f"the camera has {own} bands and the scene {bands}; give the scene file [bands] with "
+            "its spectra, or take a camera of one wavelength, as ideal."
+        )
+    return replace(camera, view=source.view)
 
 
 def inspected(
