@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
-from .record_files import check_keys, record_of, table_of, with_draws, write_draws, write_tables
+from .record_files import check_keys, record_of, table_of, with_draws, write_record
 from .scene import Camera, Sensor
 
 _TABLES = ("view", "sensor", "development")
@@ -115,14 +115,10 @@ def write_camera(
         >>> float(jv.read_camera(file).sensor.gain) == float(camera.sensor.gain)
         True
     """
-    path = Path(file)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: a camera file ends in .toml.")
     content = table_of(camera)
     del content["kind"]
-    write_tables(path, ({"about": about} if about else {}) | content)
-    if draws is not None:
-        write_draws(path, camera, draws)
+    content = ({"about": about} if about else {}) | content
+    write_record(file, "camera", content, camera, draws)
 
 
 def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> Sensor:
@@ -166,12 +162,8 @@ def write_sensor(
     Raises:
         InputError: for draws of another sensor, and a file of another ending.
     """
-    path = Path(file)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: a sensor file ends in .toml.")
-    write_tables(path, ({"about": about} if about else {}) | {"sensor": table_of(sensor)})
-    if draws is not None:
-        write_draws(path, sensor, draws)
+    content = ({"about": about} if about else {}) | {"sensor": table_of(sensor)}
+    write_record(file, "sensor", content, sensor, draws)
 
 
 def _found(source: str | os.PathLike[str]) -> Path:

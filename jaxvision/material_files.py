@@ -12,7 +12,7 @@ from pathlib import Path
 
 from . import brdf
 from .errors import InputError, nearest
-from .record_files import record_of, table_of, with_draws, write_draws, write_tables
+from .record_files import record_of, table_of, with_draws, write_record
 from .scene import Material
 
 
@@ -63,12 +63,7 @@ def write_material(
         >>> jv.read_material(file).diffuse.shape
         (1,)
     """
-    path = Path(file)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: a material file ends in .toml.")
-    write_tables(path, table_of(material))
-    if draws is not None:
-        write_draws(path, material, draws)
+    write_record(file, "material", table_of(material), material, draws)
 
 
 def _kinds() -> dict[str, type[Material]]:

@@ -5,6 +5,7 @@ record lie beside its file as `.npz`: under each number's path (`.sensor.gain`) 
 leading axis, of those numbers that differ from draw to draw.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -23,17 +24,35 @@ from .io import replaced_on_success
 Record = TypeVar("Record", bound=eqx.Module)
 
 
-def write_tables(file: Path, tables: Mapping[str, Any]) -> None:
-    """Writes tables as TOML, whole or not at all.
+def write_record(
+    file: str | os.PathLike[str],
+    what: str,
+    tables: Mapping[str, Any],
+    record: Record,
+    draws: Record | None,
+) -> None:
+    """Writes a record as TOML, whole or not at all, and its draws beside it.
 
     Args:
-        file: to write; missing folders are made.
+        file: ending in .toml; missing folders are made.
+        what: the record is, for messages: `camera`, say.
         tables: of `table_of`.
+        record: one, whose shapes count.
+        draws: the same with a leading axis at every number; None writes none.
+
+    Raises:
+        InputError: for a file of another ending, draws of another record, or draws without a
+            leading axis.
     """
     import tomli_w
 
-    with replaced_on_success(file) as partial:
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a {what} file ends in .toml.")
+    with replaced_on_success(path) as partial:
         partial.write_text(tomli_w.dumps(tables))
+    if draws is not None:
+        _write_draws(path, record, draws)
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
@@ -55,35 +74,6 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
         elif value is not None:
             table[field.name] = value
     return table
-
-
-def write_draws(file: Path, record: eqx.Module, draws: eqx.Module) -> None:
-    """Writes draws of a record beside its file.
-
-    Args:
-        file: of the record.
-        record: one, whose shapes count.
-        draws: the same with a leading axis at every number.
-
-    Raises:
-        InputError: for draws of another record, or without a leading axis.
-    """
-    differing = {}
-    known = jax.tree.leaves_with_path(record)
-    drawn = jax.tree.leaves(draws)
-    if jax.tree.structure(record) != jax.tree.structure(draws):
-        raise InputError(f"{file}: the draws are of another kind of record.")
-    for (path, leaf), values in zip(known, drawn, strict=True):
-        if np.shape(values)[1:] != np.shape(leaf) or not np.ndim(values):
-            name = jax.tree_util.keystr(path)
-            raise InputError(f"{file}: the draws of {name} need one leading axis.")
-        values = np.asarray(values)
-        if (values != values[:1]).any():
-            differing[jax.tree_util.keystr(path)] = values
-    if not differing:
-        raise InputError(f"{file}: no number differs between the draws.")
-    with replaced_on_success(_beside(file)) as partial, partial.open("wb") as stream:
-        np.savez(stream, **differing)  # type: ignore[arg-type]
 
 
 def with_draws(file: Path, record: Record, count: int) -> Record:
@@ -122,6 +112,25 @@ def with_draws(file: Path, record: Record, count: int) -> Record:
     if stored:
         raise InputError(f"{beside}: {file.name} has no {next(iter(stored))}: save the fit again.")
     return found
+
+
+def _write_draws(file: Path, record: eqx.Module, draws: eqx.Module) -> None:
+    differing = {}
+    known = jax.tree.leaves_with_path(record)
+    drawn = jax.tree.leaves(draws)
+    if jax.tree.structure(record) != jax.tree.structure(draws):
+        raise InputError(f"{file}: the draws are of another kind of record.")
+    for (path, leaf), values in zip(known, drawn, strict=True):
+        if np.shape(values)[1:] != np.shape(leaf) or not np.ndim(values):
+            name = jax.tree_util.keystr(path)
+            raise InputError(f"{file}: the draws of {name} need one leading axis.")
+        values = np.asarray(values)
+        if (values != values[:1]).any():
+            differing[jax.tree_util.keystr(path)] = values
+    if not differing:
+        raise InputError(f"{file}: no number differs between the draws.")
+    with replaced_on_success(_beside(file)) as partial, partial.open("wb") as stream:
+        np.savez(stream, **differing)  # type: ignore[arg-type]
 
 
 def _beside(file: Path) -> Path:

@@ -5,25 +5,18 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import called
 
 from fitting.cli import app
 from fitting.report.page import as_json
 from jaxvision.io import read_image, write_image
 
-RUNNER = CliRunner()
-
-
-def run(*arguments):
-    """Exit status, standard output and standard error of a command run in this process."""
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+run = partial(called, app)
 
 
 def one_sentence(stderr):

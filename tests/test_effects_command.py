@@ -1,16 +1,16 @@
 """`jaxvision effects` and `render --tolerance`: what is printed, and what the file's head says."""
 
 import json
+from functools import partial
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from typer.testing import CliRunner
+from commands import called
 
 from jaxvision.cli import app
 from jaxvision.io import read_image
 
-RUNNER = CliRunner()
 SCENE = """
 [camera]
 kind = "pinhole"
@@ -41,12 +41,7 @@ intensity = [1, 1, 1]
 """
 
 
-def run(*arguments):
-    """Exit status, standard output and standard error."""
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+run = partial(called, app)
 
 
 @pytest.fixture

@@ -1,10 +1,11 @@
 """The figure and the command that show an image as numbers."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import called
 
 import jaxvision
 from jaxvision import plots
@@ -16,15 +17,9 @@ RNG = np.random.default_rng(12)
 CODES = RNG.integers(1, 255, size=(20, 30, 3), dtype=np.uint8)
 CODES[2, 3] = 255
 CODES[4, 5:7, 0] = 0
-RUNNER = CliRunner()
 
 
-def run(*arguments):
-    """Exit status, standard output and standard error."""
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+run = partial(called, app)
 
 
 @pytest.fixture

@@ -6,12 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import jax
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from typer.testing import CliRunner
+from commands import called
 
 from jaxvision.cli import app
 from jaxvision.errors import InputError
@@ -22,7 +23,6 @@ from jaxvision.rendering import PixelSamples, render
 from jaxvision.scene_files import read_scene
 from jaxvision.scene_files.schema import overridden
 
-RUNNER = CliRunner()
 K = {"scene": "a", "seed": 1}
 SCENE = """
 [camera]
@@ -53,12 +53,7 @@ intensity = [10, 20, 30]
 """
 
 
-def run(*arguments):
-    """Exit status, standard output and standard error."""
-    result = RUNNER.invoke(app, ["render", *(str(argument) for argument in arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+run = partial(called, app, "render")
 
 
 def head(path):

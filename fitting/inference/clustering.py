@@ -30,7 +30,6 @@ from scipy.linalg import solve_triangular
 from scipy.stats import chi2, norm, t
 
 CHANCE = 0.01  # probability of calling independent residuals clustered
-FEWEST_FREEDOM = 1.5  # with fewer, next to nothing can be said of what clusters share
 WHOLE = 1e-9  # of 1 - A_g: a direction that a cluster alone determines leaves no residual in it
 THINNEST = 1e-3  # variance of any direction over that of independent data: draws need one
 LEVEL = 0.975  # quantile at which a Gaussian stands in for Student's t
@@ -129,7 +128,7 @@ def cluster_robust(
             continue
         found = _clustering(whitened, leverage, cluster, from_data)
         freedom = _freedom(found, contrasts)
-        if not np.min(freedom) >= FEWEST_FREEDOM:
+        if np.isnan(freedom).any():
             effects.append(np.nan)
             continue
         beyond = found.effect > _chance_effect(found)
