@@ -271,7 +271,7 @@ def demo(options: Options) -> None:
 @command
 def check(
     options: Options,
-    kind: Annotated[Literal["brdf", "noise"], typer.Argument(help="Fits to check.")],
+    kind: Annotated[Literal["brdf", "noise", "response"], typer.Argument(help="Fits to check.")],
     simulations: Annotated[int, typer.Option(help="Of each case.", min=2)] = 200,
 ) -> None:
     """Simulate data, fit them, count how often intervals hold the truth (--out: resumable)."""

@@ -30,7 +30,7 @@ CHECKPOINT = "checkpoint"
 _failures = partial(
     failures_as_sentences,
     COMMAND,
-    interrupted="interrupted; with --mcmc and --out the same command resumes.",
+    interrupted="interrupted; with --out the same command resumes a chain or a check.",
 )
 
 

@@ -1,15 +1,22 @@
 """Checks of coverage: right places pass, planted faults are flagged, runs go on; real fits hold."""
 
+from dataclasses import replace
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from scipy.stats import norm, t
 
 import fitting
 from fitting import Gaussian, Normal, Parameter, Problem
-from fitting.checks import noise, reflectance
+from fitting.checks import noise, reflectance, response
 from fitting.checks.coverage import coverage
 from fitting.checks.section import section
-from fitting.checks.simulations import simulated
+from fitting.checks.simulations import places_in, simulated
+from fitting.inference.clustering import Robustness
+from fitting.inference.estimates import gaussian_estimate
+from fitting.inference.posterior import laplace
 from jaxvision.errors import InputError
 
 
@@ -97,3 +104,97 @@ def test_intervals_of_a_clean_camera_hold():
     places = simulated(lambda seed: noise.places(camera, seed), 100, parameters=5)
     for one in coverage(places, noise.NAMES):
         assert not one.faults, one
+
+
+def sphere(vector, args):
+    return -jnp.sum(vector**2) / (2 * args)
+
+
+def test_places_are_those_of_the_printed_intervals():
+    """Laplace's on the transform's scale, Student's, draws', and those of an estimate alone."""
+    space = (Parameter("a"), Parameter("b", transform="log"))
+    mode, own = jnp.zeros(2), np.diag([4.0, 0.25])
+    found = laplace(sphere, space, mode, jnp.asarray(1.0), covariance=own)
+    placed = places_in(found, {"a": 2.0, "b": np.exp(-0.5), "c": 1.0})
+    assert placed == pytest.approx({"a": norm.cdf(1), "b": norm.cdf(-1)})
+    student = replace(found, freedom=np.array([3.0, np.inf]))
+    assert places_in(student, {"a": 2.0})["a"] == pytest.approx(t.cdf(1, 3))
+    drawn = replace(found, method="emcee")
+    assert places_in(drawn, {"a": 2.0})["a"] == pytest.approx(norm.cdf(1), abs=0.02)
+    printed = gaussian_estimate(Parameter("a"), 3.0, 0.5)
+    truths = 3 + 0.5 * np.array([-3, -1.96, -1, 0, 0.5, 1.5, 2.5])
+    places = [response._of_estimate(printed, x) for x in truths]
+    np.testing.assert_allclose(places, norm.cdf((truths - 3) / 0.5), atol=3e-3)
+
+
+def test_a_simulated_stack_is_the_response_of_its_scene():
+    """Codes of two exposures of one pixel, decoded, are in the ratio of their times."""
+    stack = replace(response.CASES["sRGB"], times=(0.5, 1.0))
+    short, long = response.photographs(stack, 0) / 255
+    used = (long < 0.9) & (short > 0.3)
+    ratio = stack.decode(long[used]) / stack.decode(short[used])
+    assert np.median(ratio) == pytest.approx(2, rel=2e-3)
+    known = response.photographs(replace(stack, quality=90), 0) / 255
+    assert 0 < np.abs(known - [short, long]).mean() < 0.02
+
+
+def flagged(room, case, count):
+    places = simulated(lambda seed: room.places(case, seed), count, parameters=len(room.NAMES))
+    return any(one.faults for one in coverage(places, room.NAMES))
+
+
+@pytest.mark.slow
+def test_errors_of_lights_left_out_are_flagged(monkeypatch):
+    """Independent pixels under lights that are off."""
+
+    def naive(scores, information, *rest, **known):
+        whole = np.full(len(information), np.inf)
+        return Robustness(np.linalg.inv(information), whole, np.nan, np.nan, 1.0)
+
+    monkeypatch.setattr("fitting.reflectance.from_images.fit.cluster_robust", naive)
+    assert flagged(reflectance, reflectance.CASES["lights off by 1 %"], 60)
+
+
+@pytest.mark.slow
+def test_a_factor_that_is_wrong_for_its_own_null_is_flagged(monkeypatch):
+    """m / (m - P) on a sandwich whose clusters have lost one degree of freedom each."""
+
+    def old(scores, information, light, *rest, **known):
+        sums = np.stack([np.bincount(light, row) for row in scores])
+        inverse, m = np.linalg.inv(information), sums.shape[1]
+        covariance = inverse @ (sums @ sums.T) @ inverse * m / (m - len(scores))
+        return Robustness(covariance, np.full(len(scores), np.inf), 2.0, np.nan, 2.0)
+
+    monkeypatch.setattr("fitting.reflectance.from_images.fit.cluster_robust", old)
+    assert flagged(reflectance, reflectance.CASES["4 lights off by 1 %"], 150)
+
+
+@pytest.mark.slow
+def test_laplace_of_a_scatter_is_flagged(monkeypatch):
+    """The most likely scatter of few levels is too small, and so is every error that rests on
+    it."""
+
+    def old(fit, sampling, seed):
+        args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
+        known = {"covariance": fit.inflation * fit.covariance, "seed": seed}
+        return laplace(noise_density, fit.space, fit.solution.vector, args, **known)
+
+    from fitting.noise.model import log_density as noise_density
+
+    monkeypatch.setattr("fitting.noise.calibration._posterior", old)
+    assert flagged(noise, noise.CASES["5 levels off by 1 %"], 150)
+
+
+@pytest.mark.slow
+def test_intervals_under_errors_of_light_hold():
+    assert not flagged(noise, noise.CASES["5 levels off by 1 %"], 150)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["clean", "hand-held JPEG"])
+def test_bands_of_a_response_hold(case):
+    """Never fewer than they say; bands that rest on few tiles and exposures hold more."""
+    stack = response.CASES[case]
+    places = simulated(lambda seed: response.places(stack, seed), 60, parameters=5)
+    for one in coverage(places, response.NAMES):
+        assert one.held[-1] >= one.band[-1][0], one

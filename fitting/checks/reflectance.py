@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import t
 
 from jaxvision.errors import InputError
 
@@ -13,12 +12,14 @@ from ..reflectance.from_images.fit import fit_channel
 from ..reflectance.from_images.from_memory import from_photographs
 from ..reflectance.from_images.geometry_cells import Grouping, group
 from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.posterior import channel_posterior
 from ..reflectance.from_images.read import ReflectanceObservation
 from ..reflectance.from_images.samples import Selection, select
 from ..rig import Camera, SphereGeometry
+from .simulations import places_in
 
 SIZE, RADIUS, WHITE = 28, 13.0, 3000.0  # pixels, pixels, DN
-GAIN, READ_NOISE, BLACK, BITS = 0.25, 6.0, 60.0, 12
+GAIN, BITS = 0.25, 12  # DN per electron
 NAMES = ("diffuse", "specular", "exponent")
 WIDEST = 60.0  # degrees between lights and view
 
@@ -33,6 +34,8 @@ class Sphere:
         light_sd: relative error of each light's intensity.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
+        read_noise: electrons rms.
+        black: DN.
     """
 
     lights: int = 12
@@ -40,6 +43,8 @@ class Sphere:
     light_sd: float = 0.0
     prnu: float = 0.0
     clip: float = 2.0**BITS - 1
+    read_noise: float = 6.0
+    black: float = 60.0
 
     @cached_property
     def signal(self) -> np.ndarray:
@@ -58,7 +63,11 @@ class Sphere:
             list(photographs(self, 0)),
             _directions(self.lights),
             camera=Camera(
-                bits=BITS, black_level=BLACK, gain=GAIN, read_noise=READ_NOISE, saturation=self.clip
+                bits=BITS,
+                black_level=self.black,
+                gain=GAIN,
+                read_noise=self.read_noise,
+                saturation=self.clip,
             ),
             sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
             intensities=np.full(self.lights, WHITE),
@@ -77,8 +86,14 @@ CASES = {
     "PRNU 1 %": Sphere(prnu=0.01),
     "saturated highlight": Sphere(clip=2000.0),
     "weak highlight": Sphere(truth=(0.4, 0.01, 40.0)),
-    "4 lights, clean": Sphere(lights=4),
+    "fine read noise": Sphere(read_noise=0.5),
+    "coarse read noise": Sphere(read_noise=80.0),
+    "black clipped": Sphere(black=0.0, read_noise=80.0),
+    "lights off by 1 %, PRNU 1 %": Sphere(light_sd=0.01, prnu=0.01),
+    "4 lights": Sphere(lights=4),
     "4 lights off by 1 %": Sphere(lights=4, light_sd=0.01),
+    "6 lights off by 1 %": Sphere(lights=6, light_sd=0.01),
+    "24 lights": Sphere(lights=24),
     "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
 }
 
@@ -97,8 +112,8 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
     lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
     electrons = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
-    noisy = electrons + READ_NOISE * rng.standard_normal(electrons.shape)
-    return np.clip(np.round(BLACK + GAIN * noisy), 0, sphere.clip)
+    noisy = electrons + sphere.read_noise * rng.standard_normal(electrons.shape)
+    return np.clip(np.round(sphere.black + GAIN * noisy), 0, sphere.clip)
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:
@@ -122,8 +137,9 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     )
     if found.robustness is None or open_parameters(found, matt):
         raise InputError("the data leave a parameter open.")
-    deviation = np.sqrt(np.diagonal(found.robustness.covariance))
-    return t.cdf((np.log(sphere.truth) - found.vector) / deviation, found.robustness.freedom)
+    posterior = channel_posterior(found, cells, sampling=None, seed=seed)
+    truth: dict[str, float] = dict(zip(NAMES, sphere.truth, strict=True))
+    return np.array([places_in(posterior, truth)[name] for name in NAMES])
 
 
 def _normals() -> np.ndarray:

@@ -35,10 +35,10 @@ def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: i
         if one.faults
     )
     withheld = tuple(
-        f"{case}: {simulations - parameters[0].simulations} of {simulations} fits print no "
-        "interval and are not counted."
+        f"{case}: {simulations - most} of {simulations} fits print no interval and are not counted."
         for case, parameters in cases.items()
-        if parameters[0].simulations < simulations
+        for most in [max(one.simulations for one in parameters)]
+        if most < simulations
     )
     rows = tuple(
         (
@@ -48,6 +48,7 @@ def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: i
         )
         for case, parameters in cases.items()
         for one in parameters
+        if one.simulations
     )
     table = Table(
         title="Coverage",

@@ -1,12 +1,18 @@
 """Many simulated fits, kept as they come, so that a check goes on where it was interrupted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import t
+from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
+
+from ..inference.parameters import names, to_unconstrained
+from ..inference.posterior import Posterior
 
 BLOCK = 20  # fits between two writings
 
@@ -36,13 +42,39 @@ def simulated(
     rows = np.empty((0, parameters))
     if kept is not None and kept.exists():
         rows = np.load(kept)[:count]
-    for seed in range(len(rows), count):
-        try:
-            row = simulate(seed)
-        except InputError:
-            row = np.full(parameters, np.nan)
-        rows = np.vstack([rows, row])
-        progress(len(rows), count)
-        if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
-            np.save(kept, rows)
+    with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
+        for seed in range(len(rows), count):
+            try:
+                row = simulate(seed)
+            except InputError:
+                row = np.full(parameters, np.nan)
+            rows = np.vstack([rows, row])
+            progress(len(rows), count)
+            if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
+                np.save(kept, rows)
     return rows
+
+
+def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:
+    """Cumulative probability of the truth in each parameter's posterior, as it is printed: a
+    quantile of draws, or of Laplace's Gaussian or Student's t.
+
+    Args:
+        posterior: of scalars.
+        truth: natural values by name.
+
+    Returns:
+        Of the parameters that the posterior and the truth both have, by name.
+    """
+    labels = names(posterior.space)
+    known = [(i, name) for i, name in enumerate(labels) if name in truth]
+    if posterior.sampled:
+        draws = posterior.samples
+        return {name: float(np.mean(draws[:, i] < truth[name])) for i, name in known}
+    space = tuple(posterior.space[i] for i, _ in known)
+    wanted = np.asarray(to_unconstrained(space, jnp.asarray([truth[name] for _, name in known])))
+    at = [i for i, _ in known]
+    miss = wanted - posterior.unconstrained_mode[at]
+    freedom = np.inf if posterior.freedom is None else posterior.freedom[at]
+    chance = t.cdf(miss / np.sqrt(np.diagonal(posterior.covariance)[at]), freedom)
+    return {name: float(u) for (_, name), u in zip(known, chance, strict=True)}

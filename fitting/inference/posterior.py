@@ -37,7 +37,7 @@ class Posterior:
 
     Attributes:
         space: the P parameters.
-        method: "Laplace", "emcee" or "NUTS".
+        method: "Laplace", "importance sampling", "emcee" or "NUTS".
         draws: (chains, draws, P) in natural units.
         mode: (P,) in natural units.
         unconstrained_mode: (P,).
@@ -53,11 +53,13 @@ class Posterior:
         missing_steps: about how many more the chains need before they can be trusted.
         r_hat: (P,) split R-hat of independent chains, None but for NUTS.
         divergences: trajectories that left the surface of equal energy, None but for NUTS.
+        missed: parameter whose posterior is least like Laplace's, of importance sampling.
+        effective: independent draws that those of importance sampling are worth.
         blocks: the whole chain, from which a longer run goes on; empty for Laplace.
     """
 
     space: ParameterSpace
-    method: Literal["Laplace", "emcee", "NUTS"]
+    method: Literal["Laplace", "importance sampling", "emcee", "NUTS"]
     draws: Float[np.ndarray, "chains draws parameters"]
     mode: Float[np.ndarray, " parameters"]
     unconstrained_mode: Float[np.ndarray, " parameters"]
@@ -71,6 +73,8 @@ class Posterior:
     missing_steps: int = 0
     r_hat: Float[np.ndarray, " parameters"] | None = None
     divergences: int | None = None
+    missed: str = ""
+    effective: float = float("nan")
     blocks: tuple[Block, ...] = field(default=(), repr=False)
 
     @property
@@ -223,7 +227,7 @@ def sample(
     options = options or SamplingOptions()
 
     def evaluate(vectors: np.ndarray) -> np.ndarray:
-        return np.asarray(_evaluate(log_density, jnp.asarray(vectors, mode.dtype), args), float)
+        return evaluate_density(log_density, jnp.asarray(vectors, mode.dtype), args)
 
     centre = np.asarray(mode, np.float64)
     chain = run_ensemble(
@@ -293,6 +297,12 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
 def convergence_in_words(posterior: Posterior) -> str:
     """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
     it is."""
+    if posterior.missed:
+        return (
+            f"The posterior of {posterior.missed} is far from a Gaussian, so intervals are "
+            f"quantiles of draws by importance sampling, worth {posterior.effective:.0f} "
+            "independent ones."
+        )
     if posterior.tau is None:
         shape = "Gaussian" if posterior.freedom is None else "Student's t"
         return f"Intervals are Laplace's: {shape} about the best fit on the scale of the transform."
@@ -345,6 +355,22 @@ def _slope(space: ParameterSpace, vector: Array) -> Array:
 @eqx.filter_jit
 def _information(log_density: LogDensity, vector: Array, args: Any) -> Array:
     return -jax.hessian(log_density)(vector, args)
+
+
+def evaluate_density(
+    log_density: LogDensity, vectors: Float[Array, "draws parameters"], args: Any
+) -> Float[np.ndarray, " draws"]:
+    """A log density at many vectors, some at a time.
+
+    Args:
+        log_density: module-level function of (vector, args).
+        vectors: (draws, P) unconstrained.
+        args: data of `log_density`.
+
+    Returns:
+        (draws,); minus infinity where it is NaN.
+    """
+    return np.asarray(_evaluate(log_density, vectors, args), float)
 
 
 @eqx.filter_jit

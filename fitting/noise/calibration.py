@@ -16,12 +16,15 @@ from jaxtyping import Array, Int
 
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
-from ..inference.parameters import to_unconstrained
-from ..inference.posterior import Posterior, laplace_or_emcee
-from .emva1288 import Evaluation, Ranges, evaluate, ranges
-from .fit import LikelihoodFit, choose_model, likelihood_sheet, needed_window, noise_data
+from ..inference.importance import laplace_where_it_holds
+from ..inference.newton import minimise
+from ..inference.parameters import names, to_unconstrained
+from ..inference.posterior import Posterior, sample
+from .choice import choose_model
+from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
+from .fit import LikelihoodFit, likelihood_sheet, needed_window, noise_data
 from .levels import PhotonTransfer, linear_levels
-from .model import log_density, predicted_moments
+from .model import SCATTERS, log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 from .quantities import QUANTITIES, Quantity
 from .regressions import through_origin
@@ -82,15 +85,7 @@ def calibrate(
     standard = eqx.filter_jit(evaluate)(measurement, within)
     data = noise_data(measurement, usable, window=needed_window(measurement, usable))
     linear, chosen = choose_model(measurement, within, data, standard.values)
-    posterior = laplace_or_emcee(
-        log_density,
-        chosen.space,
-        chosen.solution.vector,
-        chosen.inflation * chosen.covariance,
-        (chosen.space, chosen.data, jnp.asarray(1 / chosen.inflation)),
-        sampling=sampling,
-        seed=seed,
-    )
+    posterior = _posterior(chosen, sampling, seed)
     patterns = None
     if measurement.bright.spatial_variance is not None:
         patterns = standard_pattern(measurement, within), fitted_pattern(measurement, usable)
@@ -106,6 +101,20 @@ def calibrate(
         standard_of_chosen=_standard_gain_of(chosen, within, usable),
         patterns=patterns,
     )
+
+
+def _posterior(fit: LikelihoodFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
+    """Of the chosen model; about the mode of the posterior itself where a scatter is in it, which
+    has a prior."""
+    args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
+    vector, covariance = fit.solution.vector, fit.inflation * fit.covariance
+    if any(name in SCATTERS for name in names(fit.space)):
+        found = minimise(negative_log_density, vector, args)
+        if bool(found.converged):
+            vector, covariance = found.vector, np.linalg.inv(np.asarray(found.information))
+    if sampling is not None:
+        return sample(log_density, fit.space, vector, covariance, args, options=sampling, seed=seed)
+    return laplace_where_it_holds(log_density, fit.space, vector, covariance, args, seed=seed)
 
 
 def _likelihood_estimates(
@@ -149,13 +158,17 @@ def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple
         rng = np.random.default_rng(posterior.seed)
         offsets = rng.triangular(-half, 0, half, len(vectors)) if half > 0 else 0.0
         lights = jnp.broadcast_to(float(within.saturation) + offsets, len(vectors))
-    drawn = jax.jit(jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args)))(
-        vectors, lights
-    )
+    drawn = _sheets(vectors, None if lights is None else jnp.asarray(lights), args)
     return tuple(
         sampled_estimate(BY_NAME[name], np.asarray(values), method=LIKELIHOOD)
         for name, values in drawn.items()
     )
+
+
+@eqx.filter_jit
+def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
+    """The sheet of each draw."""
+    return jax.vmap(lambda vector, light: likelihood_sheet(vector, light, args))(vectors, lights)
 
 
 def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from ..inference.posterior import convergence_in_words
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import MISFIT, gain_drop
+from .shared import drift, fixed_lines, temporal_lines
 
 FAR = 3.0  # standard errors between two figures that should agree
 
@@ -21,6 +22,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *_saturation(calibration),
         *_dark_current(calibration),
         *_linearity_errors(calibration),
+        *_shared(calibration),
         *_pattern(calibration),
         *_solver(calibration),
         *calibration.measurement.remarks,
@@ -194,6 +196,42 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
         "The standard's linearity errors are extremes of noisy deviations and lie within their own "
         "noise: they bound the camera's non-linearity and do not measure it."
     ]
+
+
+def _shared(calibration: NoiseCalibration) -> list[str]:
+    """What rows, columns and frames of the darks share."""
+    dark = calibration.measurement.dark
+    if dark.shared is None:
+        return []
+    variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
+    spatial = np.asarray(dark.spatial_variance)
+    gain = float(calibration.chosen.values["system_gain"])
+    told = []
+    for axis, name in enumerate(("rows", "columns")):
+        found = temporal_lines(dark.shared, variance, frames, axis)
+        if found.believed:
+            read = float(np.sqrt(np.mean(variance)))
+            rest = float(np.sqrt(max(np.mean(variance) - found.variance, 0)))
+            error = found.error / (2 * found.deviation)
+            told.append(
+                f"The {name} of a dark frame share noise of {found.deviation / gain:.3g} ± "
+                f"{error / gain:.2g} e⁻ rms, new in every frame: it is part of the temporal noise "
+                f"({read / gain:.3g} e⁻), of which the pixels' own is {rest / gain:.3g} e⁻."
+            )
+        stays = fixed_lines(dark.shared, spatial, axis)
+        if stays.believed:
+            error = stays.error / (2 * stays.deviation)
+            told.append(
+                f"The {name} of the darks are unequal by {stays.deviation / gain:.3g} ± "
+                f"{error / gain:.2g} e⁻ rms, the same in every frame: banding, part of DSNU."
+            )
+    wander = drift(dark.shared, variance, frames)
+    if wander.believed:
+        told.append(
+            f"From frame to frame the black level drifts by {wander.deviation:.3g} DN rms; it is "
+            "left out of the temporal noise."
+        )
+    return told
 
 
 def _pattern(calibration: NoiseCalibration) -> list[str]:

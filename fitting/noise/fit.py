@@ -1,11 +1,4 @@
-"""Fits of the photon transfer likelihood, and the choice of what a camera calls for.
-
-A linear camera with pixel noise only comes first. Where it misses the measurement (p < 0.1 %),
-what the darks alone show, a wandering black level or variances that scatter more than pixel noise
-can, joins; random errors of the light, a compression of one or two terms and an offset of the light
-are fitted with it, and each stays only if it earns its parameter by Schwarz' criterion (BIC): a
-squared Wald ratio above the logarithm of the number of observations.
-"""
+"""Fits of the photon transfer likelihood: its data, one model, and the figures that it gives."""
 
 from dataclasses import dataclass
 
@@ -19,23 +12,16 @@ from scipy.stats import chi2
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.newton import NewtonSolution, minimise
-from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstrained
+from ..inference.parameters import ParameterSpace, names, to_unconstrained
 from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
 from .model import (
-    BLACK_SCATTER,
-    COMPRESSION,
-    COMPRESSION_2,
     DARK_CURRENT,
-    LIGHT_OFFSET,
-    LIGHT_SCATTER,
     OFFSET,
     READ_NOISE,
     RESPONSIVITY,
-    SHUTTER_OFFSET,
     SIGNAL_RATE,
     SYSTEM_GAIN,
-    VARIANCE_SCATTER,
     NoiseData,
     Residuals,
     compressed,
@@ -44,14 +30,15 @@ from .model import (
     named,
 )
 from .quantised import FINEST_READ_NOISE, Window, window_for
-from .regressions import line_misfit
+from .shared import temporal_lines
 
 MISFIT = 1e-3  # p-value below which a model is not believed
+START_NOISES = 12  # read noises tried where a likelihood has several optima
+START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
 FINE_READ_NOISE = 0.4  # DN; below, the variance of rounding is not 1/12
 NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
 AFFECTED_DEVIATION = 1.0  # DN; levels noisier than this see rounding as 1/12 in any case
-START_NOISES = 12  # read noises tried where a likelihood has several optima
-START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
+LOG_NONE = -25.0  # logarithm of a scatter that is none
 SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
 
 
@@ -128,6 +115,19 @@ def noise_data(
     step = measurement.light_step
     dtype = bright.mean.dtype
     lit = jnp.concatenate([jnp.ones(index.size, dtype), jnp.zeros(dark.mean.size, dtype)])
+
+    def of_lines(power: int) -> Array | None:
+        """What rows and columns that share noise add to the variance of a level's mean, or of its
+        variance."""
+        believed = shared_lines(measurement)
+        if not believed:
+            return None
+        frames = row("frames")
+        if power == 1:
+            return sum((variance / (count * frames) for variance, count in believed), 0 * frames)
+        spread = [2 * variance**2 / (count * (frames - 1)) for variance, count in believed]
+        return sum(spread, 0 * frames)
+
     return NoiseData(
         light=row("light"),
         lit=lit,
@@ -140,7 +140,29 @@ def noise_data(
         light_step=step,
         window=window,
         photons_known=measurement.photons_known,
+        mean_of_lines=of_lines(1),
+        spread_of_lines=of_lines(2),
     )
+
+
+def shared_lines(measurement: PhotonTransfer) -> list[tuple[float, float]]:
+    """The temporal noise that rows or columns of the darks share, where it is believed.
+
+    Args:
+        measurement: bright and dark levels.
+
+    Returns:
+        Variance (DN^2) and how many lines, of rows, of columns, or of neither.
+    """
+    dark = measurement.dark
+    if dark.shared is None:
+        return []
+    found = [
+        temporal_lines(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames), axis)
+        for axis in (0, 1)
+    ]
+    counts = (float(count) for count in dark.shared.shape)
+    return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
 def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
@@ -165,8 +187,8 @@ def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
     # Clipping hides up to half of a deviation.
     widest = (2 if clipped else 1.2) * float(deviation[affected].max())
     read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
-    levels = tuple(int(i) for i in np.flatnonzero(affected))
-    return window_for(levels, mean[affected], deviation=widest, read_noise=read_noise)
+    levels = np.flatnonzero(affected)
+    return window_for(levels, mean[levels], deviation=widest, read_noise=read_noise)
 
 
 def base_space(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
@@ -213,6 +235,39 @@ def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Flo
     return to_unconstrained(space, jnp.stack(natural))
 
 
+def _fit_among(
+    whole: ParameterSpace, space: ParameterSpace, data: NoiseData, standard: Sheet
+) -> tuple[NewtonSolution, Array]:
+    """The most likely vector of a model that lacks some effects of a larger one, found by the
+    larger one's program, with their sizes held at none: models that are tried in turn are compiled
+    once. Also the vector of the larger one."""
+    lacking = jnp.asarray([parameter not in space for parameter in whole])
+    start = start_vector(whole, standard, data)
+    none = jnp.asarray([0.0 if p.transform == "identity" else LOG_NONE for p in whole])
+    none = none.astype(start.dtype)
+    start = jnp.where(lacking, none, start)
+    if data.window is not None:
+        start = jnp.where(lacking, none, _best_start(whole, data, start))
+    found = minimise(_cost_without, start, (whole, data, lacking, none))
+    present = np.flatnonzero(~np.asarray(lacking))
+    own = eqx.tree_at(
+        lambda solution: (solution.vector, solution.information),
+        found,
+        (found.vector[present], found.information[jnp.ix_(present, present)]),
+    )
+    return own, found.vector
+
+
+def _cost_without(
+    vector: Float[Array, " p"], args: tuple[ParameterSpace, NoiseData, Array, Array]
+) -> Array:
+    """`cost` with some effects held at none; each costs half of the square of its own vector, so
+    that the Hessian stays regular."""
+    space, data, lacking, none = args
+    held = jnp.where(lacking, none, vector)
+    return cost(held, (space, data)) + jnp.sum(jnp.where(lacking, (vector - none) ** 2, 0)) / 2
+
+
 def fit_space(space: ParameterSpace, data: NoiseData, standard: Sheet) -> NewtonSolution:
     """The most likely vector of one model; pure, so cameras of equal structure can be vmapped.
 
@@ -230,6 +285,7 @@ def fit_space(space: ParameterSpace, data: NoiseData, standard: Sheet) -> Newton
     return minimise(cost, start, (space, data))
 
 
+@eqx.filter_jit
 def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
     """The most likely of a few read noises and black levels. Clipped or hardly dithered darks have
     several optima: a wide noise about the middle of a code, a fine one near its edge."""
@@ -250,19 +306,26 @@ def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
     return starts[jnp.nanargmin(costs)]
 
 
-def fitted(space: ParameterSpace, data: NoiseData, standard: Sheet) -> LikelihoodFit:
+def fitted(
+    space: ParameterSpace, data: NoiseData, standard: Sheet, *, among: ParameterSpace = ()
+) -> LikelihoodFit:
     """One model fitted and judged.
 
     Args:
         space: the P parameters.
         data: of the fit.
         standard: the standard's sheet, from which the fit starts.
+        among: a larger model, whose compiled program is used; empty for the model's own.
 
     Returns:
         The fit.
     """
-    solution = fit_space(space, data, standard)
-    residuals = _residuals(solution.vector, (space, data))
+    if among:
+        solution, vector = _fit_among(among, space, data, standard)
+    else:
+        solution = fit_space(space, data, standard)
+        vector = solution.vector
+    residuals = _residuals(vector, (among or space, data))
     chi_square = float(jnp.sum(residuals.mean**2) + jnp.sum(residuals.variance**2))
     return LikelihoodFit(
         space, data, solution, residuals, chi_square, 2 * data.mean.size - len(space)
@@ -273,81 +336,6 @@ def fitted(space: ParameterSpace, data: NoiseData, standard: Sheet) -> Likelihoo
 def _residuals(vector: Array, args: tuple[ParameterSpace, NoiseData]) -> Residuals:
     space, data = args
     return log_likelihood_terms(named(space, vector), data)[1]
-
-
-def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
-    """The random effects that the darks show about their own lines over exposure.
-
-    Args:
-        measurement: bright and dark levels.
-        within: whose number of dark exposures must be three at least.
-
-    Returns:
-        Their parameters.
-    """
-    dark = measurement.dark
-    if within.dark_exposures <= 2:
-        return ()
-    n, frames = dark.pixels, dark.frames
-    of_mean, of_variance = dark.variance / (n * frames), 2 * dark.variance**2 / ((frames - 1) * n)
-    found = []
-    for effect, values, variances in (
-        (BLACK_SCATTER, dark.mean, of_mean),
-        (VARIANCE_SCATTER, dark.variance, of_variance),
-    ):
-        chi_square, degrees = line_misfit(dark.exposure, values, variances)
-        if chi2.sf(float(chi_square), float(degrees)) < MISFIT:
-            found.append(effect)
-    return tuple(found)
-
-
-def choose_model(
-    measurement: PhotonTransfer, within: Ranges, data: NoiseData, standard: Sheet
-) -> tuple[LikelihoodFit, LikelihoodFit]:
-    """The model that a camera calls for.
-
-    Args:
-        measurement: bright and dark levels.
-        within: the standard's ranges.
-        data: of the fit.
-        standard: the standard's sheet, from which fits start.
-
-    Returns:
-        (linear camera, chosen model); the same fit twice where the linear camera does.
-    """
-    linear = fitted(base_space(measurement, within), data, standard)
-    if linear.p_value >= MISFIT:
-        return linear, linear
-    bright_levels = int(jnp.sum(data.lit))
-    offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
-    candidates = (LIGHT_SCATTER, COMPRESSION, offset, COMPRESSION_2)[: bright_levels - 3]
-    space = linear.space + dark_scatter(measurement, within) + candidates
-    chosen = fitted(space, data, standard)
-    while unearned := _unearned(chosen, candidates):
-        space = tuple(p for p in chosen.space if p is not unearned)
-        chosen = fitted(space, data, standard)
-    return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
-
-
-def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Parameter | None:
-    """The weakest candidate in the model that does not pay for itself; the second term of the
-    compression before the first."""
-    price = float(np.log(2 * fit.data.mean.size))
-    ratios = {}
-    labels = names(fit.space)
-    information = np.asarray(fit.solution.information)
-    for parameter in candidates:
-        if parameter not in fit.space or (parameter is COMPRESSION and COMPRESSION_2 in fit.space):
-            continue
-        i = labels.index(parameter.name)
-        own = np.delete(np.delete(information, i, 0), i, 1)
-        across = np.delete(information[i], i)
-        precision = information[i, i] - across @ np.linalg.lstsq(own, across, rcond=None)[0]
-        # The ratio of a positive scale to its error is one over the error of its logarithm.
-        size = float(fit.solution.vector[i]) if parameter.transform == "identity" else 1.0
-        ratios[parameter] = size**2 * max(precision, 0.0)
-    weakest = min(ratios, key=ratios.__getitem__, default=None)
-    return weakest if weakest is not None and ratios[weakest] < price else None
 
 
 def likelihood_sheet(

@@ -15,6 +15,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .shared import SharedVariance
+
 FEWEST_PIXELS = 100
 SATURATED_DROP = 5.0  # standard errors by which the variance falls behind the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
@@ -33,6 +35,7 @@ class Levels(eqx.Module):
         pixels: how many.
         spatial_variance: (levels,) measured over the pixels' means, DN^2; None where only sums over
             the pixels are known.
+        shared: by rows, columns and whole frames; None where only sums over the pixels are known.
     """
 
     light: Float[Array, " levels"]
@@ -42,6 +45,7 @@ class Levels(eqx.Module):
     frames: Float[Array, " levels"]
     pixels: Float[Array, ""]
     spatial_variance: Float[Array, " levels"] | None = None
+    shared: SharedVariance | None = None
 
 
 class PhotonTransfer(eqx.Module):

@@ -62,6 +62,9 @@ class NoiseData(eqx.Module):
         light_step: what the light was rounded to; None where it was not.
         window: of the levels that need exact moments; None where none does.
         photons_known: whether light is counted in photons.
+        mean_of_lines: (levels,) what noise that rows or columns share adds to the variance of a
+            mean, DN^2; None where there is none.
+        spread_of_lines: (levels,) to the variance of a variance, DN^4.
     """
 
     light: Float[Array, " levels"]
@@ -75,6 +78,8 @@ class NoiseData(eqx.Module):
     light_step: Float[Array, ""] | None = None
     window: Window | None = None
     photons_known: bool = eqx.field(static=True, default=True)
+    mean_of_lines: Float[Array, " levels"] | None = None
+    spread_of_lines: Float[Array, " levels"] | None = None
 
 
 class Moments(eqx.Module):
@@ -193,7 +198,7 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
     window = data.window
     if window is None:
         return moments
-    index = jnp.asarray(window.levels)
+    index = window.levels
     electrons = jax.vmap(lambda p, lit, t: expected_electrons(values, data, p, lit, t))(
         light[index], data.lit[index], data.exposure[index]
     )
@@ -241,11 +246,15 @@ def log_likelihood_terms(
         light_spread = rate.variance**2 * light_variance
 
     mean_variance = model.variance / (n * frames) + light_mean
+    if data.mean_of_lines is not None:
+        mean_variance = mean_variance + data.mean_of_lines
     if "black_scatter" in values:
         mean_variance = mean_variance + values["black_scatter"] ** 2
     covariance = model.third / (n * frames) + light_both
     spread = (2 * model.variance**2 / (frames - 1) + model.fourth / frames) / n + light_spread
 
+    if data.spread_of_lines is not None:
+        spread = spread + data.spread_of_lines
     if "variance_scatter" in values:
         spread = spread + (values["variance_scatter"] * model.variance) ** 2
     deviation = data.mean - model.mean
@@ -270,8 +279,9 @@ def log_density(
 ) -> Array:
     """Log posterior density, up to a constant.
 
-    Scatters have a flat prior themselves, not their logarithms: toward a scatter of 0 the
-    likelihood levels off, and a flat prior on the logarithm would leave the posterior improper.
+    A scatter has Jeffreys' prior of its own (`scatter_prior`): toward 0, where the likelihood
+    levels off, a flat prior on its logarithm would leave the posterior improper; a flat one on
+    itself would make intervals from few levels too wide.
 
     Args:
         vector: (parameters,) unconstrained.
@@ -282,8 +292,52 @@ def log_density(
         ().
     """
     space, data, weight = args
-    flat = sum(vector[i] for i, name in enumerate(names(space)) if name in SCATTERS)
-    return -weight * cost(vector, (space, data)) + flat + log_prior(space, vector)
+    density = -weight * cost(vector, (space, data)) + log_prior(space, vector)
+    if any(name in SCATTERS for name in names(space)):
+        density = density + scatter_prior(named(space, vector), data)
+    return density
+
+
+def negative_log_density(
+    vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
+) -> Array:
+    """Less `log_density`: what a search for the mode minimises."""
+    return -log_density(vector, args)
+
+
+def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
+    """Log of Jeffreys' prior of each scatter by itself, per unit of its logarithm.
+
+    A scatter tau adds tau^2 a to the variance v of each level, so that its information is
+    sum 2 tau^2 a^2 / (v + tau^2 a)^2: the prior is flat in ln tau where the scatter rules and
+    falls as tau^2 where it drowns.
+
+    Args:
+        values: natural parameters by name.
+        data: of the fit.
+
+    Returns:
+        ().
+
+    Source:
+        Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
+    """
+    n, frames = data.pixels, data.frames
+    light, one = data.light, jnp.ones_like(data.light)
+    model, rate = jax.jvp(lambda x: predicted_moments(values, data, x), (light,), (one,))
+    of_mean = model.variance / (n * frames)
+    of_variance = (2 * model.variance**2 / (frames - 1) + model.fourth / frames) / n
+    added = {
+        "light_scatter": ((rate.mean * light) ** 2, of_mean),
+        "black_scatter": (one, of_mean),
+        "variance_scatter": (model.variance**2, of_variance),
+    }
+    total = jnp.zeros((), of_mean.dtype)
+    for name in SCATTERS:
+        if name in values:
+            (a, v), square = added[name], values[name] ** 2
+            total = total + jnp.log(square) + jnp.log(jnp.sum((a / (v + square * a)) ** 2)) / 2
+    return total
 
 
 def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:

@@ -55,8 +55,40 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     )
     n, rest = float(levels.pixels), temporal / frames
     pattern = measured - rest
-    by_noise = (4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)) / n
+
+    def of(pattern: np.ndarray, rest: np.ndarray, count: float) -> np.ndarray:
+        return (4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)) / count
+
+    by_noise = of(pattern, rest, n)
+    for fixed, varying, count in _lines(levels):
+        by_noise = by_noise + of(fixed, np.maximum(varying, 0) / frames, count)
     return pattern, by_noise
+
+
+def population_variance(levels: Levels, pattern: Float[np.ndarray, " levels"]) -> np.ndarray:
+    """Variance with which a die's n pixels, and its rows and columns, stand for their population.
+
+    Args:
+        levels: of pixels.
+        pattern: (levels,) their spatial variance, DN^2.
+
+    Returns:
+        (levels,) DN^4.
+    """
+    lines = sum(2 * np.maximum(fixed, 0) ** 2 / count for fixed, _, count in _lines(levels))
+    return 2 * pattern**2 / float(levels.pixels) + lines
+
+
+def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """(fixed variance, temporal variance, how many) of rows and of columns."""
+    shared = levels.shared
+    if shared is None:
+        return []
+    rows, columns = (float(count) for count in shared.shape)
+    return [
+        (np.asarray(shared.fixed_rows), np.asarray(shared.rows), rows),
+        (np.asarray(shared.fixed_columns), np.asarray(shared.columns), columns),
+    ]
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
@@ -69,7 +101,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     Returns:
         The pattern.
     """
-    bright, dark, pixels = measurement.bright, measurement.dark, float(measurement.dark.pixels)
+    bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
     matched = np.asarray(measurement.dark_of)
@@ -80,8 +112,8 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     level = int(linear[np.lexsort((np.abs(signal[linear] - half), -frames))[0]])
     own = matched[level]
     square = signal[level] ** 2
-    variances = by_noise + 2 * pattern**2 / pixels
-    dark_variances = dark_by_noise + 2 * dark_pattern**2 / pixels
+    variances = by_noise + population_variance(bright, pattern)
+    dark_variances = dark_by_noise + population_variance(dark, dark_pattern)
     return PatternVariance(
         dark=float(dark_pattern[own]),
         dark_error=float(np.sqrt(dark_variances[own])),
@@ -115,6 +147,9 @@ def fitted_pattern(
     degrees = max(len(observed) - 2, 1)
     covariance = covariance * max(chi_square / degrees, 1)
     of_sample = 2 * found**2 / float(measurement.bright.pixels)
+    of_sample[0] = np.median(
+        population_variance(measurement.dark, np.full(len(dark_pattern), found[0]))
+    )
     errors = np.sqrt(np.diagonal(covariance) + of_sample)
     return PatternVariance(
         dark=float(found[0]),

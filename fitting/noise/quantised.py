@@ -20,13 +20,17 @@ No sum over electrons is needed, and light may be bright or dim. The usual momen
 1/12 for rounding, fail below a read noise of about 0.4 DN and where black is clipped.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 SPREAD = 8.0  # standard deviations on either side that a window holds
 DECAY = 6.5  # phi is negligible where K sigma_d u exceeds this
+PADDED = 4  # levels of a window come in multiples of it, the last repeated
+FINER = 2  # sizes of a sum over frequencies in an octave: few, as each is compiled by itself
 FINEST_READ_NOISE = 0.1  # DN; below, phi hardly decays and the data hardly tell
 ORDERS = (1, 2, 3, 4)
 
@@ -39,19 +43,19 @@ class Window(eqx.Module):
         cosine: (levels, orders, frequencies) real part of w_p(k), for p = 1 .. 4 and k = 0, 1 ...;
             conjugate frequencies are folded in.
         sine: the imaginary part.
-        levels: their indices.
+        levels: their indices; one may occur more than once.
         size: M.
     """
 
     centre: Float[Array, " levels"]
     cosine: Float[Array, "levels orders frequencies"]
     sine: Float[Array, "levels orders frequencies"]
-    levels: tuple[int, ...] = eqx.field(static=True)
+    levels: Int[Array, " levels"]
     size: int = eqx.field(static=True)
 
 
 def window_for(
-    levels: tuple[int, ...],
+    levels: Sequence[int] | Int[np.ndarray, " levels"],
     mean: Float[np.ndarray, " levels"],
     *,
     deviation: float,
@@ -60,7 +64,7 @@ def window_for(
     """Weights for levels of given means.
 
     Args:
-        levels: their indices.
+        levels: (levels,) their indices.
         mean: (levels,) DN.
         deviation: largest standard deviation among them, DN.
         read_noise: about as large, DN.
@@ -68,9 +72,12 @@ def window_for(
     Returns:
         The window.
     """
+    again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
+    levels, mean = np.asarray(levels)[again], mean[again]
     size = 2 ** int(np.ceil(np.log2(2 * SPREAD * max(deviation, 0.5) + 2)))
     finest = max(read_noise / 2, FINEST_READ_NOISE)
-    k = np.arange(int(np.ceil(size * DECAY / (2 * np.pi * finest))) + 1)
+    octaves = np.log2(size * DECAY / (2 * np.pi * finest))
+    k = np.arange(int(2 ** (np.ceil(FINER * octaves) / FINER)) + 1)
     centre = np.round(mean)
     away = np.arange(size) - size // 2
     read = np.maximum(centre[:, None] + away, 0) - centre[:, None]
@@ -79,7 +86,11 @@ def window_for(
     folded = np.where(k > 0, 2, 1) * np.sinc(k / size) / size
     weights = powers @ turns.T * folded
     return Window(
-        jnp.asarray(centre), jnp.asarray(weights.real), jnp.asarray(weights.imag), levels, size
+        jnp.asarray(centre),
+        jnp.asarray(weights.real),
+        jnp.asarray(weights.imag),
+        jnp.asarray(levels),
+        size,
     )
 
 

@@ -16,6 +16,7 @@ from ..observation import Load, read_frame, split_channels
 from ..rig import Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
+from .shared import Moments, shared_variance
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
@@ -130,25 +131,30 @@ def _reduced(
     rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
 ) -> Levels:
     rows = [_level(rig, entry.files, channel, load) for entry in entries]
-    if len({row[-1] for row in rows}) > 1:
+    if len({shape for *_, shape in rows}) > 1:
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
-    mean, variance, spatial, frames, pixels = np.array(rows, float).T
+    shape, of_lines = rows[0][-1], np.array([lines for *_, lines, _ in rows]).T
+    mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
     return Levels(
         light=jnp.zeros(len(rows)),
         exposure=jnp.asarray([entry.exposure for entry in entries]),
         mean=jnp.asarray(mean),
         variance=jnp.asarray(variance),
         frames=jnp.asarray(frames),
-        pixels=jnp.asarray(pixels[0]),
+        pixels=jnp.asarray(float(np.prod(shape))),
         spatial_variance=jnp.asarray(spatial),
+        shared=shared_variance(of_lines, shape),
     )
 
 
-def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> tuple[float, ...]:
-    """(mean, temporal variance, spatial variance, frames, pixels) of one level."""
+def _level(
+    rig: Rig, files: Sequence[str], channel: str, load: Load
+) -> tuple[float, float, float, float, tuple[float, ...], tuple[int, ...]]:
+    """(mean, temporal variance, spatial variance, frames, shared variances, shape) of one level."""
     # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
     first = _plane(rig, files[0], channel, load)
     total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
+    lines = Moments(first)
     for name in files[1:]:
         frame = _plane(rig, name, channel, load)
         if frame.shape != first.shape:
@@ -159,6 +165,7 @@ def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> tuple[fl
         deviation = frame - first
         total += deviation
         squares += deviation**2
+        lines.add(deviation)
         shifts.append(float(deviation.mean()))
     count, pixels = len(files), first.size
     if pixels < FEWEST_PIXELS:
@@ -168,9 +175,12 @@ def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> tuple[fl
     average = first + total / count
     temporal = (count * squares - total**2) / (count * (count - 1))
     # Light that drifts between the frames moves all pixels together, which is not pixel noise.
-    own = float(temporal.mean()) - float(np.var(shifts, ddof=1))
+    wandering = float(np.var(shifts, ddof=1))
+    own = float(temporal.mean()) - wandering
     variance = max(own, 0.0) * pixels / (pixels - 1)
-    return float(average.mean()), variance, float(average.var(ddof=1)), float(count), float(pixels)
+    shared = lines.shared(average, variance, wandering)
+    spatial = float(average.var(ddof=1))
+    return float(average.mean()), variance, spatial, float(count), shared, first.shape
 
 
 def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:

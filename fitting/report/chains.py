@@ -131,7 +131,7 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
             )
             draw = partial(corner_figure, posterior)
             pictures.append(Picture(f"corner_{group}", f"Joint uncertainty{which}", caption, draw))
-        if posterior.sampled:
+        if posterior.steps:
             caption = "Paths of some chains after burn-in; a settled chain looks like even noise."
             draw = partial(trace_figure, posterior)
             pictures.append(Picture(f"trace_{group}", f"Chains{which}", caption, draw))

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from jaxvision.point_ops import srgb_decode
 
@@ -46,6 +46,7 @@ SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at 
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
+REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought, by bisection
 TABULATED = (1e-6, 1.0)  # range of tau over which gamma's errors are mixed
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
@@ -335,10 +336,12 @@ def _mixture(mean: np.ndarray, variance: np.ndarray, weights: np.ndarray, label:
     """Mean, standard deviation and quantiles of a mixture of Gaussians."""
     centre = float(weights @ mean)
     spread = float(np.sqrt(weights @ (variance + (mean - centre) ** 2)))
-    grid = centre + spread * np.linspace(-40, 40, 8001)
-    heavy = weights > 1e-10
-    z = (grid[:, None] - mean[heavy]) / np.sqrt(variance[heavy])
-    ends = np.interp(QUANTILES, norm.cdf(z) @ weights[heavy], grid)
+    low, high = (centre + side * spread * np.full(len(QUANTILES), REACH) for side in (-1, 1))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        below = ndtr((middle[:, None] - mean) / np.sqrt(variance)) @ weights < QUANTILES
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    ends = (low + high) / 2
     return quantile_estimate(GAMMA, centre, spread, ends, method="marginal", group=label)
 
 

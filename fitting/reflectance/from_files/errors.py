@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import t
 
 from ..names import Model, Objective
 from .fit import ModelFit, reflected
 from .read import MeasuredBRDF
 
+FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
 
@@ -23,12 +25,14 @@ class Errors:
         cube_root: RMS difference of the cube roots, sr^-1/3.
         by_incidence: (incidences,) `relative`, the RMS of both being that of each incidence's own
             samples.
+        parts: (incidences, 2) what each adds to the squares of `rms` and `cube_root`.
     """
 
     rms: float
     relative: float
     cube_root: float
     by_incidence: Float[np.ndarray, " incidences"]
+    parts: Float[np.ndarray, "incidences 2"]
 
 
 def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
@@ -54,6 +58,11 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
         return float(np.average((x[chosen] ** 2).mean(axis=1), weights=measured.weights[chosen]))
 
     of_incidence = [measured.incidence == i for i in range(len(measured.incidences))]
+    weights = [measured.weights[own].sum() / measured.weights.sum() for own in of_incidence]
+    parts = [
+        [share * mean_square(missed, own), share * mean_square(roots - root_signal, own)]
+        for share, own in zip(weights, of_incidence, strict=True)
+    ]
     rms, cube_root = np.sqrt(mean_square(missed)), np.sqrt(mean_square(roots - root_signal))
     scale = np.sqrt(mean_square(signal))
     if rms < SMALLEST_ERROR * scale:
@@ -65,7 +74,53 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
         by_incidence=np.sqrt(
             [mean_square(missed, own) / mean_square(signal, own) for own in of_incidence]
         ),
+        parts=np.array(parts),
     )
+
+
+def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
+    """Whether two predictions of the same samples differ by more than chance.
+
+    They are paired by incidence: the mean logarithm of the ratio of their errors must exceed
+    Student's 95 % of its standard error, on the side of the smaller whole error.
+
+    Args:
+        one: of a model.
+        other: of another.
+        objective: whose metric counts.
+
+    Returns:
+        Whether; never with fewer than three incidences.
+    """
+    column = 0 if objective == "cosine" else 1
+    ours, theirs = one.parts[:, column], other.parts[:, column]
+    both = (ours > 0) & (theirs > 0)
+    count = int(both.sum())
+    if count < FEWEST_INCIDENCES:
+        return False
+    ratio = np.log(ours[both] / theirs[both])
+    reach = t.ppf(0.975, count - 1) * np.std(ratio, ddof=1) / np.sqrt(count)
+    return bool(np.sign(ours.sum() - theirs.sum()) * ratio.mean() > reach)
+
+
+def weight_by_incidence(
+    measured: MeasuredBRDF, objective: Objective
+) -> Float[np.ndarray, " incidences"]:
+    """Share of each incidence in the sum of squares that a fit of nothing would have: what decides
+    the fit.
+
+    Args:
+        measured: samples of one material.
+        objective: of the fit.
+
+    Returns:
+        (incidences,), of sum 1.
+    """
+    signal = reflected(measured, measured.values)
+    if objective == "cube-root":
+        signal = np.cbrt(np.maximum(signal, 0))
+    squares = measured.weights * (signal**2).mean(axis=1)
+    return np.bincount(measured.incidence, squares, len(measured.incidences)) / squares.sum()
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:

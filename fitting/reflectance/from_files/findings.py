@@ -9,9 +9,10 @@ from ...inference.posterior import convergence_in_words
 from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration
-from .errors import Errors, best
+from .errors import Errors, best, distinguished, weight_by_incidence
 
-ALIKE = 0.03  # relative difference of two errors within which neither wins
+RELATIONS = {"half": "beats", "mirror": "loses to", "neither": "is not told apart from"}
+MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
 PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
@@ -63,6 +64,7 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
     return (
         _verdict(calibration),
         _pairs(calibration),
+        *_weight(calibration),
         *_generalisation(calibration),
         *([facet_sentence(calibration.index)] if calibration.model in CLEAR else []),
         *(
@@ -79,21 +81,34 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
 def _verdict(calibration: BRDFCalibration) -> str:
     objective, held_out = calibration.objective, calibration.held_out
     winner = best(held_out, objective)
-    least = metric(held_out[winner], objective)
     equal: list[Model] = [
-        m for m in held_out if metric(held_out[m], objective) <= (1 + ALIKE) * least
+        m for m in held_out if not distinguished(held_out[m], held_out[winner], objective)
     ]
-    names = listed([LABELS[m] for m in equal])
-    verb = "predict best and equally well" if len(equal) > 1 else "predicts best"
     rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in equal]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
     against = f", against {against}" if others else ""
     unit = " of the signal's" if objective == "cosine" else ""
-    return (
-        f"At angles of incidence that no fit has seen, {names} {verb}: {METRICS[objective]} "
-        f"{in_words(held_out[winner], objective)}{unit}{against}."
+    told = (
+        f"At angles of incidence that no fit has seen, {LABELS[winner]} predicts best: "
+        f"{METRICS[objective]} {in_words(held_out[winner], objective)}{unit}{against}."
     )
+    alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal if m != winner]
+    if not alike:
+        return told
+    return f"{told} Not told apart from it, incidence by incidence: {listed(alike)}."
+
+
+def _weight(calibration: BRDFCalibration) -> list[str]:
+    """That a single incidence decides the fit, where one does."""
+    shares = weight_by_incidence(calibration.measured, calibration.objective)
+    most = int(np.argmax(shares))
+    if shares[most] <= MOST_WEIGHT:
+        return []
+    return [
+        f"{shares[most]:.0%} of the weight of the fit lies at one incidence, "
+        f"{np.degrees(calibration.measured.incidences[most]):.0f}°: what it says is about that one."
+    ]
 
 
 def _described(model: Model) -> str:
@@ -110,11 +125,13 @@ def _pairs(calibration: BRDFCalibration) -> str:
     objective, held_out = calibration.objective, calibration.held_out
     told = []
     for mirror, half in PAIRS:
-        result = _winner(*(metric(held_out[m], objective) for m in (half, mirror)))
-        relation = {"half": "beats", "mirror": "loses to", "neither": "does as well as"}[result]
+        ours, theirs = held_out[half], held_out[mirror]
+        relation = RELATIONS[_winner(ours, theirs, objective)]
+        if objective == "cosine" and min(ours.relative, theirs.relative) > 1:
+            relation = "errs by more than the whole signal, and so does"
         told.append(
-            f"{LABELS[half]} {relation} {LABELS[mirror]} ({in_words(held_out[half], objective)} "
-            f"against {in_words(held_out[mirror], objective)})"
+            f"{LABELS[half]} {relation} {LABELS[mirror]} ({in_words(ours, objective)} against "
+            f"{in_words(theirs, objective)})"
         )
     return f"Half vector against mirror direction, all else equal: {'; '.join(told)}."
 
@@ -190,10 +207,8 @@ def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
     wins: dict[str, list[str]] = {"half": [], "mirror": [], "neither": []}
     for calibration in calibrations:
         held_out = calibration.held_out
-        half, mirror = (
-            metric(held_out[of_axis(held_out, axis, objective)], objective) for axis in AXES
-        )
-        wins[_winner(half, mirror)].append(readable(calibration.measured.name))
+        half, mirror = (held_out[of_axis(held_out, axis, objective)] for axis in AXES)
+        wins[_winner(half, mirror, objective)].append(readable(calibration.measured.name))
     sides = {
         "half": "the best lobe about the half vector wins",
         "mirror": "the best about the mirror direction",
@@ -218,7 +233,7 @@ def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
 def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
     objective = calibrations[0].objective
     results = [
-        _winner(*(metric(c.held_out[m], objective) for m in (half, mirror)))
+        _winner(c.held_out[half], c.held_out[mirror], objective)
         for c in calibrations
         for mirror, half in PAIRS
     ]
@@ -249,10 +264,10 @@ def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
     ]
 
 
-def _winner(half: float, mirror: float) -> str:
-    if abs(half - mirror) <= ALIKE * min(half, mirror):
+def _winner(half: Errors, mirror: Errors, objective: Objective) -> str:
+    if not distinguished(half, mirror, objective):
         return "neither"
-    return "half" if half < mirror else "mirror"
+    return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 
 
 def readable(name: str) -> str:

@@ -1,17 +1,21 @@
 """Which model describes the surface: by what it predicts, and by what its fit costs.
 
-Held-out lights decide: the relative error of images that no fit has seen. AIC and BIC judge the
-fit itself; pixels of one image share their errors, so the log likelihood and the sample size are
-divided by the design effect of the best model before they enter
+Held-out lights decide: the relative error of images that no fit has seen. Two models see the same
+lights, so their difference is judged light by light: its standard error is the jackknife's over
+lights, and models count as equal where the difference is within Student's 95 % of it in every
+channel. AIC and BIC judge the fit itself; pixels of one image share their errors, so the log
+likelihood and the sample size are divided by the design effect of the best model before they enter
 
     AIC = -2 log L / d + 2 P,      BIC = -2 log L / d + P log(N / d).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+from scipy.stats import t
 
 from ...report.section import Table
 from ..models import LABELS
@@ -21,7 +25,7 @@ from .model import predicted_dn
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
 
-ALIKE = 0.005  # relative RMS within which models predict equally well
+LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
 DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very strong evidence
 
 
@@ -38,6 +42,8 @@ class ModelScore:
         aic: less the best model's.
         bic: less the best model's.
         effective_size: independent samples that the fit's samples are worth.
+        by_light: (lights, 2) sums of squared errors and of squared signals on the held-out lights;
+            None without any.
     """
 
     model: Model
@@ -48,6 +54,90 @@ class ModelScore:
     aic: float
     bic: float
     effective_size: float
+    by_light: Float[np.ndarray, "lights 2"] | None
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much more one model errs than another on the lights that no fit has seen.
+
+    Attributes:
+        value: of the relative RMS.
+        error: its standard error; infinite with fewer than two lights.
+        freedom: degrees of freedom of that.
+    """
+
+    value: float
+    error: float
+    freedom: int
+
+    @property
+    def half_width(self) -> float:
+        """Of the 95 % interval."""
+        return float("inf") if self.freedom < 1 else self.error * float(t.ppf(LEVEL, self.freedom))
+
+
+def difference(one: ModelScore, other: ModelScore) -> Difference:
+    """Relative RMS of one model less that of another, paired by light.
+
+    Args:
+        one: of a channel.
+        other: of the same channel.
+
+    Returns:
+        The difference; 0 without held-out lights, its error infinite.
+    """
+    if one.by_light is None or other.by_light is None or len(one.by_light) < 2:
+        value = (one.predicted_error or 0.0) - (other.predicted_error or 0.0)
+        return Difference(value, float("inf"), 0)
+    count = len(one.by_light)
+
+    def of(sums: np.ndarray) -> np.ndarray:
+        return np.sqrt(sums[..., 0] / sums[..., 1])
+
+    whole, without = [], []
+    for by_light in (one.by_light, other.by_light):
+        total = by_light.sum(axis=0)
+        whole.append(of(total))
+        without.append(of(total - by_light))
+    gaps = without[0] - without[1]
+    error = float(np.sqrt((count - 1) * np.var(gaps)))
+    return Difference(float(whole[0] - whole[1]), error, count - 1)
+
+
+def squares_by_light(
+    observation: ReflectanceObservation, fit: ChannelFit, selection: Selection
+) -> Float[np.ndarray, "lights 2"] | None:
+    """Sums over a light's unsaturated samples of squared (predicted - measured), and of squared
+    signals above black.
+
+    Args:
+        observation: of the object.
+        fit: of one channel.
+        selection: of the samples.
+
+    Returns:
+        (lights, 2) of the lights that have any; None without samples.
+    """
+    if not len(selection.light):
+        return None
+    channel = observation.channels.index(fit.channel)
+    samples = make_samples(observation, channel, fit.form, selection)
+    predicted = np.asarray(predicted_dn(jnp.asarray(fit.vector), samples), np.float64)
+    measured = np.asarray(samples.dn, np.float64)
+    trusted = measured < observation.clip
+    light = selection.light[trusted]
+    squares = [(predicted - measured)[trusted] ** 2, (measured - observation.black)[trusted] ** 2]
+    sums = np.stack([np.bincount(light, square) for square in squares], axis=1)
+    return sums[np.bincount(light) > 0]
+
+
+def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None:
+    """RMS error over RMS signal of `squares_by_light`; None without."""
+    if by_light is None or not len(by_light):
+        return None
+    error, signal = by_light.sum(axis=0)
+    return float(np.sqrt(error / signal))
 
 
 def relative_error(
@@ -64,16 +154,7 @@ def relative_error(
     Returns:
         The ratio; None without samples.
     """
-    if not len(selection.light):
-        return None
-    channel = observation.channels.index(fit.channel)
-    samples = make_samples(observation, channel, fit.form, selection)
-    predicted = np.asarray(predicted_dn(jnp.asarray(fit.vector), samples), np.float64)
-    measured = np.asarray(samples.dn, np.float64)
-    trusted = measured < observation.clip
-    error = (predicted - measured)[trusted]
-    signal = (measured - observation.black)[trusted]
-    return float(np.sqrt(np.mean(error**2) / np.mean(signal**2)))
+    return relative_rms(squares_by_light(observation, fit, selection))
 
 
 def compare(
@@ -103,12 +184,13 @@ def compare(
         for model, fit, (aic, bic) in zip(
             fits, of_models, (criteria - criteria.min(axis=1, keepdims=True)).T, strict=True
         ):
-            errors = [relative_error(observation, fit, seen) for seen in (fitted, held_out)]
-            assert errors[0] is not None
+            unseen = squares_by_light(observation, fit, held_out)
+            error = relative_error(observation, fit, fitted)
+            assert error is not None
             scores.append(
                 ModelScore(
-                    *(model, fit.channel, errors[0], errors[1], len(fit.space)),
-                    *(float(aic), float(bic), size),
+                    *(model, fit.channel, error, relative_rms(unseen), len(fit.space)),
+                    *(float(aic), float(bic), size, unseen),
                 )
             )
     return tuple(scores)
@@ -147,23 +229,51 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
     )
 
 
+def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
+    """Models whose prediction of unseen lights differs from the best one's by no more than chance,
+    in every channel; the best first. The one of smallest BIC without such lights.
+
+    Args:
+        scores: of every model in every channel.
+
+    Returns:
+        The models.
+    """
+    by_model = _by_model(scores)
+    if any(score.predicted_error is None for score in scores):
+        costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
+        return (_least(costs),)
+    errors: dict[Model, float] = {
+        m: _sum(s.predicted_error or 0.0 for s in own) for m, own in by_model.items()
+    }
+    best = _least(errors)
+    equal: list[Model] = [best]
+    for model, own in by_model.items():
+        gaps = [difference(a, b) for a, b in zip(own, by_model[best], strict=True)]
+        if model != best and all(g.freedom and g.value <= g.half_width for g in gaps):
+            equal.append(model)
+    return tuple(equal)
+
+
+def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
+    found: dict[Model, list[ModelScore]] = {}
+    for score in scores:
+        found.setdefault(score.model, []).append(score)
+    return found
+
+
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
-    """The winner and by how much, as one sentence.
+    """The winner and by how much, as one sentence or two.
 
     Args:
         scores: of every model in every channel.
         held_out: how many lights no fit has seen.
 
     Returns:
-        The sentence.
+        The sentences.
     """
-    channels = tuple(dict.fromkeys(score.channel for score in scores))
-    by_model: dict[Model, list[ModelScore]] = {}
-    for score in scores:
-        by_model.setdefault(score.model, []).append(score)
-    costs: dict[Model, float] = {
-        model: float(sum(score.bic for score in own)) for model, own in by_model.items()
-    }
+    channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _by_model(scores)
+    costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
     cheapest = _least(costs)
     if not held_out:
         return (
@@ -171,17 +281,13 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
             "untested."
         )
     errors: dict[Model, np.ndarray] = {
-        model: np.array([score.predicted_error for score in own], float)
-        for model, own in by_model.items()
+        m: np.array([s.predicted_error for s in own], float) for m, own in by_model.items()
     }
-    best = _least({model: float(of_channels.mean()) for model, of_channels in errors.items()})
-    equal: list[Model] = [
-        model for model in errors if np.all(np.abs(errors[model] - errors[best]) <= ALIKE)
-    ]
-    how = "predict best and equally well" if len(equal) > 1 else "predicts best"
+    equal = equally_good(scores)
+    best = equal[0]
     sentence = (
-        f"On {held_out} held-out lights {' and '.join(LABELS[m] for m in equal)} {how}: relative "
-        f"RMS {_percentages(errors[best])} ({', '.join(channels)})"
+        f"On {held_out} held-out lights {LABELS[best]} predicts best: relative RMS "
+        f"{_percentages(errors[best])} ({', '.join(channels)})"
     )
     if "lambert" not in equal:
         fall = 1 - errors[best] / errors["lambert"]
@@ -189,14 +295,36 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
             f", against {_percentages(errors['lambert'])} for Lambert, "
             f"{_percentages(fall, digits=0)} less"
         )
+    sentence += "."
     if len(equal) > 1:
-        lead = min(costs[model] - costs[cheapest] for model in equal if model != cheapest)
+        others = ", ".join(f"{LABELS[m]} ({_gaps(by_model[m], by_model[best])})" for m in equal[1:])
+        sentence += f" Not distinguishable from it by these lights: {others} points more."
+        lead = min(costs[m] - costs[cheapest] for m in costs if m != cheapest)
+        if lead > DECISIVE:
+            sentence += (
+                f" The fitted lights do distinguish them: BIC prefers {LABELS[cheapest]} by "
+                f"{lead:.0f}."
+            )
+    elif held_out < 2:
+        sentence += " One light does not tell how much of a difference is chance."
+    elif len(by_model) > 1:
+        rest: dict[Model, float] = {m: float(e.sum()) for m, e in errors.items() if m != best}
+        runner = _least(rest)
         sentence += (
-            f"; BIC prefers {LABELS[cheapest]} by {lead:.0f}"
-            if lead > DECISIVE
-            else "; BIC does not decide between them"
+            f" The next, {LABELS[runner]}, errs by {_gaps(by_model[runner], by_model[best])} "
+            "points more."
         )
-    return sentence + "."
+    return sentence
+
+
+def _gaps(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
+    """Differences in percentage points with their standard errors, by channel."""
+    gaps = [difference(a, b) for a, b in zip(own, best, strict=True)]
+    return " / ".join(f"{100 * gap.value:.2f} ± {100 * gap.error:.2f}" for gap in gaps)
+
+
+def _sum(values: Iterable[float]) -> float:
+    return float(sum(values))
 
 
 def _least(values: dict[Model, float]) -> Model:

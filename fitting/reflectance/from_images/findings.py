@@ -1,12 +1,15 @@
 """What a reader of a reflectance calibration must be told, in sentences and as a table."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import t
 
 from ...inference.posterior import convergence_in_words
 from ...report.section import Table
-from ..models import CLEAR, facet_sentence
-from .calibration import ReflectanceCalibration, mean_residual
+from ..models import CLEAR, LABELS, facet_sentence
+from .calibration import ReflectanceCalibration, mean_residual, open_parameters
+from .comparison import equally_good
 from .fit import ChannelFit
 
 NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
@@ -26,6 +29,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
+        *_unseen_winner(calibration),
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
@@ -115,6 +119,22 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
     return found
 
 
+def _unseen_winner(calibration: ReflectanceCalibration) -> list[str]:
+    """That a model predicts best is no sign of a highlight where BIC sees none."""
+    best = equally_good(calibration.scores)[0]
+    if best == "lambert":
+        return []
+    pairs = zip(calibration.fits[best], calibration.fits["lambert"], strict=True)
+    unseen = [fit.channel for fit, matt in pairs if open_parameters(fit, matt)]
+    if not unseen:
+        return []
+    where = "" if len(calibration.observation.channels) == 1 else f" in {', '.join(unseen)}"
+    return [
+        f"{LABELS[best]} predicts best, but what it adds to Lambert's model is not determined"
+        f"{where}: the lead may be chance."
+    ]
+
+
 def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:
     sampled = {n: p for n, p in calibration.posteriors.items() if p.sampled}
     if sampled:
@@ -124,25 +144,52 @@ def _sampling_findings(calibration: ReflectanceCalibration) -> list[str]:
 
 def _colour_finding(calibration: ReflectanceCalibration) -> list[str]:
     """A clear surface reflects the light's own colour: unequal k_s under calibrated intensities is
-    worth a word."""
-    fits = calibration.reported
-    if len(fits) != 3 or any("specular" not in [p.name for p in fit.space] for fit in fits):
+    worth a word, if all lobes that predict equally well say it."""
+    reported = _colour(calibration.reported)
+    if reported is None or any(
+        f.channel not in calibration.posteriors for f in calibration.reported
+    ):
         return []
-    if any(fit.channel not in calibration.posteriors for fit in fits):
-        return []
-    natural = np.array([fit.natural[1] for fit in fits])
-    log_variance = [calibration.posteriors[fit.channel].covariance[1, 1] for fit in fits]
-    ratio = natural / natural[1]
-    low, high = np.argmin(natural), np.argmax(natural)
-    z = np.log(natural[high] / natural[low]) / np.sqrt(log_variance[low] + log_variance[high])
+    logs, errors = reported
+    low, high = int(np.argmin(logs)), int(np.argmax(logs))
+    z = _contrast(logs, errors, low, high)
     if z < COLOURED:
         return []
+    names = [fit.channel for fit in calibration.reported]
+    ratio = np.exp(logs - logs[1])
+    for model in equally_good(calibration.scores):
+        other = _colour(calibration.fits[model])
+        if other is not None and _contrast(*other, low, high) < COLOURED:
+            return [
+                f"Whether the highlight is coloured depends on the lobe: k_s is larger in "
+                f"{names[high]} than in {names[low]} by {z:.0f} standard errors with "
+                f"{LABELS[calibration.model]}, not with {LABELS[model]}, which predicts unseen "
+                "lights no worse; no conclusion is drawn."
+            ]
     return [
         f"The highlight is coloured: k_s red : green : blue = {ratio[0]:.2f} : 1 : {ratio[2]:.2f}, "
         f"{z:.0f} standard errors from neutral; a clear coat reflects the light's own colour, so "
         "either the surface is metallic, the intensities are off, or the highlight's shape is not "
         "the model's."
     ]
+
+
+def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
+    """ln k_s of three channels and their standard errors; None where one has none."""
+    known = [
+        (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
+        for fit in fits
+        if fit.robustness is not None and "specular" in [p.name for p in fit.space]
+    ]
+    if len(fits) != 3 or len(known) != 3:
+        return None
+    logs, errors = np.array(known).T
+    return logs, errors
+
+
+def _contrast(logs: np.ndarray, errors: np.ndarray, low: int, high: int) -> float:
+    """By how many standard errors k_s of one channel lies above that of another."""
+    return float((logs[high] - logs[low]) / np.hypot(errors[low], errors[high]))
 
 
 def _part_findings(calibration: ReflectanceCalibration) -> list[str]:

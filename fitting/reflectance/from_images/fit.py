@@ -34,7 +34,6 @@ from .model import (
     encoding_slope,
     linear_signal,
     lobe,
-    log_likelihoods,
     negative_log_likelihood,
     parameter_space,
     predicted_dn,
@@ -168,7 +167,7 @@ def fit_channel(
         sensor_chi_square=None
         if sensor is None
         else chi_square_per_dof(residual, signal, slope, sensor, dof),
-        log_likelihood=float(jnp.sum(log_likelihoods(vector, likeliest))),
+        log_likelihood=-float(_cost(vector, likeliest)),
         converged=bool(converged),
     )
 
@@ -303,17 +302,26 @@ def _residual_signal_slope(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measured - predicted (DN), linear signal and d DN / d X of the unsaturated samples."""
     trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
-    signal = linear_signal(vector, samples)
-    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
-    left = samples.dn - predicted_dn(vector, samples)
+    signal, slope, predicted = _predicted(vector, samples)
+    left = samples.dn - predicted
     residual, signal, slope = (np.asarray(x, np.float64)[trusted] for x in (left, signal, slope))
     return residual, signal, slope
 
 
-def _weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
-    """The samples with the deviations of a spread."""
+@eqx.filter_jit
+def _predicted(vector: Array, samples: Samples) -> tuple[Array, Array, Array]:
+    """Linear signal, d DN / d X and DN of all samples."""
     signal = linear_signal(vector, samples)
     slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    return signal, slope, predicted_dn(vector, samples)
+
+
+_cost = eqx.filter_jit(negative_log_likelihood)
+
+
+def _weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
+    """The samples with the deviations of a spread."""
+    signal, slope, _ = _predicted(vector, samples)
     deviation = np.sqrt(variance(spread, np.asarray(signal), slope=np.asarray(slope)))
     return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype))
 

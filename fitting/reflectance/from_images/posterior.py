@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 
 from ...inference.clustering import curvature_stretch
 from ...inference.emcee_run import SamplingOptions, for_group
-from ...inference.posterior import Posterior, laplace_or_emcee
+from ...inference.importance import laplace_where_it_holds
+from ...inference.posterior import Posterior, sample
 from .fit import ChannelFit
 from .geometry_cells import Grouping, average, saturated_only
 from .model import Samples, log_likelihoods
@@ -82,8 +83,8 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 def channel_posterior(
     fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int
 ) -> Posterior:
-    """Draws of one channel: Laplace with the robust covariance and Student's t, or emcee's, from
-    the Gaussian whose 95 % intervals are as wide as that t's.
+    """Draws of one channel: Laplace with the robust covariance and Student's t, or, where the
+    likelihood is no Gaussian, draws from that whose 95 % intervals are as wide as that t's.
 
     Args:
         fit: with a known covariance.
@@ -96,13 +97,13 @@ def channel_posterior(
     """
     assert fit.robustness is not None
     robust, data = fit.robustness, composite(fit, grouping)
-    return laplace_or_emcee(
-        composite_log_density,
-        fit.space,
-        data.mode,
-        robust.covariance if sampling is None else robust.gaussian_covariance,
-        data,
-        sampling=for_group(sampling, fit.channel),
+    density, wider = composite_log_density, robust.gaussian_covariance
+    if sampling is not None:
+        own = for_group(sampling, fit.channel)
+        return sample(density, fit.space, data.mode, wider, data, options=own, seed=seed)
+    return laplace_where_it_holds(
+        *(density, fit.space, data.mode, robust.covariance, data),
         seed=seed,
         freedom=robust.freedom,
+        wider=wider,
     )

@@ -1,0 +1,164 @@
+"""Exposure stacks of simulated scenes, as cameras and hands take them, and where fits put the
+truth."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import gaussian_filter, shift
+from scipy.special import ndtr, ndtri
+from scipy.stats import t
+
+from jaxvision.development import jpeg
+
+from ..inference.estimates import QUANTILES, Estimate
+from ..response.calibration import calibrate
+from ..response.curve import ResponseCurve
+from ..response.from_memory import from_stack
+from ..rig import Camera
+
+SHAPE, RIM = (96, 128), 8  # pixels; what is simulated around them, for shifts
+FULL_WELL, READ_NOISE = 20_000.0, 4.0  # e-
+CODES = (30, 80, 190, 230)
+NAMES = (*(f"ln X at code {code}" for code in CODES), "gamma")
+EIGHT, THREE = tuple(2.0 ** np.arange(-4, 4)), (0.25, 1.0, 4.0)  # s
+LEAF, LEAVES, FLUTTER = 16, 5, 4  # pixels, how many, pixels that they move
+
+
+@dataclass(frozen=True)
+class Stack:
+    """What is simulated.
+
+    Attributes:
+        times: exposures, s.
+        encode: linear values in 0..1 to codes over full scale.
+        decode: the inverse.
+        gamma: of `encode`; None where it is no power.
+        shutter_sd: relative error of each exposure.
+        quality: of JPEG files; None for files without loss.
+        hand: pixels by which a picture is shifted at most, along each axis; moving leaves too
+            where it is not 0.
+    """
+
+    times: tuple[float, ...] = EIGHT
+    encode: Callable[[np.ndarray], np.ndarray] = lambda x: x ** (1 / 2.2)
+    decode: Callable[[np.ndarray], np.ndarray] = lambda v: v**2.2
+    gamma: float | None = 2.2
+    shutter_sd: float = 0.0
+    quality: int | None = None
+    hand: float = 0.0
+
+
+def _srgb_encode(x: np.ndarray) -> np.ndarray:
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def _srgb_decode(v: np.ndarray) -> np.ndarray:
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+CASES = {
+    "clean": Stack(),
+    "three exposures": Stack(times=THREE),
+    "sRGB": Stack(encode=_srgb_encode, decode=_srgb_decode, gamma=None),
+    "shutters off by 1 %": Stack(shutter_sd=0.01),
+    "three exposures off by 1 %": Stack(times=THREE, shutter_sd=0.01),
+    "JPEG": Stack(quality=90),
+    "hand-held JPEG": Stack(quality=90, hand=0.5, shutter_sd=0.01),
+}
+
+
+def places(stack: Stack, seed: int) -> np.ndarray:
+    """Where one fit puts the truth.
+
+    Args:
+        stack: to photograph.
+        seed: of scene and photographs.
+
+    Returns:
+        (parameters,) cumulative probabilities of `NAMES`; NaN where the fit prints none.
+
+    Raises:
+        InputError: where no curve is found.
+    """
+    images = photographs(stack, seed)
+    camera = Camera(bits=8, black_level=0.0, saturation=255.0)
+    channel = calibrate(from_stack(list(images), stack.times, camera=camera)).channels[0]
+    own = [_of_code(channel.curve, stack, code) for code in CODES]
+    of_gamma = np.nan if stack.gamma is None else _of_estimate(channel.gamma.gamma, stack.gamma)
+    return np.array([*own, of_gamma])
+
+
+def photographs(stack: Stack, seed: int) -> np.ndarray:
+    """Poisson electrons, read noise, clipping, the response, rounding, and what a hand adds.
+
+    Args:
+        stack: to photograph.
+        seed: of every draw.
+
+    Returns:
+        (exposures, h, w) uint16 codes.
+    """
+    rng = np.random.default_rng(seed)
+    scene, frames = _scene(rng), []
+    corners = rng.integers(RIM, np.array(SHAPE) + RIM - LEAF, (LEAVES, 2))
+    for time in stack.times * np.exp(stack.shutter_sd * rng.standard_normal(len(stack.times))):
+        light = _moved(scene, corners, stack.hand, rng) if stack.hand else scene
+        light = np.clip(light[RIM:-RIM, RIM:-RIM] * time, 0, 50)
+        electrons = rng.poisson(light * FULL_WELL) + READ_NOISE * rng.standard_normal(SHAPE)
+        codes = np.round(255 * stack.encode(np.clip(electrons / FULL_WELL, 0, 1)))
+        if stack.quality is not None:
+            picture = jpeg(jnp.asarray(codes[..., None] / 255), quality=stack.quality)
+            codes = np.round(255 * np.asarray(picture)[..., 0])
+        frames.append(codes)
+    return np.stack(frames).astype(np.uint16)
+
+
+def _moved(
+    scene: np.ndarray, corners: np.ndarray, hand: float, rng: np.random.Generator
+) -> np.ndarray:
+    moved = scene.copy()
+    for row, column in corners:
+        leaf = slice(row, row + LEAF), slice(column, column + LEAF)
+        moved[leaf] = np.roll(scene, rng.integers(-FLUTTER, FLUTTER + 1, 2), (0, 1))[leaf]
+    return shift(moved, rng.uniform(-hand, hand, 2), order=3, mode="nearest")
+
+
+def _scene(rng: np.random.Generator) -> np.ndarray:
+    """Light over three decades: texture whose spectrum falls as 1 / f, and rectangles, as a lens
+    blurs them."""
+    h, w = np.array(SHAPE) + 2 * RIM
+    frequency = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
+    frequency[0, 0] = 1
+    log_light = np.fft.ifft2(np.fft.fft2(rng.standard_normal((h, w))) / frequency**1.1).real
+    log_light /= log_light.std()
+    for _ in range(20):
+        row, column = rng.integers(0, h), rng.integers(0, w)
+        part = slice(row, row + h // 5), slice(column, column + w // 5)
+        log_light[part] = 0.6 * log_light[part] + rng.standard_normal()
+    log_light = 1.4 * (log_light - np.median(log_light)) / log_light.std()
+    return gaussian_filter(0.2 * np.exp(log_light), 0.7)
+
+
+def _of_code(curve: ResponseCurve, stack: Stack, code: int) -> float:
+    place = int(np.argmin(np.abs(curve.codes - code)))
+    if not curve.seen[place]:
+        return np.nan
+    true, middle = np.log(stack.decode(curve.codes[[place, curve.bins.middle]] / 255))
+    miss = (true - middle - curve.log_exposure[place]) / curve.standard_error[place]
+    return float(t.cdf(miss, curve.freedom[place]))
+
+
+def _of_estimate(estimate: Estimate, truth: float) -> float:
+    """The truth's place among the ends of printed intervals, on the scale of normal deviates."""
+    assert estimate.interval_68 is not None
+    assert estimate.interval_95 is not None
+    low68, high68 = estimate.interval_68
+    low95, high95 = estimate.interval_95
+    ends = np.array([low95, low68, estimate.value, high68, high95])
+    z = ndtri(QUANTILES)
+    inside = np.interp(truth, ends, z)
+    below, above = (truth - low95) / (low68 - low95), (truth - high95) / (high95 - high68)
+    outside = min(below, 0.0) * (z[1] - z[0]) + max(above, 0.0) * (z[4] - z[3])
+    return float(ndtr(inside + outside))

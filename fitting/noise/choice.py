@@ -1,0 +1,122 @@
+"""The choice of what a camera calls for.
+
+A linear camera with pixel noise only comes first. Where it misses the measurement (p < 0.1 %),
+what the darks alone show, a wandering black level or variances that scatter more than pixel noise
+can, joins; random errors of the light, a compression of one or two terms and an offset of the light
+are fitted with it, and each stays only if it earns its parameter by Schwarz' criterion (BIC), a
+squared Wald ratio above the logarithm of the number of observations, and is no chance of one in a
+hundred.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import chi2, f
+
+from ..inference.parameters import Parameter, ParameterSpace, names
+from .emva1288 import Ranges, Sheet
+from .fit import MISFIT, LikelihoodFit, base_space, fitted
+from .levels import PhotonTransfer
+from .model import (
+    BLACK_SCATTER,
+    COMPRESSION,
+    COMPRESSION_2,
+    LIGHT_OFFSET,
+    LIGHT_SCATTER,
+    SHUTTER_OFFSET,
+    VARIANCE_SCATTER,
+    NoiseData,
+)
+from .regressions import line_misfit
+
+SPURIOUS = 0.01  # chance of a term that a camera does not have
+CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
+
+
+def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
+    """The random effects that the darks show about their own lines over exposure.
+
+    Args:
+        measurement: bright and dark levels.
+        within: whose number of dark exposures must be three at least.
+
+    Returns:
+        Their parameters.
+    """
+    dark = measurement.dark
+    if within.dark_exposures <= 2:
+        return ()
+    n, frames = dark.pixels, dark.frames
+    of_mean, of_variance = dark.variance / (n * frames), 2 * dark.variance**2 / ((frames - 1) * n)
+    found = []
+    for effect, values, variances in (
+        (BLACK_SCATTER, dark.mean, of_mean),
+        (VARIANCE_SCATTER, dark.variance, of_variance),
+    ):
+        chi_square, degrees = line_misfit(dark.exposure, values, variances)
+        if chi2.sf(float(chi_square), float(degrees)) < MISFIT:
+            found.append(effect)
+    return tuple(found)
+
+
+def choose_model(
+    measurement: PhotonTransfer, within: Ranges, data: NoiseData, standard: Sheet
+) -> tuple[LikelihoodFit, LikelihoodFit]:
+    """The model that a camera calls for.
+
+    Args:
+        measurement: bright and dark levels.
+        within: the standard's ranges.
+        data: of the fit.
+        standard: the standard's sheet, from which fits start.
+
+    Returns:
+        (linear camera, chosen model); the same fit twice where the linear camera does.
+    """
+    linear = fitted(base_space(measurement, within), data, standard)
+    if linear.p_value >= MISFIT:
+        return linear, linear
+    bright_levels = int(jnp.sum(data.lit))
+    offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
+    candidates = (LIGHT_SCATTER, COMPRESSION, offset, COMPRESSION_2)[: bright_levels - 3]
+    whole = linear.space + dark_scatter(measurement, within) + candidates
+    chosen = fitted(whole, data, standard, among=whole)
+    while unearned := _unearned(chosen, candidates):
+        space = tuple(p for p in chosen.space if p is not unearned)
+        chosen = fitted(space, data, standard, among=whole)
+    return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
+
+
+def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Parameter | None:
+    """The weakest candidate in the model that does not pay for itself; the second term of the
+    compression before the first."""
+    ratios = {}
+    labels = names(fit.space)
+    information = np.asarray(fit.solution.information)
+    for parameter in candidates:
+        if parameter not in fit.space or (parameter is COMPRESSION and COMPRESSION_2 in fit.space):
+            continue
+        i = labels.index(parameter.name)
+        own = np.delete(np.delete(information, i, 0), i, 1)
+        across = np.delete(information[i], i)
+        precision = information[i, i] - across @ np.linalg.lstsq(own, across, rcond=None)[0]
+        # The ratio of a positive scale to its error is one over the error of its logarithm.
+        size = float(fit.solution.vector[i]) if parameter.transform == "identity" else 1.0
+        ratios[parameter] = size**2 * max(precision, 0.0) / _price(fit, parameter)
+    weakest = min(ratios, key=ratios.__getitem__, default=None)
+    return weakest if weakest is not None and ratios[weakest] < 1 else None
+
+
+def _price(fit: LikelihoodFit, parameter: Parameter) -> float:
+    """The squared Wald ratio that earns a parameter its place: Schwarz', and beyond that what comes
+    about by chance once in a hundred cameras, since errors do not know of the choice. A scatter of
+    m lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
+    that a term of the curve then has to pass Fisher's F."""
+    price = float(np.log(2 * fit.data.mean.size))
+    if parameter.transform == "log":
+        return price
+    if LIGHT_SCATTER not in fit.space:
+        return max(price, float(chi2.isf(SPURIOUS, 1)))
+    lights = int(jnp.sum(fit.data.lit))
+    terms = 1 + sum(p in fit.space for p in CURVE)
+    free = max(lights - terms, 1)
+    return max(price, float(f.isf(SPURIOUS, 1, free)) * lights / free)

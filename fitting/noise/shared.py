@@ -1,0 +1,195 @@
+"""Noise that the pixels of a row, of a column or of a whole frame share.
+
+Amplifiers and references that serve a row write their noise into all of its pixels. Of frames of h
+rows and w columns, the temporal variance of row means exceeds that of the frame's mean by
+
+    V_row = sigma_row^2 + (sigma^2 - sigma_row^2) / w
+
+times (h - 1) / h, and columns likewise, sigma^2 being the temporal variance of pixels. Such noise
+is part of sigma^2, hence of the read noise, but not of independent pixels: a variance over pixels
+is known only as well as sigma_row^4 / h lets it be. What stays from frame to frame (unequal
+columns) shows in the average frame in the same way.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+SURE = 4.0  # standard errors above zero from which shared noise is believed
+
+
+class SharedVariance(eqx.Module):
+    """Of each level, what rows and columns share; estimates that scatter about 0 without any.
+
+    Attributes:
+        rows: (levels,) temporal variance, DN^2.
+        columns: (levels,) the same.
+        fixed_rows: (levels,) variance of the rows' means that stays, DN^2.
+        fixed_columns: (levels,) the same.
+        frames: (levels,) variance of the frames' means beyond what pixels, rows and columns
+            explain, DN^2.
+        shape: (2,) rows and columns of a frame.
+    """
+
+    rows: Float[Array, " levels"]
+    columns: Float[Array, " levels"]
+    fixed_rows: Float[Array, " levels"]
+    fixed_columns: Float[Array, " levels"]
+    frames: Float[Array, " levels"]
+    shape: Float[Array, "2"]
+
+
+def shared_variance(
+    of_levels: Float[np.ndarray, "5 levels"], shape: tuple[int, ...]
+) -> SharedVariance:
+    """The record of what `Moments.shared` gives of each level.
+
+    Args:
+        of_levels: (5, levels) rows, columns, fixed rows, fixed columns, frames, DN^2.
+        shape: of a frame.
+
+    Returns:
+        The record.
+    """
+    rows, columns, fixed_rows, fixed_columns, frames = (jnp.asarray(row) for row in of_levels)
+    size = jnp.asarray(shape, float)
+    return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A variance and its standard error, DN^2; believed from four standard errors.
+
+    Attributes:
+        variance: DN^2.
+        error: its standard error.
+        significance: in standard errors that it would have without any.
+    """
+
+    variance: float
+    error: float
+    significance: float
+
+    @property
+    def believed(self) -> bool:
+        return self.significance > SURE
+
+    @property
+    def deviation(self) -> float:
+        """DN."""
+        return float(np.sqrt(max(self.variance, 0.0)))
+
+
+class Moments:
+    """Sums over the frames of a level, from which its shared variances follow."""
+
+    def __init__(self, first: np.ndarray) -> None:
+        self._lines = [np.zeros(first.shape[axis]) for axis in (0, 1)]
+        self._squares = [np.zeros(first.shape[axis]) for axis in (0, 1)]
+        self._shape, self._count = first.shape, 1
+
+    def add(self, deviation: np.ndarray) -> None:
+        """One more frame, less the first."""
+        self._count += 1
+        for axis in (0, 1):
+            means = deviation.mean(axis=1 - axis)
+            self._lines[axis] += means
+            self._squares[axis] += means**2
+
+    def shared(
+        self, average: np.ndarray, temporal: float, drift: float
+    ) -> tuple[float, float, float, float, float]:
+        """Rows, columns, fixed rows, fixed columns, frames.
+
+        Args:
+            average: (h, w) of all frames, DN.
+            temporal: variance of pixels, without drift, DN^2.
+            drift: variance of the frames' means, DN^2.
+
+        Returns:
+            Variances, DN^2.
+        """
+        count, spatial = self._count, float(average.var(ddof=1))
+        found, fixed = [], []
+        for axis in (0, 1):
+            lines, across = self._shape[axis], self._shape[1 - axis]
+            varying = (count * self._squares[axis] - self._lines[axis] ** 2) / (count * (count - 1))
+            own = (float(varying.mean()) - drift) * lines / max(lines - 1, 1)
+            found.append((own - temporal / across) / (1 - 1 / across))
+            still = float(average.mean(axis=1 - axis).var(ddof=1)) if lines > 1 else 0.0
+            fixed.append((still - spatial / across) / (1 - 1 / across) - found[-1] / count)
+        h, w = self._shape
+        expected = temporal / (h * w) + found[0] / h + found[1] / w
+        return *found, *fixed, drift - expected
+
+
+def temporal_lines(
+    shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray, axis: int
+) -> Found:
+    """The temporal noise of rows (axis 0) or columns (axis 1), of all levels together.
+
+    Args:
+        shared: of the levels.
+        variance: (levels,) of pixels, DN^2.
+        frames: (levels,) how many.
+        axis: which.
+
+    Returns:
+        The variance.
+    """
+    lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
+    values = np.asarray(shared.rows if axis == 0 else shared.columns)
+    return _pooled(values, variance / across, (frames - 1) * lines)
+
+
+def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], axis: int) -> Found:
+    """The unevenness of rows or columns that stays, of all levels together: one pattern, seen
+    again at each, so that levels do not make it better known.
+
+    Args:
+        shared: of the levels.
+        spatial: (levels,) variance of the average frames, DN^2.
+        axis: which.
+
+    Returns:
+        The variance.
+    """
+    lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
+    values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
+    found = _pooled(values, spatial / across, np.full(len(values), lines - 1.0))
+    alone = float(np.sqrt(2 / (lines - 1)) * np.median(spatial) / across)
+    error = float(np.hypot(alone, np.sqrt(2 / (lines - 1)) * found.variance))
+    return Found(found.variance, error, found.variance / alone)
+
+
+def drift(
+    shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray
+) -> Found:
+    """The wandering of whole frames, of all levels together.
+
+    Args:
+        shared: of the levels.
+        variance: (levels,) of pixels, DN^2.
+        frames: (levels,) how many.
+
+    Returns:
+        The variance.
+    """
+    h, w = np.asarray(shared.shape)
+    lines = np.maximum(np.asarray(shared.rows), 0) / h + np.maximum(shared.columns, 0) / w
+    return _pooled(np.asarray(shared.frames), variance / (h * w) + lines, frames - 1)
+
+
+def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Found:
+    """Mean of excesses over what independent pixels give, weighted by the inverse of its own
+    variance 2 expected^2 / degrees."""
+    weight = degrees / (2 * expected**2)
+    variance = float(np.average(values, weights=weight))
+    chance = float(weight.sum() ** -0.5)
+    error = float(
+        np.sqrt(2 * np.average((expected + variance) ** 2, weights=weight) / degrees.sum())
+    )
+    return Found(variance, error, variance / chance)

@@ -1,0 +1,80 @@
+"""Models compared by light: paired differences against a simulation, and what is said of them."""
+
+import numpy as np
+import pytest
+
+from fitting.reflectance.from_files.errors import Errors, distinguished
+from fitting.reflectance.from_images.comparison import (
+    ModelScore,
+    difference,
+    equally_good,
+    relative_rms,
+    verdict,
+)
+
+
+def score(model, by_light, *, channel="grey", bic=0.0):
+    return ModelScore(model, channel, 0.1, relative_rms(by_light), 3, 0.0, bic, 100.0, by_light)
+
+
+def lights(rng, count, error):
+    """Squared errors that lights share, 30 % from light to light, over a signal of 1."""
+    shared = 1 + 0.3 * rng.standard_normal(count)
+    return np.stack([(error * shared) ** 2, np.ones(count)], axis=1)
+
+
+def test_the_error_of_a_difference_is_that_of_many_repeats():
+    """Both models err alike on a hard light, which the pairing takes out."""
+    found, values = [], []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        shared, own = 1 + 0.3 * rng.standard_normal((2, 12)), rng.standard_normal((2, 12))
+        one, other = (
+            np.stack([(0.1 * shared[0]) ** 2 * (1 + 0.05 * z), np.ones(12)], axis=1) for z in own
+        )
+        gap = difference(score("phong", one), score("blinn", other))
+        assert gap.freedom == 11
+        found.append(gap.error)
+        values.append(gap.value)
+    assert np.mean(found) == pytest.approx(np.std(values), rel=0.15)
+
+
+def test_one_light_tells_nothing():
+    rng = np.random.default_rng(0)
+    one, other = (score(m, lights(rng, 1, e)) for m, e in (("phong", 0.1), ("lambert", 0.2)))
+    assert difference(one, other).half_width == np.inf
+    assert equally_good((one, other)) == ("phong",)
+    assert "One light does not tell" in verdict((one, other), 1)
+
+
+def test_what_is_said_is_what_the_lights_show():
+    rng = np.random.default_rng(1)
+    best = lights(rng, 16, 0.07)
+    close = best * [1 + 0.02 * rng.standard_normal((16, 1))[:, 0].mean(), 1.0]
+    close[:, 0] *= 1.01 + 0.1 * rng.standard_normal(16)
+    far = lights(rng, 16, 0.3)
+    scores = (
+        score("lambert", far, bic=90_000.0),
+        score("phong", close, bic=45_743.0),
+        score("torrance-sparrow-ggx", best),
+    )
+    assert set(equally_good(scores)) == {"phong", "torrance-sparrow-ggx"}
+    told = verdict(scores, 16)
+    assert "equally" not in told
+    assert "Not distinguishable" in told
+    assert "BIC prefers Torrance-Sparrow (GGX) by 45743" in told
+    apart = verdict((scores[0], scores[2]), 16)
+    assert "The next, Lambert, errs by" in apart
+
+
+def of(parts):
+    whole = np.sqrt(np.sum(parts))
+    return Errors(whole, whole, whole, np.sqrt(parts), np.stack([parts, parts], axis=1))
+
+
+def test_predictions_are_paired_by_incidence():
+    base = np.array([1.0, 4.0, 9.0, 30.0])
+    assert distinguished(of(base), of(1.3 * base), "cosine")
+    assert not distinguished(of(base), of(base * [1.3, 0.8, 1.1, 0.9]), "cosine")
+    assert not distinguished(of(base[:2]), of(9 * base[:2]), "cosine")
+    assert not distinguished(of(base), of(base), "cube-root")

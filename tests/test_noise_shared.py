@@ -1,0 +1,129 @@
+"""Noise of rows, columns and frames: found where it is, not where it is not, and named."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting import noise
+from fitting.noise.calibration import calibrate
+from fitting.noise.findings import findings
+from fitting.noise.levels import Levels
+from fitting.noise.pattern import pattern_variance
+from fitting.noise.shared import (
+    Moments,
+    drift,
+    fixed_lines,
+    shared_variance,
+    temporal_lines,
+)
+from fitting.rig import Camera
+
+H, W, FRAMES, LEVELS = 24, 40, 3, 4
+
+
+def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, frames=0.0):
+    """Four levels of dark frames: (shared, variances, spatial variances), of pixel noise 2 DN."""
+    banding = fixed * rng.standard_normal(W)
+    kept = []
+    for _ in range(LEVELS):
+        stack = (
+            100
+            + 2 * rng.standard_normal((FRAMES, H, W))
+            + rows * rng.standard_normal((FRAMES, H, 1))
+            + columns * rng.standard_normal((FRAMES, 1, W))
+            + frames * rng.standard_normal((FRAMES, 1, 1))
+            + banding
+        )
+        moments = Moments(stack[0])
+        for frame in stack[1:]:
+            moments.add(frame - stack[0])
+        wander = stack.mean(axis=(1, 2)).var(ddof=1)
+        variance = stack.var(axis=0, ddof=1).mean() - wander
+        average = stack.mean(axis=0)
+        kept.append((variance, average.var(ddof=1), *moments.shared(average, variance, wander)))
+    variance, spatial, *lines = np.array(kept).T
+    return shared_variance(np.array(lines), (H, W)), variance, spatial
+
+
+def judged(rng, **planted):
+    shared, variance, spatial = dark_levels(rng, **planted)
+    frames = np.full(LEVELS, FRAMES)
+    return {
+        "rows": temporal_lines(shared, variance, frames, 0),
+        "columns": temporal_lines(shared, variance, frames, 1),
+        "fixed": fixed_lines(shared, spatial, 1),
+        "fixed rows": fixed_lines(shared, spatial, 0),
+        "frames": drift(shared, variance, frames),
+    }
+
+
+def test_independent_pixels_share_nothing():
+    rng = np.random.default_rng(0)
+    found = [judged(rng) for _ in range(300)]
+    for name in found[0]:
+        z = np.array([one[name].significance for one in found])
+        assert abs(z.mean()) < 0.25, name
+        assert (0.5 if "fixed" in name else 0.8) < z.std() < 1.2, name
+        assert np.mean(z > 4) <= 0.01, name
+
+
+@pytest.mark.parametrize(("name", "size"), [("rows", 1.0), ("columns", 0.7), ("fixed", 1.0)])
+def test_what_is_planted_is_found_to_its_size(name, size):
+    rng = np.random.default_rng(1)
+    found = [judged(rng, **{name: size})[name] for _ in range(200)]
+    variance = np.array([one.variance for one in found])
+    assert variance.mean() == pytest.approx(size**2, rel=0.05)
+    z = (variance - size**2) / np.array([one.error for one in found])
+    assert 0.8 < z.std() < 1.25
+    assert all(one.believed for one in found)
+
+
+def test_drifting_frames_are_found():
+    rng = np.random.default_rng(2)
+    found = [judged(rng, frames=2.0)["frames"] for _ in range(100)]
+    assert np.mean([one.variance for one in found]) == pytest.approx(4.0, rel=0.2)
+    assert np.mean([one.believed for one in found]) > 0.95
+
+
+def test_row_noise_widens_the_pattern():
+    """DSNU's variance, less what temporal noise leaves, is known as well as rows let it be."""
+    rng, z = np.random.default_rng(3), []
+    for _ in range(200):
+        shared, variance, spatial = dark_levels(rng, rows=2.0)
+        one, pixels = jnp.ones(LEVELS), jnp.asarray(float(H * W))
+        of = jnp.asarray(variance), FRAMES * one, pixels, jnp.asarray(spatial), shared
+        levels = Levels(0 * one, one, 100 * one, *of)
+        pattern, by_noise = pattern_variance(levels)
+        z += list(pattern / np.sqrt(by_noise))
+    assert abs(np.mean(z)) < 0.2
+    assert 0.8 < np.std(z) < 1.2
+
+
+def test_a_calibration_names_row_noise():
+    """7.5 e- of rows beside 6 e- of pixels: named with their sizes, the fit still linear."""
+    rng, gain = np.random.default_rng(4), 0.25
+    photons = np.linspace(200, 8000, 6)
+
+    def frame(mean):
+        electrons = rng.poisson(0.5 * mean, (40, 60))
+        noisy = electrons + 6 * rng.standard_normal((40, 60)) + 7.5 * rng.standard_normal((40, 1))
+        return np.round(64 + gain * noisy)
+
+    def frames(mean):
+        return [frame(mean) for _ in range(4)]
+
+    measured = noise.from_frames(
+        [frames(p) for p in photons],
+        [frames(0.0) for _ in photons],
+        list(np.linspace(0.001, 0.01, 6)),
+        list(photons),
+        camera=Camera(bits=12),
+    )
+    calibration = calibrate(measured)
+    told = [sentence for sentence in findings(calibration) if "share noise" in sentence]
+    assert len(told) == 1
+    assert told[0].startswith("The rows of a dark frame share noise of ")
+    size, error = (float(told[0].split(" e⁻")[0].split()[i]) for i in (-3, -1))
+    assert abs(size - 7.5) < 4 * error
+    assert calibration.linear.p_value > 1e-3
+    assert not [name for name in calibration.chosen.values if name.endswith("scatter")]
