@@ -126,6 +126,18 @@ def render(
             metavar="SHARE%",
         ),
     ] = "",
+    accuracy: Annotated[
+        str,
+        typer.Option(
+            help="Choose settings by measurement: the fastest whose relative rms error is at most "
+            "this. Measured once, then remembered.",
+            metavar="SHARE%",
+        ),
+    ] = "",
+    seconds: Annotated[
+        float | None,
+        typer.Option(help="Choose settings by measurement: the most accurate in this time."),
+    ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
@@ -160,6 +172,22 @@ def render(
         source = replace(source, view=with_resolution(source.view, wanted))
     pruned = pruned_for(source, settings, tolerance) if tolerance else None
     console = Console(stderr=True, highlight=False)
+    chosen = None
+    if accuracy or seconds is not None:
+        refused = {"samples": samples, "depth": depth, "gather": gather, "tolerance": tolerance}
+        taken = [f"--{name}" for name, value in refused.items() if value]
+        if taken or (accuracy and seconds is not None):
+            other = taken[0] if taken else "--seconds"
+            raise InputError(f"{other} and a choice of settings exclude each other; give one.")
+        from .accuracy import settings as settings_for
+        from .accuracy.tables import choice_in_words
+
+        console.print("Measuring what accuracy costs; the result is remembered.")
+        share = _share(accuracy) if accuracy else None
+        source = replace(source, render=settings)
+        chosen = settings_for(source, tolerance=share, render_seconds=seconds)
+        settings, pruned = chosen.render, chosen.effects
+        print(choice_in_words(chosen))
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"{source.path.stem}, {settings.integrator}", total=None)
@@ -177,6 +205,74 @@ def render(
     print(f"Radiance: {out}")
     if shown is not None:
         print(f"Preview: {shown}")
+
+
+@app.command()
+@failures_as_sentences("jaxvision")
+def accuracy(
+    scene: Annotated[
+        str,
+        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+    ],
+    knob: Annotated[
+        list[str] | None,
+        typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Time to measure, s.")] = 60.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
+    0.1 %. An interrupt keeps what was measured."""
+    _use_double_precision()
+    from .accuracy import measured, write_page
+    from .accuracy.scene_settings import machine
+    from .accuracy.tables import as_dict, notes, rows
+    from .scene_files import read_scene
+
+    if not seconds > 0:
+        raise InputError(f"--seconds {seconds:g}: give a time above 0.")
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; give --out a folder.")
+    source = read_scene(scene)
+    norms = ("rms", "p99", "max", "delta_e")
+    problem, curves = measured(
+        source, source.render, names=tuple(knob or ()) or None, seconds=seconds, metrics=norms
+    )
+    command = " ".join(["jaxvision accuracy", scene, *(f"--knob {k!r}" for k in knob or ())])
+    command += f" --seconds {seconds:g}"
+    written = write_page(out, problem, curves, command=command) if out is not None else ()
+    if as_json:
+        sheet = as_dict(problem, curves, machine=machine(), command=command)
+        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    print(f"{problem.name}; {machine()}")
+    print(_in_columns(rows(problem, curves)))
+    print("\n".join(notes(curves)))
+    for path in written:
+        print(f"Written: {path}")
+
+
+def _in_columns(rows: list[tuple[str, ...]]) -> str:
+    """Rows of cells as lines, columns below each other."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _share(text: str) -> float:
+    """A relative tolerance as it is written, above 0."""
+    from .effects import parse
+
+    goal = parse(text)
+    if goal.unit != "relative" or not goal.value > 0:
+        raise InputError(f"--accuracy {text}: give a share of the picture above 0, as in 1%.")
+    return goal.value
 
 
 @app.command()

@@ -5,7 +5,7 @@ import inspect
 import pkgutil
 
 import jaxvision
-from jaxvision import effects
+from jaxvision import accuracy, effects
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
@@ -13,7 +13,6 @@ EAGER = {
     "jaxvision.plots.inspection",
     "jaxvision.plots.summary",
     "jaxvision.errors",
-    "jaxvision.accuracy",
     "jaxvision.camera_files",
     "jaxvision.material_files",
     "jaxvision.record_files",
@@ -52,8 +51,10 @@ EAGER = {
     "jaxvision.lights.environment_tables",
     "jaxvision.transport.radiosity._trapped",
 }
-EFFECTS = {  # decided before anything is traced
-    name for _, name, _ in pkgutil.walk_packages(effects.__path__, f"{effects.__name__}.")
+EFFECTS = {  # decided and measured before anything is traced
+    name
+    for room in (effects, accuracy)
+    for _, name, _ in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")
 }
 # Static answers to static questions: no array goes in. And parts of functions that are swept:
 # `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.

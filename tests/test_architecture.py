@@ -30,12 +30,13 @@ FLOORS = [
     {"rendering"},
     {"matting", "transport", "development"},
     {"effects"},
-    {"shot", "accuracy", "scene_checks"},
+    {"shot", "scene_checks"},
     {"io", "toml_files", "command_line"},
     {"record_files"},
     {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
     {"scene_files"},
     {"render_command"},
+    {"accuracy"},
     {"cli"},
 ]
 PHYSICS = set.union(*FLOORS[2:16])

@@ -6,7 +6,18 @@ pruning      the scene without what does not matter
 tiles        the unfinished picture on disk
 """
 
-from .job import band_names, render_to_file, with_resolution
-from .pruning import inspected, pruned_for
+from .integrators import seeded_passes_of, seeded_pixels_of
+from .job import band_names, linear_srgb, render_to_file, with_resolution
+from .pruning import inspected, left_of, pruned_for
 
-__all__ = ["band_names", "inspected", "pruned_for", "render_to_file", "with_resolution"]
+__all__ = [
+    "band_names",
+    "inspected",
+    "left_of",
+    "linear_srgb",
+    "pruned_for",
+    "render_to_file",
+    "seeded_passes_of",
+    "seeded_pixels_of",
+    "with_resolution",
+]

@@ -24,6 +24,7 @@ from ..scene_files.schema import RenderEntry
 from ..transport import Paths, light_traced, path_along, ray_tree_along
 from ..transport.radiosity import (
     Plan,
+    Solution,
     form_factor_table,
     patches_of,
     plan_patches,
@@ -35,6 +36,9 @@ from ..transport.radiosity import (
 BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
 Numbers = Int[Array, " pixels"]
+Computed = Callable[..., np.ndarray]
+Solve = Callable[[Key], Solution | None]
+RaysOf = Callable[[Scene, Key, Solution | None], Along]
 Pixels = Float[Array, "pixels bands"]
 
 
@@ -43,32 +47,74 @@ def pixels_of(
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """(rows, columns) of n pixels to their radiance, (n, bands) float32 in W m^-2 sr^-1; compiled
     once for each n. What a pixel gets does not depend on the others."""
+    compute = seeded_pixels_of(source, settings)(settings.seed)
+    return lambda rows, columns: compute(rows, columns).astype(np.float32)
+
+
+def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int], Computed]:
+    """From a seed, by what comes before the first pixel, to the function of rows, columns and,
+    where there are several samples, the number of the first of them.
+
+    Args:
+        source: the scene and its view.
+        settings: integrator, samples and the rest of `[render]` but the seed.
+
+    Returns:
+        As `pixels_of`, W m^-2 sr^-1 in the dtype of the scene; compiled once for all seeds.
+    """
     _check_light(source, settings)
     _check_lens(source, settings)
-    key = jax.random.key(settings.seed)
-    along = _along(source, settings)
+    solved, along = _along(source, settings)
 
     @jax.jit
-    def tile(scene: Scene, view: View, key: Key, rows: Numbers, columns: Numbers) -> Pixels:
+    def tile(
+        scene: Scene,
+        view: View,
+        key: Key,
+        ready: Solution | None,
+        rows: Numbers,
+        columns: Numbers,
+        first: Array,
+    ) -> Pixels:
         samples = PixelSamples(jax.random.fold_in(key, 1), settings.samples)
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
-        return photograph(along(scene, key), view, samples, pixels=(rows, columns)).radiance
+        rays, pixels = along(scene, key, ready), (rows, columns)
+        return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
 
-    def compute(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        places = rows.astype(np.int32), columns.astype(np.int32)
-        with _in_words_of(source):
-            radiance = np.asarray(tile(source.scene, source.view, key, *places), np.float32)
-        return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
+    def seeded(seed: int) -> Computed:
+        key = jax.random.key(seed)
+        ready = solved(key)
 
-    return compute
+        def compute(rows: np.ndarray, columns: np.ndarray, first: int = 0) -> np.ndarray:
+            places = rows.astype(np.int32), columns.astype(np.int32), np.uint32(first)
+            with _in_words_of(source):
+                radiance = np.asarray(tile(source.scene, source.view, key, ready, *places))
+            return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
+
+        return compute
+
+    return seeded
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
     """The number of passes, and a function from the number of one to its picture, (h, w, bands) in
     W m^-2 sr^-1. The result is the mean of all."""
+    passes = seeded_passes_of(source, settings)
+    return settings.samples, lambda number: passes(settings.seed, number)
+
+
+def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int, int], np.ndarray]:
+    """From a seed and the number of a pass to its picture.
+
+    Args:
+        source: the scene and its view.
+        settings: depth and the rest of `[render]` but the seed.
+
+    Returns:
+        As `passes_of`, (h, w, bands) W m^-2 sr^-1; compiled once for all seeds.
+    """
     _check_light(source, settings)
-    key = jax.random.key(settings.seed)
     height, width = source.view.resolution
 
     @jax.jit
@@ -78,11 +124,12 @@ def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[
         )
         return traced.radiance
 
-    def compute(number: int) -> np.ndarray:
+    def compute(seed: int, number: int) -> np.ndarray:
+        key = jax.random.fold_in(jax.random.key(seed), number)
         with _in_words_of(source):
-            return np.asarray(one(jax.random.fold_in(key, number), source.scene, source.view))
+            return np.asarray(one(key, source.scene, source.view))
 
-    return settings.samples, compute
+    return compute
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
@@ -107,40 +154,51 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
         )
 
 
-def _along(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
-    """Radiance along rays, as a function of a scene and a key that may be traced."""
+def _along(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
+    """What comes before the first pixel, as a function of a key, and radiance along rays, as one of
+    a scene, a key and that, which may be traced."""
+
+    def nothing(key: Key) -> None:
+        return None
+
     match settings.integrator:
         case "direct":
-            return lambda scene, key: direct_along(scene, _rule(settings, key))
+            return nothing, lambda scene, key, _: direct_along(scene, _rule(settings, key))
         case "path":
             method = Paths(settings.samples, settings.depth)
-            return lambda scene, key: path_along(scene, method)
+            return nothing, lambda scene, key, _: path_along(scene, method)
         case "rays":
             rule = _fixed(settings)
-            return lambda scene, key: ray_tree_along(scene, rays=settings.depth, rule=rule)
+            return nothing, lambda scene, key, _: ray_tree_along(
+                scene, rays=settings.depth, rule=rule
+            )
         case _:
             return _solved(source, settings)
 
 
-def _solved(source: SceneFile, settings: RenderEntry) -> Callable[[Scene, Key], Along]:
+def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
     """The scene cut into patches, and the radiance along rays after they have exchanged light."""
-    key = jax.random.key(settings.seed)
     with _in_words_of(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
-        table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
-        _check_balance(scene, plan, table)
-        rule = _rule(settings, key)
-        solution = jax.jit(partial(radiosity, plan=plan))(scene, table=table, rule=rule)
+    factors = jax.jit(lambda scene: form_factor_table(scene, plan))
+    exchanged = jax.jit(partial(radiosity, plan=plan))
 
-    def along(scene: Scene, key: Key) -> Along:
+    def solve(key: Key) -> Solution:
+        with _in_words_of(source):
+            table = factors(scene)
+            _check_balance(scene, plan, table)
+            return exchanged(scene, table=table, rule=_rule(settings, key))
+
+    def along(scene: Scene, key: Key, solution: Solution | None) -> Along:
+        assert solution is not None
         gather = None
         if settings.gather > 0:
             gather = MonteCarlo(jax.random.fold_in(key, 2), settings.gather)
         return radiosity_rays(scene, plan, solution, rule=_rule(settings, key), gather=gather)
 
-    return along
+    return solve, along
 
 
 def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:

@@ -242,7 +242,7 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
     wavelengths are seen by the standard observer, bands without as grey."""
     height, width = source.view.resolution
     step = math.ceil(height * width / _SHOWN)
-    to_rgb = _to_rgb(source.bands, source.wavelengths)
+    to_rgb = linear_srgb(source.bands, source.wavelengths)
     some = [block.reshape(-1, source.bands)[::step] @ to_rgb for block in rows()]
     brightness = np.asarray(luminance(jnp.asarray(np.concatenate(some))))
     seen = brightness[np.isfinite(brightness) & (brightness > 0)]
@@ -252,8 +252,17 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
     return np.concatenate([np.asarray(encode(block)).astype(np.uint8) for block in scaled])
 
 
-def _to_rgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """The contribution of each band to linear sRGB."""
+def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
+    """What each band adds to linear sRGB: as the standard observer sees wavelengths; RGB as it is,
+    any other bands as grey.
+
+    Args:
+        bands: how many there are.
+        wavelengths: (bands,) m, or None.
+
+    Returns:
+        (bands, 3) relative.
+    """
     if wavelengths is not None:
         return colours_of(wavelengths, "light")
     return np.eye(3) if bands == 3 else np.full((bands, 3), 1 / bands)

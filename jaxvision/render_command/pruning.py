@@ -81,18 +81,21 @@ def pruned_for(
     *,
     camera: Camera | None = None,
     free: Box | None = None,
+    level: float | None = None,
 ) -> Pruned:
     """A scene file without the effects that a tolerance allows to leave out.
 
     Args:
         source, settings, camera, free: as in `inspected`.
         tolerance: relative, DN or sigma, as in `effects.prune`.
+        level: W m^-2 sr^-1 that "relative" refers to; None: the brightest of a small picture.
 
     Returns:
         What is left, with its certificate.
     """
     seen = _seen_by(source, camera)
-    return effects.prune(source.scene, seen, tolerance, free=free, **_asked(settings))
+    asked = _asked(settings)
+    return effects.prune(source.scene, seen, tolerance, free=free, level=level, **asked)
 
 
 def left_of(
@@ -102,7 +105,7 @@ def left_of(
 
     Args:
         source: the whole scene.
-        settings: of the whole scene.
+        settings: of the whole scene, or what is to be rendered of what is left.
         pruned: what is left of it; None: all.
 
     Returns:
@@ -117,7 +120,7 @@ def left_of(
     left = replace(source, scene=pruned.scene, view=view, lights=names, bands=bands)
     if pruned.depth is None or settings.integrator not in ("path", "light"):
         return left, settings
-    return left, settings.model_copy(update={"depth": pruned.depth})
+    return left, settings.model_copy(update={"depth": min(pruned.depth, settings.depth)})
 
 
 def box_of(free: Sequence[str]) -> Box:

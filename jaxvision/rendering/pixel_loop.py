@@ -74,7 +74,7 @@ def photograph(
     samples: PixelSamples | None,
     *,
     pixels: tuple[Int[Array, " n"], Int[Array, " n"]] | None = None,
-    first_sample: int = 0,
+    first_sample: int | Word = 0,
     keep: Sequence[str] = (),
 ) -> Traced:
     """What the pixels of a view see.
@@ -84,7 +84,7 @@ def photograph(
         view: any view; a thin lens needs samples to defocus.
         samples: rays a pixel, or None: one ray through each pixel's centre.
         pixels: rows and columns, (n,) each; None: the whole picture.
-        first_sample: static, the number of the first sample: two calls with samples 0 to n - 1 and
+        first_sample: the number of the first sample: two calls with samples 0 to n - 1 and
             n to 2 n - 1 draw what one call with 2 n samples draws.
         keep: names of `jax.ad_checkpoint.checkpoint_name` that a gradient of one ray a pixel keeps;
             all else it computes again, block by block.
@@ -215,7 +215,7 @@ def in_blocks(
 
 
 def mean_of_samples(
-    sample: Callable[[Word], Any], count: int, *, first: int = 0
+    sample: Callable[[Word], Any], count: int, *, first: int | Word = 0
 ) -> tuple[Any, Any]:
     """The mean of samples, computed one after another, and its standard error, in their unit.
 

@@ -1,0 +1,140 @@
+"""The setting to take: the cheapest that meets a tolerance, or the most accurate in a given time,
+by the upper bound of the error of a run with another seed, so that a lucky one does not win."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError
+from .fitted import holds
+from .records import Curve, Trial
+
+BEYOND = 2**14  # times the finest setting, as far as a declared order is relied upon
+STEP = 2**0.5  # between settings that are inferred
+
+
+def bound(trial: Trial, floor: float) -> float:
+    """What the error of another run is below; of a hollow one the reference's own comes on top.
+
+    Args:
+        trial: of a setting.
+        floor: relative, the error of the reference.
+
+    Returns:
+        Relative.
+    """
+    return trial.error_high + (2 * floor if trial.hollow else 0.0)
+
+
+def candidates(curve: Curve) -> tuple[Trial, ...]:
+    """The settings that were run and, where the knob takes any whole number and the measured errors
+    fall at least as fast as its declared order, those between and beyond, inferred by that order
+    from the next coarser one.
+
+    Args:
+        curve: of the knob.
+
+    Returns:
+        Trials, cheapest first; times in s.
+    """
+    run = tuple(t for t in curve.trials if np.isfinite(t.error))
+    if not curve.knob.whole or curve.knob.law != "power" or not holds(curve.knob, curve.order):
+        return run
+    solid = [trial for trial in run if not trial.hollow]
+    known, found = {trial.setting for trial in run}, list(run)
+    setting = float(solid[0].setting)
+    while (setting := setting * STEP) <= BEYOND * solid[-1].setting:
+        if (whole := round(setting)) not in known:
+            known.add(whole)
+            found.append(_inferred(curve, solid, whole))
+    return tuple(sorted(found, key=lambda trial: trial.setting))
+
+
+def _inferred(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
+    order = curve.knob.order
+    assert order is not None
+    near = max((t for t in solid if t.setting < setting), key=lambda t: t.setting)
+    falls = (setting / near.setting) ** order
+    first, last = curve.trials[0], curve.trials[-1]
+    settings, times = zip(*((t.setting, t.seconds) for t in curve.trials), strict=True)
+    if setting < last.setting:
+        seconds = float(np.interp(setting, settings, times))
+    else:  # what one more unit costs, from the two ends of what was run
+        each = max(last.seconds - first.seconds, 0.0) / max(last.setting - first.setting, 1)
+        seconds = last.seconds + max(each, 0.0) * (setting - last.setting)
+        seconds = max(seconds, last.seconds)
+    spread = near.seconds_high / near.seconds if near.seconds > 0 else 1.0
+    return replace(
+        near,
+        setting=setting,
+        error=near.error * falls,
+        error_low=near.error_low * falls,
+        error_high=near.error_high * falls,
+        seconds=seconds,
+        seconds_low=seconds / spread,
+        seconds_high=seconds * spread,
+        norms={},
+        measured=False,
+    )
+
+
+def choose(
+    curve: Curve | Sequence[Trial],
+    *,
+    tolerance: float | None = None,
+    seconds: float | None = None,
+) -> Trial:
+    """The cheapest setting within a tolerance, or the most accurate within a time.
+
+    Args:
+        curve: from `curve`, or the trials of `error_against_time`.
+        tolerance: relative, the largest error of a run with any seed.
+        seconds: s, the longest warm call.
+
+    Returns:
+        The trial; `measured` says whether it was run or inferred from others.
+
+    Raises:
+        InputError: unless one of the two is given, and where nothing meets it.
+
+    Example:
+        >>> from jaxvision.accuracy import choose, error_against_time
+        >>> calls = {n: lambda n=n: np.mean(((np.arange(n) + 0.5) / n) ** 2) for n in (1, 10, 100)}
+        >>> print(choose(error_against_time(calls, 1 / 3), tolerance=1e-3).error < 1e-3)
+        True
+    """
+    if (tolerance is None) == (seconds is None):
+        raise InputError("choose needs either a tolerance or a time; give one of the two.")
+    found = candidates(curve) if isinstance(curve, Curve) else tuple(curve)
+    floor = curve.reference.error if isinstance(curve, Curve) else 0.0
+    if seconds is None:
+        assert tolerance is not None
+        enough = [trial for trial in found if bound(trial, floor) <= tolerance]
+        if not enough:
+            raise InputError(_not_reached(curve, found, floor, tolerance))
+        return min(enough, key=lambda trial: trial.seconds)
+    quick = [trial for trial in found if trial.seconds <= seconds]
+    if not quick:
+        fastest = min(found, key=lambda trial: trial.seconds)
+        raise InputError(
+            f"No setting takes at most {seconds:g} s; the fastest, {fastest.setting}, takes "
+            f"{fastest.seconds:.3g} s."
+        )
+    return min(quick, key=lambda trial: bound(trial, floor))
+
+
+def _not_reached(
+    curve: Curve | Sequence[Trial], found: Sequence[Trial], floor: float, tolerance: float
+) -> str:
+    known = [t for t in found if np.isfinite(bound(t, floor))]
+    if not known:
+        return f"No setting reaches {tolerance:g}: no error is known."
+    best = min(known, key=lambda trial: bound(trial, floor))
+    words = (
+        f"No setting reaches {tolerance:g}; the most accurate, {best.setting}, is only known to be "
+        f"within {bound(best, floor):.3g}"
+    )
+    if tolerance < 3 * floor:
+        return f"{words}, and the reference itself within {floor:.3g}: allow more time for it."
+    return f"{words}: refine the knob or allow more."

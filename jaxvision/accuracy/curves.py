@@ -1,0 +1,282 @@
+"""Error against time for one knob of one problem, within a budget."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .fitted import fit_order
+from .knobs import knob_named
+from .norms import check_norms, level_of, norms_of, relative_rms
+from .records import Curve, Knob, Problem, Reference, Trial
+from .reference import PAIRED, paired_reference, random_reference
+from .session import Clock, Point, Session
+from .spread import next_error
+
+FIRST_LOOK = 0.45  # of the budget, for two calls of each setting
+HOLLOW = 3.0  # errors below so many of the reference's say little
+WRONG = 3.0  # standard deviations between a reference and the finest setting
+REPEATS = 5  # of the time of a setting that is not random
+
+
+def curve(
+    problem: Problem,
+    knob: Knob | str,
+    *,
+    settings: Sequence[Any] | None = None,
+    reference: Any = None,
+    seconds: float = 60.0,
+    seeds: int = 8,
+    metrics: Sequence[str] = ("rms", "p99", "max"),
+    clock: Clock | None = None,
+) -> Curve:
+    """Measures the error and the time of the settings of a knob.
+
+    Two calls of each setting, the cheapest first; then a reference; then the settings in turns with
+    other seeds, so that a machine of drifting speed favours none. An interrupt ends it and keeps
+    what was measured.
+
+    Args:
+        problem: what is computed.
+        knob: or its name, one of `KNOBS`.
+        settings: instead of those of the knob, cheapest first.
+        reference: the result to be reached, in the problem's unit, instead of one that is made.
+        seconds: s, the budget; settings that would exceed it are not run.
+        seeds: with which a random setting is run, at most.
+        metrics: norms to keep, "rms", "p99", "max" and for pictures "delta_e"; choices are by the
+            first.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The curve.
+
+    Raises:
+        InputError: for an unknown knob or norm, no settings, fewer than two seeds, and a budget
+            that is not above 0.
+
+    Example:
+        The midpoint rule on x^2 over [0, 1] errs by 1 / (12 n^2).
+
+        >>> from jaxvision.accuracy import Knob, Problem, curve
+        >>> def midpoint(settings):
+        ...     x = (np.arange(settings["n"]) + 0.5) / settings["n"]
+        ...     return lambda seed: np.array([np.mean(x**2)])
+        >>> n = Knob("n", "intervals", "midpoint rule", (4, 16, 64), (128, 256), order=-2.0)
+        >>> found = curve(Problem("x^2", midpoint, exact=[1 / 3]), n)
+        >>> print(f"{found.order.exponent:.2f}", found.reference.how)
+        -2.00 closed form
+    """
+    turned = knob_named(knob) if isinstance(knob, str) else knob
+    if settings is not None:
+        turned = replace(turned, settings=tuple(settings))
+    names = tuple(metrics)
+    check_norms(names)
+    if not turned.settings:
+        raise InputError(f"knob {turned.name!r} has no settings; give at least one.")
+    if seeds < 2 or not seconds > 0:
+        raise InputError(f"give at least 2 seeds and a time above 0 s, got {seeds}, {seconds}.")
+    session = Session(problem, turned, seconds, clock)
+    given = problem.exact if reference is None else reference
+    how = "closed form" if reference is None else "given"
+    found: tuple[Reference, Any] | None = None
+    if given is not None:
+        found = Reference(None, 0.0, how), np.asarray(given, np.float64)
+    stopped = ""
+    try:
+        _look(session)
+        if found is None:
+            found = random_reference(session) if turned.random else paired_reference(session)
+        _take_turns(session, seeds)
+    except KeyboardInterrupt:
+        stopped = "interrupted"
+    run = [s for s in turned.settings if s in session.points and session.points[s].results]
+    if not run:
+        raise KeyboardInterrupt("interrupted before anything was measured.")
+    not_run = tuple(s for s in turned.settings if s not in run)
+    stopped = stopped or ("out of time" if not_run else "")
+    if found is None:
+        last = session.points[run[-1]].results
+        found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
+    points = [session.points[setting] for setting in run]
+    return _told(session, points, *found, names, not_run, stopped)
+
+
+def _look(session: Session) -> None:
+    """Two calls of each setting while they fit; the first setting is always run."""
+    for setting in session.knob.settings:
+        allowed = FIRST_LOOK * session.seconds - session.taken
+        if session.points and session.expected(setting, calls=2) > allowed:
+            return
+        for seed in PAIRED:
+            session.call(setting, seed)
+
+
+def _take_turns(session: Session, seeds: int) -> None:
+    """Further calls of the settings in turns, each where it fits."""
+    rounds = seeds if session.knob.random else min(seeds, REPEATS)
+    for number in range(len(PAIRED), rounds):
+        for setting in session.knob.settings:
+            known = setting in session.points
+            if known and session.expected(setting, calls=1) <= session.left:
+                session.call(setting, number if session.knob.random else PAIRED[0])
+
+
+def _told(
+    session: Session,
+    points: list[Point],
+    reference: Reference,
+    exact: Any,
+    names: tuple[str, ...],
+    not_run: tuple[Any, ...],
+    stopped: str,
+) -> Curve:
+    problem = session.problem
+    some = np.asarray(next(iter(exact.values())) if isinstance(exact, dict) else exact)
+    level = level_of(some, problem.level)
+    own = reference.error
+    if session.knob.random and reference.how == "other seeds":
+        own = max(own, _gap(points[-1], some, own))
+    relative = replace(reference, error=own / level)
+    trials = [_trial(problem, session.knob, p, exact, level, relative.error, names) for p in points]
+    return Curve(
+        problem.name,
+        session.knob,
+        tuple(trials),
+        relative,
+        fit_order(session.knob, trials),
+        pareto_of(trials),
+        not_run,
+        stopped,
+        session.taken,
+    )
+
+
+def _gap(finest: Point, reference: np.ndarray, error: float) -> float:
+    """How far the finest setting is from the reference where that is more than their scatter
+    allows, so that one of the two is wrong; else 0."""
+    results = np.stack(list(finest.results.values()))
+    apart = float(np.mean((results.mean(axis=0) - reference) ** 2))
+    scatter = float(np.mean(np.var(results, axis=0, ddof=1))) / len(results)
+    return float(np.sqrt(apart)) if apart > WRONG**2 * (scatter + error**2) else 0.0
+
+
+def _trial(
+    problem: Problem,
+    knob: Knob,
+    point: Point,
+    exact: Any,
+    level: float,
+    floor: float,
+    names: tuple[str, ...],
+) -> Trial:
+    truth: Mapping[int, np.ndarray] = exact if isinstance(exact, dict) else {}
+    if not truth:
+        truth = dict.fromkeys(point.results, np.asarray(exact))
+    seeds = [seed for seed in point.results if seed in truth]
+    each = [
+        norms_of(
+            point.results[s], truth[s], level, names=(*names, "rms"), developed=problem.developed
+        )
+        for s in seeds
+    ]
+    norms = {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each]))) for n in each[0]}
+    main = np.array([one[names[0]] for one in each])
+    if knob.random:
+        error, low, high = next_error(main)
+    else:
+        apart = np.stack([point.results[s] - truth[s] for s in seeds]) / level
+        error, low, high = _bias(main, apart)
+    hollow = bool(norms["rms"] < HOLLOW * floor)
+    times = problem.whole * np.array(point.warm or [point.first])
+    quartiles = np.quantile(times, [0.25, 0.5, 0.75])
+    return Trial(
+        point.setting,
+        error,
+        low,
+        high,
+        float(quartiles[1]),
+        float(quartiles[0]),
+        float(quartiles[2]),
+        point.first,
+        len(seeds),
+        {name: norms[name] for name in names if name in norms},
+        hollow,
+    )
+
+
+def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
+    """The part of a difference that all seeds share, and between what it lies. The mean product of
+    two seeds' differences is its square without the noise that a seed adds; what that noise hides
+    counts as the bias."""
+    typical = float(np.sqrt(np.mean(norms**2)))
+    noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
+    whole = float(np.mean(apart**2))
+    if noise == 0 or whole == 0:
+        return typical, typical, typical
+    shared, count = max(whole - noise, 0.0), apart[0].size
+    count /= apart.shape[-1] if apart.ndim > 2 else 1  # the bands of a pixel err alike
+    half = 2 * float(np.sqrt((2 * shared * noise + noise**2) / count))
+    shared = max(shared, half)
+    bounds = np.sqrt(np.clip([shared, shared - half, shared + half], 0, None) / whole)
+    return tuple(float(typical * b) for b in bounds)  # pyright: ignore[reportReturnType]
+
+
+def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
+    """Indices of the trials that no other beats in both error and time.
+
+    Args:
+        trials: of one problem.
+
+    Returns:
+        The indices, fastest first; times in s.
+    """
+    found: list[int] = []
+    for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
+        if not found or trials[i].error < trials[found[-1]].error:
+            found.append(i)
+    return tuple(found)
+
+
+def error_against_time(
+    calls: Mapping[Any, Callable[[], Any]],
+    reference: Any,
+    *,
+    metric: Callable[[Any, Any], float] = relative_rms,
+    repeats: int = 5,
+    clock: Clock | None = None,
+) -> list[Trial]:
+    """Error and time of calls that rival each other, whatever they are.
+
+    The warm calls take turns, so that a machine of drifting speed favours none.
+
+    Args:
+        calls: a call without arguments for each name.
+        reference: the result to be reached, from a finer setting or in closed form, in any unit.
+        metric: error of a result against the reference.
+        repeats: warm calls of each, at least 1.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        One trial for each call, in their order, its setting the name; the error is that of the
+        first call, without spread.
+
+    Raises:
+        InputError: for no calls or no repeats.
+    """
+    if not calls or repeats < 1:
+        raise InputError("error_against_time needs at least one call and one repeat; give both.")
+    knob = Knob("call", "", "what rivals", tuple(calls), ())
+    problem = Problem("rivals", lambda settings: lambda seed: calls[settings["call"]]())
+    session = Session(problem, knob, np.inf, clock)
+    for number in range(repeats + 1):
+        for name in calls:
+            session.call(name, min(number, 1))
+    trials = []
+    for name in calls:
+        point = session.points[name]
+        low, middle, high = (float(q) for q in np.quantile(point.warm, [0.25, 0.5, 0.75]))
+        error = float(metric(point.results[0], reference))
+        trials.append(Trial(name, error, error, error, middle, low, high, point.first))
+    return trials

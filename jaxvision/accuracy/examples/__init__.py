@@ -1,0 +1,44 @@
+"""A problem for each knob that no scene file turns, small enough for seconds.
+
+light      roulette, strategies, form factors, adaptive nodes, tables of directions, spectra
+cameras    lens, motion, pixel aperture, diffraction, shot noise
+pictures   filters, mattes, curves
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+
+from ...errors import InputError, nearest
+from ..records import Problem
+
+ROOMS = ("light", "cameras", "pictures")
+
+
+def examples() -> dict[str, Callable[[], Problem]]:
+    """By the name of its knob, a function that makes the problem.
+
+    Returns:
+        The functions; each takes no argument.
+    """
+    found: dict[str, Callable[[], Problem]] = {}
+    for room in ROOMS:
+        found |= import_module(f"{__name__}.{room}").EXAMPLES
+    return found
+
+
+def example(knob: str) -> Problem:
+    """The problem on which a knob is measured when there is no scene file.
+
+    Args:
+        knob: its name, one of `KNOBS`.
+
+    Returns:
+        The problem; errors relative, times in s.
+
+    Raises:
+        InputError: for a knob without one.
+    """
+    known = examples()
+    if knob not in known:
+        raise InputError(f"knob {knob!r} has no example of its own; {nearest(knob, known)}.")
+    return known[knob]()

@@ -1,0 +1,190 @@
+"""Lens, motion, pixel aperture, diffraction and shot noise."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...brdf.lambert import Lambert
+from ...lights import PointLight
+from ...optics import airy_kernel, layered_defocus, sensor_irradiance
+from ...rendering import PixelSamples, render
+from ...scene import (
+    Camera,
+    Diffraction,
+    FastPoissonShotNoise,
+    GaussianShotNoise,
+    Pinhole,
+    PixelAperture,
+    Plane,
+    PoissonShotNoise,
+    Scene,
+    Sensor,
+    Sphere,
+    Surface,
+    ThinLens,
+    View,
+)
+from ...sensor import count
+from ...shot import capture
+from ..records import Compute, Problem
+from .pictures import picture
+
+SIDE = 64  # pixels
+PITCH = 4e-5  # m
+_NOISES = {
+    "gaussian": GaussianShotNoise,
+    "fast": FastPoissonShotNoise,
+    "exact": PoissonShotNoise,
+}
+
+
+def _balls() -> Scene:
+    """Three balls at different depths before a wall."""
+    places = ((-0.25, 0.0, 1.2), (0.05, 0.05, 1.8), (0.35, -0.1, 2.6))
+    colours = ((0.25, 0.1, 0.05), (0.1, 0.2, 0.1), (0.05, 0.1, 0.25))
+    balls = [
+        Surface(Sphere(place, 0.18), Lambert(colour))
+        for place, colour in zip(places, colours, strict=True)
+    ]
+    wall = Surface(Plane((0, 0, 3.0), (0, 0, -1)), Lambert((0.2, 0.2, 0.2)))
+    return Scene([*balls, wall], [PointLight((-1, -1, 0), (9.0, 9.0, 9.0))])
+
+
+def _lens_samples() -> Problem:
+    lens = ThinLens(
+        (0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE), f_number=1.4, focus_distance=1.8
+    )
+    scene = _balls()
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        count = settings["lens samples"]
+        run = jax.jit(lambda key: render(scene, lens, samples=PixelSamples(key, count)))
+        return lambda seed: run(jax.random.key(seed))
+
+    return Problem("three balls out of focus", prepare)
+
+
+def _layers() -> Problem:
+    lens = ThinLens(
+        (0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE), f_number=1.4, focus_distance=1.8
+    )
+    image = jnp.asarray(picture()[:SIDE, :SIDE])
+    depth = jnp.asarray(np.linspace(1.0, 3.0, SIDE)[None, :] * np.ones((SIDE, 1)))
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        layers = settings["defocus layers"]
+        run = jax.jit(lambda image: layered_defocus(lens, image, depth, radius=12, layers=layers))
+        return lambda seed: run(image)
+
+    return Problem("a ramp of depth out of focus", prepare)
+
+
+def _view() -> Pinhole:
+    return Pinhole((0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE))
+
+
+def _moments() -> Problem:
+    scene, camera = _balls(), Camera(_view(), Sensor(exposure_time=0.02))
+
+    def panned(scene: Scene, view: View, time: Any) -> tuple[Scene, View]:
+        return scene, replace(view, position=view.position + jnp.asarray([2.0, 0, 0]) * time)
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        moments = settings["motion moments"]
+        run = jax.jit(
+            lambda scene: capture(None, scene, camera, motion=panned, moments=moments).irradiance
+        )
+        return lambda seed: run(scene)
+
+    return Problem("three balls, panned", prepare)
+
+
+def _oversampling() -> Problem:
+    scene = _balls()
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        aperture = PixelAperture(1.0, oversampling=settings["oversampling"])
+        camera = Camera(_view(), Sensor(pixel_aperture=aperture))
+        run = jax.jit(lambda scene: capture(None, scene, camera).irradiance)
+        return lambda seed: run(scene)
+
+    return Problem("three balls, pixels with an area", prepare)
+
+
+def _diffraction_size() -> Problem:
+    image = np.zeros((SIDE, SIDE, 1))
+    image[20:24, 8:40] = 1.0
+    light = jnp.asarray(image)
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        diffraction = Diffraction(550e-9, size=settings["diffraction size"])
+        view = replace(_small(), diffraction=diffraction)
+        run = jax.jit(lambda radiance: sensor_irradiance(view, radiance))
+        return lambda seed: run(light)
+
+    return Problem("a slit at f/16", prepare)
+
+
+def _small() -> ThinLens:
+    return ThinLens(
+        (0, 0, 0),
+        np.eye(3),
+        0.05,
+        4e-6,
+        resolution=(SIDE, SIDE),
+        f_number=16.0,
+        focus_distance=1e3,
+    )
+
+
+def _diffraction_nodes() -> Problem:
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        order = settings["diffraction nodes"]
+        run = jax.jit(
+            lambda pitch: airy_kernel(
+                jnp.asarray(550e-9), jnp.asarray(8.0), pitch, size=17, order=order
+            )
+        )
+        return lambda seed: run(jnp.asarray(4e-6))
+
+    return Problem("an Airy pattern over pixels", prepare)
+
+
+def _shot_noise() -> Problem:
+    """The distribution of 2^18 draws at means of 1 to 100 electrons, against Poisson's."""
+    from scipy.stats import poisson
+
+    draws, most = 2**18, 160
+    means = np.array([1.0, 3.0, 10.0, 30.0, 100.0])
+    exact = poisson.cdf(np.arange(most)[None, :], means[:, None])
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        noise = _NOISES[settings["shot noise"]]()
+
+        @jax.jit
+        def counted(key: Any) -> jax.Array:
+            return count(key, jnp.broadcast_to(jnp.asarray(means)[:, None], (5, draws)), noise)
+
+        def distribution(seed: int) -> np.ndarray:
+            whole = np.round(np.asarray(counted(jax.random.key(seed)))).astype(int)
+            counts = [np.bincount(np.clip(row, 0, most), minlength=most)[:most] for row in whole]
+            return np.cumsum(counts, axis=1) / draws
+
+        return distribution
+
+    return Problem("a law of counts", prepare, exact=exact)
+
+
+EXAMPLES = {
+    "lens samples": _lens_samples,
+    "defocus layers": _layers,
+    "motion moments": _moments,
+    "oversampling": _oversampling,
+    "diffraction size": _diffraction_size,
+    "diffraction nodes": _diffraction_nodes,
+    "shot noise": _shot_noise,
+}

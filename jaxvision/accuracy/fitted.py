@@ -1,0 +1,59 @@
+"""The order of a knob: a straight line through the logarithms of its errors."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .records import Knob, Law, Order, Trial
+
+LEAST_SPREAD = 0.03  # relative: no error is known better
+
+
+def variable(setting: float, law: Law) -> float:
+    """What the logarithm of the error is linear in."""
+    return float(setting) if law == "geometric" else float(np.log(setting))
+
+
+def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
+    """The law of the errors that are not hollow; None for fewer than two, or settings that are no
+    numbers. A point weighs by how well its seeds know it."""
+    from scipy.special import stdtrit
+
+    solid = [one for one in trials if not one.hollow and one.error > 0 and _is_number(one.setting)]
+    if len({one.setting for one in solid}) < 2:
+        return None
+    x = np.array([variable(one.setting, knob.law) for one in solid])
+    y = np.log([one.error for one in solid])
+    known = np.array([_spread(one) for one in solid])
+    weights = 1 / known**2
+    centre = np.average(x, weights=weights)
+    spread = float(np.sum(weights * (x - centre) ** 2))
+    slope = float(np.sum(weights * (x - centre) * y) / spread)
+    left = y - np.average(y, weights=weights) - slope * (x - centre)
+    free = len(solid) - 2
+    if free == 0:
+        return Order(slope, -np.inf, np.inf, knob.law, len(solid))
+    # no better than the seeds say, however well a few points lie on a line
+    scatter = max(float(np.sum(weights * left**2)) / free, 1.0)
+    half = float(stdtrit(free, 0.975)) * float(np.sqrt(scatter / spread))
+    return Order(slope, slope - half, slope + half, knob.law, len(solid))
+
+
+def _spread(trial: Trial) -> float:
+    """Standard error of the logarithm of an error."""
+    if trial.seeds < 2 or trial.error_low <= 0:
+        return LEAST_SPREAD
+    wide = np.log(trial.error_high / trial.error_low) / (2 * 1.96)
+    return max(float(wide) / float(np.sqrt(trial.seeds)), LEAST_SPREAD)
+
+
+def _is_number(setting: object) -> bool:
+    return isinstance(setting, int | float) and not isinstance(setting, bool) and setting > 0
+
+
+def holds(knob: Knob, order: Order | None) -> bool:
+    """Whether what was measured falls at least as fast as the declared order, so that it may be
+    relied upon beyond the settings that were run."""
+    if order is None or knob.order is None or order.points < 3:
+        return False
+    return order.low <= knob.order

@@ -1,0 +1,79 @@
+"""How far a result is from the reference, as one number. Relative norms are over the level: the
+root mean square of the reference, or what the problem says."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError, nearest
+
+
+def relative_rms(result: Any, reference: Any) -> float:
+    """The root mean square error relative to that of the reference, computed in float64.
+
+    Args:
+        result: any shape and unit.
+        reference: the same shape and unit.
+
+    Returns:
+        sqrt(mean (result - reference)^2 / mean reference^2), no unit.
+
+    Example:
+        >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")
+        0.0707
+    """
+    exact = np.asarray(reference, np.float64)
+    return _rms(np.asarray(result, np.float64) - exact) / _rms(exact)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _p99(values: np.ndarray) -> float:
+    return float(np.quantile(np.abs(values), 0.99))
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.max(np.abs(values)))
+
+
+NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": _rms, "p99": _p99, "max": _largest}
+
+
+def level_of(reference: np.ndarray, level: float | None) -> float:
+    """What errors are relative to, in the unit of the result; 1 where all is 0."""
+    found = _rms(reference) if level is None else level
+    return found if found > 0 else 1.0
+
+
+def norms_of(
+    result: np.ndarray,
+    reference: np.ndarray,
+    level: float,
+    *,
+    names: tuple[str, ...],
+    developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Mapping[str, float]:
+    """The named norms of one result; relative, and units of L* for "delta_e", the mean CIEDE2000
+    difference of the developed pictures."""
+    apart = result - reference
+    found = {name: NORMS[name](apart) / level for name in names if name in NORMS}
+    if "delta_e" in names and developed is not None:
+        from ..colour_spaces import delta_e_2000
+
+        labs = (jnp.asarray(developed(one, reference)) for one in (result, reference))
+        differences = delta_e_2000(*labs)
+        found["delta_e"] = float(np.mean(np.asarray(differences, np.float64)))
+    return found
+
+
+def check_norms(names: tuple[str, ...]) -> None:
+    """`InputError` for an unknown norm, or none."""
+    for name in names:
+        if name not in (*NORMS, "delta_e"):
+            raise InputError(f"norm {name!r} is unknown; {nearest(name, (*NORMS, 'delta_e'))}.")
+    if not names or names[0] not in NORMS:
+        raise InputError(f"the first norm must be one of {', '.join(NORMS)}, got {names[:1]}.")

@@ -1,0 +1,101 @@
+"""A self-contained page of curves, dark or light as the reader prefers, and its numbers as JSON."""
+
+import io
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from ..io import replaced_on_success
+from .plots import front, plot
+from .records import Curve, Problem
+from .scene_settings import machine
+from .tables import as_dict, notes, rows
+
+INK = "#010203"  # drawn so, and replaced by the colour of the page's text
+
+
+def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
+    """The page.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs, error against time in s.
+        command: by which it can be repeated.
+
+    Returns:
+        HTML with the plots inside, as SVG.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("jaxvision.accuracy"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    drawn = [(curve.knob.about, _svg([curve])) for curve in curves]
+    if len(curves) > 1:
+        drawn.append(("every knob with the others at rest", _svg(curves)))
+    return environment.get_template("accuracy.html.j2").render(
+        title=problem.name,
+        rows=rows(problem, curves),
+        notes=notes(curves),
+        figures=[(about, Markup(svg)) for about, svg in drawn],
+        machine=machine(),
+        command=command,
+        version=version("jaxvision"),
+    )
+
+
+def _svg(curves: Sequence[Curve]) -> str:
+    """One curve, or the fronts of several, in the colours of the page."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    inked = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
+    style: dict[Any, Any] = dict.fromkeys(inked.split(), INK)
+    style |= {"svg.fonttype": "none", "font.size": 11, "svg.hashsalt": "jaxvision"}
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(4.8, 3.6), layout="constrained")
+        axes = figure.add_subplot()
+        axes.patch.set_alpha(0)
+        figure.patch.set_alpha(0)
+        if len(curves) == 1:
+            plot(curves[0], axes=axes)
+        else:
+            front(curves, axes=axes)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    return re.sub(r' (width|height)="[^"]*pt"', "", svg, count=2)
+
+
+def write_page(
+    folder: Path, problem: Problem, curves: Sequence[Curve], *, command: str
+) -> tuple[Path, Path]:
+    """Writes the page and its numbers.
+
+    Args:
+        folder: made if needed.
+        problem: whose knobs they are.
+        curves: of the knobs, error against time in s.
+        command: by which it can be repeated.
+
+    Returns:
+        Paths of `accuracy.html` and `accuracy.json`.
+    """
+    sheet = as_dict(problem, curves, machine=machine(), command=command)
+    texts = {
+        "accuracy.html": page(problem, curves, command=command),
+        "accuracy.json": json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        with replaced_on_success(folder / name) as partial:
+            partial.write_text(text, encoding="utf-8")
+    return folder / "accuracy.html", folder / "accuracy.json"

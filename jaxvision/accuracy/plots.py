@@ -1,0 +1,102 @@
+"""Error against time, drawn: one axes a knob, and all of them on a page's figure."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .records import Curve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
+
+
+def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
+    """Draws a curve: filled points with their spread, hollow ones near the reference's own error
+    (dashed), the Pareto front as a line.
+
+    Args:
+        curve: from `curve`.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes; time in s, error in percent.
+    """
+    from matplotlib.figure import Figure
+
+    if axes is None:
+        axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
+    floor = curve.reference.error
+    shown = [t for t in curve.trials if np.isfinite(t.error) and t.error > 0]
+    for trial in shown:
+        error = 100 * trial.error
+        low, high = (100 * abs(x) for x in (trial.error_low, trial.error_high))
+        axes.errorbar(
+            trial.seconds,
+            error,
+            xerr=[[trial.seconds - trial.seconds_low], [trial.seconds_high - trial.seconds]],
+            yerr=[[max(error - low, 0)], [max(high - error, 0)]],
+            fmt="o",
+            color=MARK,
+            markerfacecolor="none" if trial.hollow else MARK,
+            markersize=6,
+            elinewidth=1,
+        )
+        axes.annotate(
+            str(trial.setting), (trial.seconds, error), (5, 5), textcoords="offset points"
+        )
+    front = [curve.trials[i] for i in curve.pareto if curve.trials[i] in shown]
+    axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
+    if shown and np.isfinite(floor) and floor > 0:
+        axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
+    _scaled(axes, [t.error for t in shown])
+    unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
+    falls = "error" if curve.knob.law == "geometric" else "order"
+    order = "" if curve.order is None else f", {falls} {curve.order}"
+    axes.set_title(f"{curve.knob.name}{unit}{order}", fontsize=10)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
+    """Draws the Pareto fronts of several knobs of one problem on one axes.
+
+    Args:
+        curves: of the knobs.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes; time in s, error in percent.
+    """
+    from matplotlib.figure import Figure
+
+    if axes is None:
+        axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
+    drawn: list[float] = []
+    for curve in curves:
+        best = [curve.trials[i] for i in curve.pareto if curve.trials[i].error > 0]
+        if best:
+            places = [t.seconds for t in best], [100 * t.error for t in best]
+            drawn += places[1]
+            axes.plot(*places, "o-", ms=4, lw=1, label=curve.knob.name)
+    _scaled(axes, drawn)
+    axes.set_title("Pareto fronts of all knobs", fontsize=10)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8, frameon=False)
+    return axes
+
+
+def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
+    """Logarithmic axes with their labels, and what to say where no error is known."""
+    axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
+    if errors:
+        axes.set(xscale="log", yscale="log")
+    else:
+        axes.set(xticks=[], yticks=[])
+        words = "no error is known: allow more time"
+        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)

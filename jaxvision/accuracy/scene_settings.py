@@ -1,0 +1,331 @@
+"""The settings of a scene file for a tolerance or a time: knobs measured one by one, the best of
+their combinations checked by runs with fresh seeds, and the result remembered."""
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..effects import Pruned
+from ..errors import InputError
+from ..io import replaced_on_success
+from ..render_command import left_of, pruned_for
+from ..scene_files import SceneFile
+from ..scene_files.schema import RenderEntry
+from .curves import curve
+from .knobs import KNOBS
+from .records import Curve, Knob, Problem
+from .reference import DRAWS, FIRST_SEED
+from .scenes import entry_of, knobs_of, scene_problem
+from .session import Clock
+from .several import Combination, combined
+from .spread import next_error
+
+PROVED = 0.25  # of the tolerance, for what is left out
+FRESH = 3  # seeds of the check
+ROUNDS = 3  # of tightening after a check that failed
+CHECK = 0.35  # of the budget
+MARGIN = 0.9
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Settings of a scene file, and what they promise.
+
+    Attributes:
+        render: `[render]` to render with.
+        effects: what the tolerance allows to leave out besides, or None.
+        promised: relative root mean square error of the picture that no run is expected to exceed.
+        predicted_seconds: s, of the whole picture, with compilation.
+        checked: whether runs with fresh seeds against a finer picture have confirmed it; else time
+            was too short.
+        settings: of the knobs that were turned.
+        curves: of each knob; empty where the settings were remembered.
+    """
+
+    render: RenderEntry
+    effects: Pruned | None
+    promised: float
+    predicted_seconds: float
+    checked: bool
+    settings: Mapping[str, Any]
+    curves: tuple[Curve, ...] = ()
+
+
+def measured(
+    source: SceneFile,
+    settings: RenderEntry,
+    *,
+    names: tuple[str, ...] | None = None,
+    seconds: float = 60.0,
+    expand: np.ndarray | None = None,
+    metrics: tuple[str, ...] = ("rms", "p99", "max"),
+    clock: Clock | None = None,
+) -> tuple[Problem, tuple[Curve, ...]]:
+    """The curves of a scene file's knobs, the time shared equally.
+
+    Args:
+        source: the scene and its view.
+        settings: `[render]`.
+        names: of the knobs; None: all that change its picture.
+        seconds: s, for all.
+        expand: as in `scene_problem`.
+        metrics: as in `curve`.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The problem and the curves.
+
+    Raises:
+        InputError: for a knob that the scene file has not.
+    """
+    known = knobs_of(source, settings)
+    for name in names or ():
+        if name not in known:
+            words = ", ".join(repr(one) for one in known)
+            raise InputError(f"{source.path}: knob {name!r} changes nothing here; use {words}.")
+    problem = scene_problem(source, settings=settings, expand=expand, clock=clock)
+    now = clock or time.perf_counter
+    until, found = now() + seconds, []
+    chosen = names or known
+    for number, name in enumerate(chosen):
+        share = max(until - now(), 1e-3) / (len(chosen) - number)
+        turned = _with_base(KNOBS[name], problem.settings[name])
+        found.append(curve(problem, turned, seconds=share, metrics=metrics, clock=clock))
+        if found[-1].stopped == "interrupted":
+            break
+    return problem, tuple(found)
+
+
+def _with_base(knob: Knob, base: Any) -> Knob:
+    """The knob with the setting at which it stands while others are turned among its settings."""
+    if isinstance(base, str) or base in knob.settings or base >= min(knob.reference):
+        return knob
+    return replace(knob, settings=tuple(sorted({*knob.settings, base})))
+
+
+def settings(
+    scene_file: SceneFile,
+    *,
+    tolerance: float | None = None,
+    render_seconds: float | None = None,
+    seconds: float = 60.0,
+    cache: bool = True,
+    clock: Clock | None = None,
+) -> Chosen:
+    """The cheapest settings of a scene file within a tolerance, or the most accurate in a time.
+
+    A quarter of the tolerance is for effects that can be proved to matter less and are left out
+    (`effects.prune`); what that uses is taken off, and the rest is for the knobs. Of a time all is
+    for the knobs, and only what is proved not to matter is left out.
+
+    Args:
+        scene_file: from `read_scene`.
+        tolerance: relative root mean square error over the pixels, above 0.
+        render_seconds: s, that the whole render may take.
+        seconds: s, for measuring.
+        cache: whether to remember the settings for this scene, machine and version, and to take
+            them from there.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The settings.
+
+    Raises:
+        InputError: unless one of tolerance and time is given, above 0, and where nothing meets it.
+    """
+    goal = tolerance if render_seconds is None else render_seconds
+    if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:
+        raise InputError("give either a tolerance or a time to render, above 0.")
+    own = scene_file.render
+    pruned = _pruned(scene_file, own, tolerance)
+    left, _ = left_of(scene_file, own, pruned)
+    file = _remembered(scene_file, tolerance, render_seconds)
+    known = _read(file) if cache else None
+    if known is None:
+        known, curves = _found(left, own, pruned, tolerance, render_seconds, seconds, clock)
+        if cache:
+            _write(file, known)
+    else:
+        curves = ()
+    return Chosen(
+        entry_of(own, known["settings"]),
+        pruned,
+        known["promised"],
+        known["predicted_seconds"],
+        known["checked"],
+        known["settings"],
+        curves,
+    )
+
+
+def _pruned(source: SceneFile, own: RenderEntry, tolerance: float | None) -> Pruned | None:
+    """Without what may go, for paths as long as any knob follows them."""
+    deepest = KNOBS["depth"].reference[-1]
+    deep = own.model_copy(update={"depth": max(own.depth, deepest)})
+    try:
+        if tolerance is None:
+            return pruned_for(source, deep, "0")
+        problem = scene_problem(source, settings=own, scaled=False)
+        picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
+        level = float(np.sqrt(np.mean(picture**2)))
+        return pruned_for(source, deep, f"{PROVED * tolerance:.6e}", level=level)
+    except InputError:  # a scene of which nothing can be bounded is rendered whole
+        return None
+
+
+def _found(
+    source: SceneFile,
+    own: RenderEntry,
+    pruned: Pruned | None,
+    tolerance: float | None,
+    render_seconds: float | None,
+    seconds: float,
+    clock: Clock | None,
+) -> tuple[dict[str, Any], tuple[Curve, ...]]:
+    expand = None if pruned is None else pruned.expand
+    problem, curves = measured(
+        source, own, seconds=(1 - CHECK) * seconds, expand=expand, clock=clock
+    )
+    if any(one.stopped == "interrupted" for one in curves):
+        raise KeyboardInterrupt
+    gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
+    compiling = max(
+        max(t.first_seconds - t.seconds / problem.whole, 0) for c in curves for t in c.trials
+    )
+    wanted = None if tolerance is None else tolerance - gone
+    allowed = None if render_seconds is None else max(render_seconds - compiling, 1e-3)
+    now = clock or time.perf_counter
+    until = now() + CHECK * seconds
+    aim, best, checked = wanted, None, False
+    for _ in range(ROUNDS):
+        best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
+        error = checked_error(problem, curves, best, seconds=until - now())
+        if error is None:
+            break
+        checked = True
+        if wanted is None or error <= wanted:
+            best = replace(best, error=error)
+            break
+        checked = False
+        assert aim is not None
+        aim *= MARGIN * wanted / error
+    assert best is not None
+    if wanted is not None and not checked and best.error > wanted:
+        raise InputError(f"{source.path}: no settings were found within {tolerance:g}.")
+    found = {
+        "settings": dict(best.settings),
+        "promised": best.error + gone,
+        "predicted_seconds": compiling + best.seconds,
+        "checked": checked,
+    }
+    return found, curves
+
+
+def checked_error(
+    problem: Problem, curves: Sequence[Curve], best: Combination, *, seconds: float
+) -> float | None:
+    """The error of a combination, by runs with fresh seeds against finer settings of all knobs.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        best: the combination.
+        seconds: s, the time that is left.
+
+    Returns:
+        Relative, what no run is expected to exceed; None where time is too short for a reference
+        of a third of that error.
+    """
+    fine = {c.knob.name: c.reference.setting for c in curves if c.reference.setting is not None}
+    each = best.seconds / problem.whole
+    for one in curves:
+        if not one.knob.random:
+            base, setting = one.trials[0], fine.get(one.knob.name)
+            known = {trial.setting: trial.seconds for trial in one.trials}
+            ends = known.get(best.settings[one.knob.name], base.seconds)
+            if isinstance(setting, int | float) and ends > 0:
+                each *= max(max(known.values()) / ends, 1.0)
+        elif isinstance(fine.get(one.knob.name), int | float):
+            setting = max(fine[one.knob.name], 4 * best.settings[one.knob.name])
+            fine[one.knob.name] = setting
+            each *= setting / best.settings[one.knob.name]
+    if DRAWS * each + FRESH * best.seconds / problem.whole > seconds:
+        return None
+    random = any(one.knob.random for one in curves)
+    compute = problem.prepare({**problem.settings, **fine})
+    draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
+    reference = np.mean(draws, axis=0)
+    level = float(np.sqrt(np.mean(reference**2))) or 1.0
+    own = 0.0
+    if random:
+        own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
+    chosen = problem.prepare({**problem.settings, **best.settings})
+    errors = [
+        float(np.sqrt(np.mean((np.asarray(chosen(FIRST_SEED // 2 + n)) - reference) ** 2))) / level
+        for n in range(FRESH)
+    ]
+    found = next_error(np.array(errors))[2]
+    return None if own > found / 2 else found
+
+
+def _remembered(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:
+    """The file in which the settings of a scene, a machine and a version are kept."""
+    key = {
+        "scene": source.digest,
+        "resolution": list(source.view.resolution),
+        "render": source.render.model_dump(),
+        "tolerance": tolerance,
+        "render_seconds": render_seconds,
+        "machine": machine(),
+        "jaxvision": version("jaxvision"),
+        "jax": jax.__version__,
+    }
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "jaxvision" / "accuracy" / f"{digest[:32]}.json"
+
+
+def machine() -> str:
+    """What times are those of: processor, cores and JAX.
+
+    Returns:
+        One line of text.
+    """
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        pass
+    devices = jax.devices()
+    kind = "" if devices[0].platform == "cpu" else f", {len(devices)} x {devices[0].device_kind}"
+    return f"{os.cpu_count()} x {name}{kind}, jax {jax.__version__}"
+
+
+def _read(file: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(file.read_text())
+    except (OSError, ValueError):
+        return None
+    return (
+        found if {"settings", "promised", "predicted_seconds", "checked"} <= found.keys() else None
+    )
+
+
+def _write(file: Path, found: Mapping[str, Any]) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with replaced_on_success(file) as partial:
+            partial.write_text(json.dumps(found, indent=2))
+    except OSError:
+        pass  # a memory that cannot be written is no reason not to render

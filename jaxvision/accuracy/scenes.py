@@ -1,0 +1,224 @@
+"""A scene file as a problem: some of its pixels, as a function of `[render]` and a seed."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._types import as_dtype
+from ..colour_data import white_point
+from ..colour_spaces import rgb_to_xyz, xyz_to_lab
+from ..errors import InputError
+from ..lights import DirectionalLight, PointLight, SmallLight
+from ..render_command import (
+    linear_srgb,
+    seeded_passes_of,
+    seeded_pixels_of,
+    with_resolution,
+)
+from ..scene_files import SceneFile
+from ..scene_files.schema import RenderEntry
+from .records import Compute, Problem
+from .session import Clock
+
+PROBE = 64  # pixels along each side, of those that are computed
+NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
+AT_ONCE = 4  # samples of a call
+FEW = 16  # samples of a problem whose other knobs are turned
+_QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
+
+
+def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
+    """The knobs that change the picture of a scene file.
+
+    Args:
+        source: the scene and its view.
+        settings: its integrator and rule.
+
+    Returns:
+        Names in `KNOBS`, those that matter most first; no unit.
+    """
+    extended = any(
+        not isinstance(light, PointLight | DirectionalLight | SmallLight)
+        for light in source.scene.lights
+    )
+    of_lights = ["order" if settings.rule == "quadrature" else "light samples"]
+    lights = [*of_lights, "rule"] if extended else []
+    several = ["samples"] if settings.samples > 1 else []
+    match settings.integrator:
+        case "path" | "light":
+            found = ["samples", "depth"]
+        case "direct":
+            found = [*several, *lights]
+        case "rays":
+            found = [*several, "depth", *(of_lights if extended else [])]
+        case _:
+            gather = ["gather"] if settings.gather > 0 else []
+            found = [*several, "patches", *gather, *(of_lights if extended else [])]
+    return (*found, "dtype")
+
+
+def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
+    """`[render]` with knobs turned.
+
+    Args:
+        settings: as they were.
+        turned: settings by the name of the knob, each in the knob's unit.
+
+    Returns:
+        The settings as they are then.
+    """
+    update: dict[str, Any] = {}
+    for name, value in turned.items():
+        if name == "rule":
+            update |= {"rule": value, "order": NODES[value]}
+        else:
+            update["order" if name == "light samples" else name] = value
+    return settings.model_copy(update=update)
+
+
+def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
+    """What the knobs of a scene file are set to while another is turned; samples are few."""
+    found = {}
+    for name in names:
+        value = getattr(settings, "order" if name == "light samples" else name)
+        found[name] = min(value, FEW) if name == "samples" else value
+    return found
+
+
+def scene_problem(
+    source: SceneFile,
+    *,
+    settings: RenderEntry | None = None,
+    expand: np.ndarray | None = None,
+    probe: int = PROBE,
+    scaled: bool = True,
+    clock: Clock | None = None,
+) -> Problem:
+    """A scene file as a problem.
+
+    What is computed is a grid of the picture's own pixels (light tracing: a smaller picture); its
+    time is scaled to the whole by two calls of each, with the cheapest settings.
+
+    Args:
+        source: the scene and its view.
+        settings: `[render]`; None: those of the file.
+        expand: (all bands, bands) of a scene with fewer bands than were asked for, as in
+            `effects.Pruned`, or None.
+        probe: pixels along each side of the grid.
+        scaled: whether times are those of the whole picture; else those of the grid.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The problem; radiance in W m^-2 sr^-1.
+
+    Raises:
+        InputError: for a scene that cannot be rendered so.
+    """
+    own = settings or source.render
+    if probe < 2:
+        raise InputError(f"a probe of {probe} pixels a side is too small; give at least 2.")
+    names = knobs_of(source, own)
+    base = base_of(own, names)
+    height, width = source.view.resolution
+    rows, columns = (_spread(size, min(probe, size)) for size in (height, width))
+    places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
+
+    compiled: dict[str, Callable[[int], Callable[..., np.ndarray]]] = {}
+
+    def prepare(turned: Mapping[str, Any]) -> Compute:
+        entry = entry_of(own, turned)
+        scene, view = as_dtype((source.scene, source.view), entry.dtype)
+        given = replace(source, scene=scene, view=view)
+        if own.integrator == "light":
+            return _by_passes(given, entry, (len(rows), len(columns)), expand)
+        at_once = _at_once(entry)
+        few = entry.model_copy(update={"samples": at_once})
+        seeded = compiled.setdefault(few.model_dump_json(), seeded_pixels_of(given, few))
+        firsts = range(0, entry.samples, at_once)
+
+        def compute(seed: int) -> np.ndarray:
+            pixels = seeded(seed)
+            total = sum(pixels(*places, first).astype(np.float64) for first in firsts)
+            return _in_all_bands(np.asarray(total) / len(firsts), expand)
+
+        return compute
+
+    bands = source.bands if expand is None else len(expand)
+    to_rgb = linear_srgb(bands, source.wavelengths)
+    problem = Problem(
+        f"{source.path.stem}, {own.integrator}, {height} × {width}",
+        prepare,
+        settings=base,
+        developed=lambda radiance, exposed: _developed(radiance, exposed, to_rgb),
+    )
+    if not scaled:
+        return problem
+    everything = np.divmod(np.arange(min(own.tile, height * width)), width)
+    pixels = height * width / len(places[0])
+    if own.integrator == "light" or pixels == 1:
+        return replace(problem, whole=pixels)
+    cheap = entry_of(own, {**base, **({"samples": 1} if "samples" in base else {})})
+    part = _seconds_of(source, cheap, places, clock)
+    tile = _seconds_of(source, cheap, everything, clock)
+    tiles = height * width / len(everything[0])
+    return replace(problem, whole=float(np.clip(tile / part * tiles, 1.0, pixels)))
+
+
+def _at_once(entry: RenderEntry) -> int:
+    """Samples of one call, of which a few make any number: so that one program serves all."""
+    if entry.samples <= AT_ONCE and entry.integrator != "path":
+        return entry.samples
+    if entry.samples % AT_ONCE == 0:
+        return AT_ONCE
+    return 1 if entry.integrator == "path" else entry.samples
+
+
+def _spread(size: int, count: int) -> np.ndarray:
+    """Evenly spread indices of pixels."""
+    return ((np.arange(count) + 0.5) * size / count).astype(int)
+
+
+def _by_passes(
+    source: SceneFile, entry: RenderEntry, shape: tuple[int, int], expand: np.ndarray | None
+) -> Compute:
+    small = replace(source, view=with_resolution(source.view, shape))
+    passes = seeded_passes_of(small, entry)
+
+    def compute(seed: int) -> np.ndarray:
+        total = sum(passes(seed, number) for number in range(entry.samples))
+        return _in_all_bands(np.asarray(total) / entry.samples, expand)
+
+    return compute
+
+
+def _in_all_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray:
+    flat = radiance.reshape(-1, radiance.shape[-1])
+    return flat if expand is None else flat @ expand.T.astype(flat.dtype)
+
+
+def _seconds_of(
+    source: SceneFile, entry: RenderEntry, places: tuple[np.ndarray, ...], clock: Clock | None
+) -> float:
+    """s of a warm call."""
+    now = clock or time.perf_counter
+    seeded = seeded_pixels_of(source, entry)
+    seeded(0)(*places)
+    taken = []
+    for _ in range(3):
+        start = now()
+        seeded(0)(*places)
+        taken.append(now() - start)
+    return max(float(np.median(taken)), 1e-9)
+
+
+def _developed(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
+    """Lab of a picture whose exposure shows 95 % of the reference below 0.8 of white."""
+    bright = exposed @ to_rgb @ np.array([0.2126, 0.7152, 0.0722])
+    white = float(np.quantile(bright, _QUANTILE)) / _SHOWN if bright.size else 1.0
+    rgb = np.clip(radiance @ to_rgb / (white if white > 0 else 1.0), 0, 1)
+    lab = xyz_to_lab(rgb_to_xyz(jnp.asarray(rgb)), jnp.asarray(white_point("D65"), rgb.dtype))
+    return np.asarray(lab)

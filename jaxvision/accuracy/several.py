@@ -1,0 +1,113 @@
+"""Several knobs at once: the cheapest combination of their settings within a tolerance, or the most
+accurate one within a time.
+
+Times multiply: turning a knob changes the time by the factor by which it changes it alone. Errors
+of random knobs add in quadrature, biases as they are: (sum of biases)^2 + sum of squares.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .choice import bound, candidates
+from .records import Curve, Trial
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Settings of several knobs, and what they are expected to give.
+
+    Attributes:
+        settings: by the name of the knob.
+        error: relative; no run is expected to exceed it.
+        seconds: s, of a warm call.
+    """
+
+    settings: Mapping[str, Any]
+    error: float
+    seconds: float
+
+
+def combined(
+    curves: Sequence[Curve],
+    base: Mapping[str, Any],
+    *,
+    tolerance: float | None = None,
+    seconds: float | None = None,
+) -> Combination:
+    """The best of all combinations of settings that no other setting of their knob beats.
+
+    Args:
+        curves: of one problem, one a knob; each was measured with the others at `base`.
+        base: the settings of all knobs while another was turned.
+        tolerance: relative, of the error of any run.
+        seconds: s, of a warm call.
+
+    Returns:
+        The combination.
+
+    Raises:
+        InputError: unless one of the two is given, and where no combination meets it.
+    """
+    if (tolerance is None) == (seconds is None) or not curves:
+        raise InputError("combined needs curves, and either a tolerance or a time.")
+    limit = tolerance if tolerance is not None else seconds
+    assert limit is not None
+    once = float(np.median([_seconds_at(curve, base) for curve in curves]))
+    sets = [_pareto(curve, _seconds_at(curve, base)) for curve in curves]
+    best: tuple[float, Combination] | None = None
+    nearest = np.inf
+    for chosen in product(*sets):
+        random = sum(
+            error**2 for (_, error, _), c in zip(chosen, curves, strict=True) if c.knob.random
+        )
+        bias = sum(
+            error for (_, error, _), c in zip(chosen, curves, strict=True) if not c.knob.random
+        )
+        error = float(np.sqrt(bias**2 + random))
+        taken = once * float(np.prod([factor for *_, factor in chosen]))
+        price, limited = (error, taken) if tolerance is None else (taken, error)
+        nearest = min(nearest, limited)
+        if limited <= limit and (best is None or price < best[0]):
+            names = [curve.knob.name for curve in curves]
+            settings = {n: s for n, (s, *_) in zip(names, chosen, strict=True)}
+            best = price, Combination(settings, error, taken)
+    if best is None:
+        unit = "" if tolerance is not None else " s"
+        raise InputError(
+            f"No settings reach {limit:g}{unit}: the nearest are known to be within "
+            f"{nearest:.3g}{unit}; allow more, or more time to measure."
+        )
+    return best[1]
+
+
+def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
+    """s of the setting at which a knob stands while others are turned."""
+    setting = base[curve.knob.name]
+    known = {trial.setting: trial.seconds for trial in curve.trials}
+    if setting in known:
+        return known[setting]
+    if isinstance(setting, str):
+        return curve.trials[0].seconds
+    settings = sorted(known)
+    return float(np.interp(setting, settings, [known[s] for s in settings]))
+
+
+def _pareto(curve: Curve, once: float) -> list[tuple[Any, float, float]]:
+    """(setting, bound of the error, factor of time), without those that another beats."""
+    found: list[tuple[Any, float, float]] = []
+
+    def price(trial: Trial) -> tuple[float, float]:
+        return trial.seconds, bound(trial, curve.reference.error)
+
+    for trial in sorted(candidates(curve), key=price):
+        error = bound(trial, curve.reference.error)
+        if np.isfinite(error) and (not found or error < found[-1][1]):
+            found.append((trial.setting, error, trial.seconds / max(once, 1e-12)))
+    if not found:
+        raise InputError(f"no error of knob {curve.knob.name!r} is known; allow more time.")
+    return found

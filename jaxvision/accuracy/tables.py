@@ -1,0 +1,168 @@
+"""What was measured as a table on the terminal and as JSON: for 10, 1 and 0.1 % the cheapest
+setting of each knob, and of all together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .choice import choose
+from .records import Curve, Problem, Trial
+from .scene_settings import Chosen
+from .several import Combination, combined
+
+TOLERANCES = (0.1, 0.01, 0.001)
+WITHIN = tuple(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)
+
+
+def reached(curve: Curve) -> list[Trial | None]:
+    """The cheapest setting for each of `TOLERANCES`, or None."""
+    found: list[Trial | None] = []
+    for tolerance in TOLERANCES:
+        try:
+            found.append(choose(curve, tolerance=tolerance))
+        except InputError:
+            found.append(None)
+    return found
+
+
+def all_together(problem: Problem, curves: Sequence[Curve]) -> list[Combination | None]:
+    """The cheapest combination for each of `TOLERANCES`, or None."""
+    found: list[Combination | None] = []
+    for tolerance in TOLERANCES:
+        try:
+            found.append(combined(curves, problem.settings, tolerance=tolerance))
+        except InputError:
+            found.append(None)
+    return found
+
+
+def rows(problem: Problem, curves: Sequence[Curve]) -> list[tuple[str, ...]]:
+    """Cells of the table, the heads first.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+
+    Returns:
+        Rows of text: knob, order and, for each tolerance, setting and time in s.
+    """
+    found: list[tuple[str, ...]] = [("knob", "order (fitted)", *WITHIN)]
+    for curve in curves:
+        order = "-" if curve.order is None else str(curve.order)
+        found.append((curve.knob.name, order, *(_cell(trial) for trial in reached(curve))))
+    if len(curves) > 1:
+        found.append(("all together", "", *(_all(c) for c in all_together(problem, curves))))
+    return found
+
+
+def _cell(trial: Trial | None) -> str:
+    if trial is None:
+        return "not reached"
+    inferred = "" if trial.measured else " (inferred)"
+    return f"{trial.setting}{inferred}  {in_seconds(trial.seconds)}"
+
+
+def _all(combination: Combination | None) -> str:
+    if combination is None:
+        return "not reached"
+    words = ", ".join(f"{name} {setting}" for name, setting in combination.settings.items())
+    return f"{words}  {in_seconds(combination.seconds)}"
+
+
+def in_seconds(seconds: float) -> str:
+    """A time with two digits that count.
+
+    Args:
+        seconds: s.
+
+    Returns:
+        Text in s or ms.
+    """
+    return f"{1e3 * seconds:.2g} ms" if seconds < 0.1 else f"{seconds:.3g} s"
+
+
+def notes(curves: Sequence[Curve]) -> list[str]:
+    """Sentences below the table: references, and what was not run.
+
+    Args:
+        curves: of the knobs.
+
+    Returns:
+        A sentence for each; errors relative.
+    """
+    found = []
+    for curve in curves:
+        name, own = curve.knob.name, curve.reference
+        of = "" if own.setting is None else f" {own.setting}"
+        error = f"{100 * own.error:.2g} %" if np.isfinite(own.error) else "not known"
+        found.append(f"{name}: reference{of} ({own.how}), its own error {error}.")
+        if curve.not_run:
+            left = ", ".join(str(setting) for setting in curve.not_run)
+            found.append(f"{name}: {curve.stopped}; not run: {left}.")
+    return found
+
+
+def as_dict(problem: Problem, curves: Sequence[Curve], **more: Any) -> dict[str, Any]:
+    """All that was measured, for JSON; what is not a finite number is null.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        more: what else to tell, such as the machine.
+
+    Returns:
+        Numbers and text; times in s, errors relative.
+    """
+    sheet: dict[str, Any] = {"problem": problem.name, **more, "knobs": [], "within": {}}
+    for curve in curves:
+        sheet["knobs"].append(
+            {
+                "name": curve.knob.name,
+                "unit": curve.knob.unit,
+                "about": curve.knob.about,
+                "declared_order": curve.knob.order,
+                "order": None if curve.order is None else asdict(curve.order),
+                "reference": asdict(curve.reference),
+                "trials": [asdict(trial) for trial in curve.trials],
+                "pareto": [curve.trials[i].setting for i in curve.pareto],
+                "not_run": list(curve.not_run),
+                "stopped": curve.stopped,
+                "seconds_taken": curve.taken,
+            }
+        )
+    for words, best in zip(WITHIN, all_together(problem, curves), strict=True):
+        sheet["within"][words] = None if best is None else asdict(best)
+    return _finite(sheet)
+
+
+def _finite(value: Any) -> Any:
+    match value:
+        case Mapping():
+            return {str(name): _finite(one) for name, one in value.items()}
+        case list() | tuple():
+            return [_finite(one) for one in value]
+        case bool() | str() | int() | None:
+            return value
+        case float() | np.floating():
+            return float(value) if np.isfinite(value) else None
+    return str(value)
+
+
+def choice_in_words(chosen: Chosen) -> str:
+    """What was chosen for a render, in one or two sentences.
+
+    Args:
+        chosen: from `settings`.
+
+    Returns:
+        The settings, the promised error in percent, and the predicted time in s.
+    """
+    words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
+    how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
+    return (
+        f"Chosen: {words}: within {100 * chosen.promised:.2g} % ({how}), about "
+        f"{in_seconds(chosen.predicted_seconds)}."
+    )

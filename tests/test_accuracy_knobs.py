@@ -1,0 +1,103 @@
+"""Every approximation of the library has its knob, and every knob turns something."""
+
+import dataclasses
+import inspect
+from fnmatch import fnmatchcase
+
+import pytest
+from public_names import functions, records
+
+import jaxvision
+from jaxvision.accuracy import KNOBS, curve
+from jaxvision.accuracy.examples import example, examples
+from jaxvision.accuracy.knobs import SCENE_KNOBS
+from jaxvision.errors import InputError
+
+
+def words(text):
+    return text.split()
+
+
+# A public argument or field of one of these names trades error for time, and needs a knob ...
+WORDS = words("""
+order samples depth count rays paths patches gather moments slots oversampling sigmas members rank
+layers truncate tolerance rtol atol limit max_steps coarse_steps fine_steps roulette strategy rule
+shot_noise thetas phis azimuths polar split method dtype
+""")
+# ... unless it is one of these, where the word means something else: a derivative's order, a map of
+# depth, a count of things, data, a choice between definitions, or the dtype of what is asked for.
+OTHER = words("""
+*.gaussians.*.order *.gaussian_kernel.order *.defocus.*.depth *.defocus.*.members *.Sorted.members
+*.split_by_rule.members *.scene_files.* *.record_files.* *.bounce.count *.rules_of.* *.colour_data.*
+*.adapt.method *.demosaic.method *.Demosaicing.method *.interpolate_spectrum.method
+*.mean_of_samples.* *.IsotropicTable.azimuths *.measured.sample_directions.samples
+*.write_cornell.samples *.table_of_samples.samples *.path*.method *.shifted_lattice.*
+*.gauss_legendre.* *.read_mesh.dtype *.scipy_operator.dtype *.fixed_pattern.* *.read_out.*
+*.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
+*.shot_noise.count.shot_noise *.compositing.flatten.layers
+""")
+
+
+def approximations():
+    """The dotted names, below `jaxvision`, of public arguments and fields with such a word."""
+    found = []
+    for name, function in functions(jaxvision).items():
+        found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
+    for name, record in records(jaxvision).items():
+        if dataclasses.is_dataclass(record):
+            found += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    apart = ("jaxvision.effects.", "jaxvision.accuracy.")
+    return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
+
+
+def matches(name, patterns):
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def test_every_approximation_has_a_knob():
+    """A new argument or field of such a name fails here until a knob names it."""
+    known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
+    found = approximations()
+    assert len(found) > 60
+    missing = [name for name in found if not matches(name, known) and not matches(name, OTHER)]
+    assert not missing
+
+
+def test_every_pattern_names_something_that_is_there():
+    every = approximations()
+    for name, function in functions(jaxvision).items():
+        every += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
+    for name, record in records(jaxvision).items():
+        if dataclasses.is_dataclass(record):
+            every += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    patterns = [pattern for knob in KNOBS.values() for pattern in knob.sets] + OTHER
+    assert not [p for p in patterns if not any(fnmatchcase(name, p) for name in every)]
+
+
+def test_every_knob_turns_something():
+    """A key of `[render]`, or an example of its own."""
+    assert set(KNOBS) == set(SCENE_KNOBS) | set(examples())
+    assert not set(SCENE_KNOBS) & set(examples())
+    with pytest.raises(InputError, match="has no example of its own"):
+        example("samples")
+
+
+def test_settings_are_listed_cheapest_first_and_references_are_finer():
+    for knob in KNOBS.values():
+        steps = [s for s in (*knob.settings, *knob.reference) if isinstance(s, int | float)]
+        assert steps == sorted(steps) or steps == sorted(steps, reverse=True), knob.name
+        assert len(set(knob.settings)) == len(knob.settings) >= 2, knob.name
+        assert knob.random or knob.reference or knob.name == "adaptive nodes", knob.name
+
+
+@pytest.mark.sweep("Gaussian cut", "curve table")
+@pytest.mark.parametrize("name", sorted(examples()))
+def test_the_error_of_an_example_is_known_and_falls(name):
+    """From the cheapest to the finest setting; of knobs without an order it may stay."""
+    problem, knob = example(name), KNOBS[name]
+    found = curve(problem, knob, settings=(knob.settings[0], knob.settings[-1]), seconds=1e5)
+    assert not found.stopped
+    first, last = (trial.error for trial in found.trials)
+    if knob.order is not None or knob.law == "geometric":
+        assert last < first / 1.5
+    assert first < 1.5

@@ -1,0 +1,231 @@
+"""Several knobs at once, and what is shown of them, on a problem whose errors are known; the
+commands on a scene of a few pixels."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from commands import called
+
+from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
+from jaxvision.accuracy.scene_settings import checked_error
+from jaxvision.accuracy.tables import as_dict, notes, rows
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+
+SIZE = 400
+DRAWS = Knob("n", "draws", "", (4, 16, 64, 256), (1024, 4096), -0.5, random=True, whole=True)
+DEPTH = Knob("d", "pieces", "", (2, 3, 4, 6, 8), (16, 24), law="geometric", whole=True)
+
+
+class Clock:
+    """Seconds that the problem's own calls advance."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def means(clock, first=0):
+    """Means of n draws off by 1 / sqrt(n), short by 2^-d, at a cost of n d."""
+
+    def prepare(settings):
+        n, d = settings["n"], settings["d"]
+
+        def compute(seed):
+            clock.now += 1e-4 * n * d
+            noise = np.random.default_rng((first + seed, n)).standard_normal(SIZE)
+            return (1 - 2.0**-d) + n**-0.5 * noise
+
+        return compute
+
+    return Problem("means", prepare, settings={"n": 16, "d": 4}, level=1.0)
+
+
+def measured(first=0):
+    clock = Clock()
+    problem = means(clock, first)
+    return problem, [curve(problem, knob, clock=clock) for knob in (DRAWS, DEPTH)]
+
+
+def test_a_combination_meets_its_tolerance_with_fresh_seeds():
+    """In at least 95 of 100 trials; biases add as they are, random errors in quadrature."""
+    met = 0
+    for trial in range(100):
+        rng = np.random.default_rng(trial)
+        problem, curves = measured(int(rng.integers(10**9)))
+        tolerance = 10 ** rng.uniform(-1.7, -0.8)
+        best = combined(curves, problem.settings, tolerance=tolerance)
+        fresh = problem.prepare(best.settings)(10**7)
+        met += np.sqrt(np.mean((fresh - 1) ** 2)) <= tolerance
+    assert met >= 95
+
+
+def test_a_combination_is_the_cheapest_by_its_own_law():
+    """Within 1.6 times of the least n d with 4^-d + 1 / n <= tolerance^2, whole settings being far
+    apart."""
+    problem, curves = measured()
+    best = combined(curves, problem.settings, tolerance=0.05)
+    least = min(n * d for d in DEPTH.settings for n in range(4, 4000) if 4.0**-d + 1 / n <= 0.05**2)
+    assert best.settings["n"] * best.settings["d"] <= 1.6 * least
+    np.testing.assert_allclose(
+        best.seconds, 1e-4 * best.settings["n"] * best.settings["d"], rtol=0.1
+    )
+
+
+def test_the_most_accurate_combination_in_a_time():
+    problem, curves = measured()
+    best = combined(curves, problem.settings, seconds=0.1)
+    assert 1e-4 * best.settings["n"] * best.settings["d"] <= 0.11
+    assert best.error < 0.12
+    with pytest.raises(InputError, match=r"No settings reach 1e-09 s"):
+        combined(curves, problem.settings, seconds=1e-9)
+    with pytest.raises(InputError, match=r"the nearest are known to be within"):
+        combined(curves, problem.settings, tolerance=1e-6)
+
+
+def test_the_check_finds_what_a_combination_errs_by():
+    problem, curves = measured()
+    best = combined(curves, problem.settings, tolerance=0.05)
+    error = checked_error(problem, curves, best, seconds=1e9)
+    truth = np.hypot(2.0 ** -best.settings["d"], best.settings["n"] ** -0.5)
+    assert truth < error < 1.3 * truth
+    assert checked_error(problem, curves, best, seconds=1e-6) is None
+
+
+def test_the_table_says_settings_times_and_what_was_not_reached():
+    problem, curves = measured()
+    head, first, second, together = rows(problem, curves)
+    assert head == ("knob", "order (fitted)", "10 %", "1 %", "0.1 %")
+    assert first[0] == "n"
+    assert first[1].startswith("-0.5")
+    assert "(inferred)" in first[3]
+    assert second[2].startswith("4 ")
+    assert second[3].startswith("8 ")
+    assert second[4] == "not reached"
+    assert together[0] == "all together"
+    assert "n " in together[2]
+    assert any("twice as fine" in note for note in notes(curves))
+    sheet = json.loads(json.dumps(as_dict(problem, curves), allow_nan=False))
+    assert [knob["name"] for knob in sheet["knobs"]] == ["n", "d"]
+    assert sheet["within"]["0.1 %"] is None
+
+
+def test_the_page_stands_alone_and_follows_the_reader():
+    """No address is fetched, plots are in the colour of the text, and every setting has its
+    label."""
+    problem, curves = measured()
+    html = page(problem, curves, command="repeat <me>")
+    assert html.count("<svg") == 3
+    assert not re.findall(r'(?:src|href)="https?:', html)
+    assert "currentColor" in html
+    assert "prefers-color-scheme: dark" in html
+    assert "repeat &lt;me&gt;" in html
+    axes = plot(curves[0])
+    assert {label.get_text() for label in axes.texts} == {"4", "16", "64", "256"}
+    hollow = replace(curves[0].trials[0], hollow=True)
+    faces = plot(replace(curves[0], trials=(hollow,), pareto=(0,))).lines[0]
+    assert faces.get_markerfacecolor() == "none"
+
+
+SCENE = """
+[camera]
+kind = "pinhole"
+position = [0, -4, 0.5]
+target = [0, 0, 0]
+resolution = [6, 8]
+field_of_view = 50
+
+[material.grey]
+family = "lambert"
+albedo = [0.2, 0.2, 0.2]
+
+[[surface]]
+shape = "sphere"
+centre = [0, 0, 0]
+radius = 1
+material = "grey"
+
+[[light]]
+kind = "point"
+position = [1, -2, 3]
+intensity = [10, 10, 10]
+"""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    file = tmp_path / "ball.toml"
+    file.write_text(SCENE)
+    return file
+
+
+def run(*arguments):
+    return called(app, *arguments)
+
+
+def test_the_command_measures_a_scene(scene, tmp_path):
+    status, said, _ = run("accuracy", scene, "--seconds", 1e5, "--out", tmp_path / "page")
+    assert status == 0
+    assert re.search(r"dtype +- +float(32|64) ", said)
+    sheet = json.loads((tmp_path / "page" / "accuracy.json").read_text())
+    single, double = sheet["knobs"][0]["trials"]
+    assert 1e-9 < single["error"] < 1e-5
+    assert double["hollow"]
+    assert single["norms"].keys() == {"rms", "p99", "max", "delta_e"}
+    assert single["norms"]["delta_e"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["accuracy", "SCENE", "--knob", "depth"], "knob 'depth' changes nothing here"),
+        (["accuracy", "SCENE", "--seconds", "0"], "give a time above 0"),
+        (["accuracy", "SCENE", "--out", "SCENE"], "is a file"),
+        (["render", "SCENE", "--out", "x.exr", "--accuracy", "1DN"], "a share of the picture"),
+        (
+            ["render", "SCENE", "--out", "x.exr", "--accuracy", "1%", "--samples", "4"],
+            "--samples and a choice of settings exclude each other",
+        ),
+        (
+            ["render", "SCENE", "--out", "x.exr", "--accuracy", "1%", "--seconds", "4"],
+            "--seconds and a choice of settings exclude each other",
+        ),
+    ],
+)
+def test_wrong_commands_are_sentences(scene, arguments, sentence):
+    status, _, error = run(*(str(scene) if word == "SCENE" else word for word in arguments))
+    assert status == 2
+    assert sentence in error
+
+
+@pytest.mark.slow
+def test_render_takes_and_remembers_settings(tmp_path, monkeypatch):
+    """Cornell box of 32 x 32 pixels within 20 %: the file's own error against 4096 samples of
+    another seed is below it, and the second call measures nothing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    small = ("--resolution", "32,32", "--no-preview")
+    status, said, _ = run(
+        "render", "cornell_box", "--out", tmp_path / "a.exr", "--accuracy", "20%", *small
+    )
+    assert status == 0
+    assert "Chosen: samples" in said
+    (kept,) = (tmp_path / "cache" / "jaxvision" / "accuracy").iterdir()
+    before = kept.stat().st_mtime_ns
+    again = run("render", "cornell_box", "--out", tmp_path / "b.exr", "--accuracy", "20%", *small)
+    assert again[1].splitlines()[0] == said.splitlines()[0]
+    assert kept.stat().st_mtime_ns == before
+    fine = ("--samples", 4096, "--depth", 24, "--seed", 5)
+    run("render", "cornell_box", "--out", tmp_path / "fine.exr", *fine, *small)
+    first, second, truth = (
+        np.asarray(oiio.ImageBuf(str(tmp_path / f"{name}.exr")).get_pixels(oiio.FLOAT))
+        for name in ("a", "b", "fine")
+    )
+    np.testing.assert_array_equal(first, second)
+    assert np.sqrt(np.mean((first - truth) ** 2) / np.mean(truth**2)) <= 0.2
