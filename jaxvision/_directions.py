@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from . import brdf
 from ._numerics import reciprocal
 from ._types import Colour
-from ._vector import Vec, Vector, as_array, as_vec
+from ._vector import Direction, Vec, Vector, as_array, as_vec
 from .geometry import Ray
 from .hemisphere import Frame, local_frame, to_local, to_world
 from .lights import direction_pdf, direction_sample, seen
@@ -17,7 +17,7 @@ from .scene import Light, Material
 from .shadows import Place, clear
 
 
-def in_frame(normal: Vector, wo: Vector, tangent: Vector | None) -> tuple[Frame, Vec]:
+def in_frame(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
     """The frame of a surface point, and the viewer in it."""
     frame = local_frame(normal, tangent=tangent)
     return frame, as_vec(to_local(frame, wo))
@@ -53,7 +53,7 @@ def balanced(
     return weighed(as_vec(from_light)) + weighed(as_vec(from_material))
 
 
-def arriving_from(light: Light, point: Vector, wi: Vector, place: Place | None) -> Colour:
+def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
     """Radiance, W m^-2 sr^-1, that reaches the point from `wi`, 0 where something is between."""
     ahead = seen(light, Ray(point, wi))
     passes = None if place is None else clear(place, wi, ahead.distance)

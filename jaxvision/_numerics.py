@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
+from ._arguments import takes_numbers
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_vec, scaled
 
@@ -34,6 +35,7 @@ def log_of_zero(dtype: DTypeLike) -> float:
     return float(np.log(jnp.finfo(dtype).tiny))
 
 
+@takes_numbers
 def dot(u: Vec3, v: Vec3) -> Scalars:
     """Inner product of vectors.
 
@@ -94,6 +96,7 @@ def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
     return upper, x - upper
 
 
+@takes_numbers
 def safe_sqrt(x: Scalars) -> Scalars:
     """sqrt(max(x, 0)), with gradient 0 at and below x = 0.
 
@@ -160,6 +163,7 @@ def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
     return scaled(v, jnp.where(usable, 1 / scale, 1)), scale
 
 
+@takes_numbers
 def norm(v: Vec3) -> Scalars:
     """Euclidean length of vectors; gradient 0 at the zero vector.
 
@@ -173,6 +177,7 @@ def norm(v: Vec3) -> Scalars:
     return scale * safe_sqrt(dot(sized, sized))
 
 
+@takes_numbers
 def normalize(v: Vec3) -> Vec3:
     """Vectors scaled to unit length, v / |v|; the zero vector stays zero.
 
@@ -298,6 +303,7 @@ def _sine_cosine_jvp(primals, tangents):
     return (sine, cosine), (cosine * rate, -sine * rate)
 
 
+@takes_numbers
 def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     """Angle between unit vectors, with full relative accuracy near 0 and pi.
 
@@ -324,6 +330,7 @@ def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     return 2 * arctan2(jnp.where(zero, 0, apart), jnp.where(zero, 1, together))
 
 
+@takes_numbers
 def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     """Logarithm of the cosine between unit vectors, accurate at small angles and near right angles.
 

@@ -213,15 +213,19 @@ def check_range(
     *,
     above: bool = False,
     finite: bool = True,
+    nan: bool = False,
 ) -> None:
     """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
-    where `above`. None (absent) passes, and so do tracers, whose numbers are not known yet."""
+    where `above`; `nan`: NaN may be there. None (absent) passes, and so do tracers, whose numbers
+    are not known yet."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)
     inside = (numbers > low if above else numbers >= low) & (numbers <= high)
     if finite:
         inside &= np.isfinite(numbers)
+    if nan:
+        inside |= np.isnan(numbers)
     if not inside.all():
         wrong = numbers[~inside].flat[0]
         least = "above" if above else "at least"
@@ -237,12 +241,14 @@ class Range(NamedTuple):
     high: float = np.inf
     above: bool = False
     finite: bool = True
+    nan: bool = False
 
 
 FINITE = Range(-np.inf)
 NOT_NEGATIVE = Range(0)
 POSITIVE = Range(0, above=True)
 FRACTION = Range(0, 1)
+AMOUNT = Range(0, finite=False, nan=True)  # of light, size, roughness; NaN shows in the picture
 
 
 def check_fields(record: Any, **ranges: Range) -> None:
@@ -265,10 +271,16 @@ def check_fields(record: Any, **ranges: Range) -> None:
             shape = jnp.shape(value)
             fitting = [axes for axes, own in zip(shapes, known, strict=True) if _fits(shape, own)]
             sizes |= zip(fitting[0], shape, strict=True)
-    for name, (low, high, above, finite) in ranges.items():
+    for name, allowed in ranges.items():
         value = getattr(record, name)
         if not isinstance(value, eqx.Module):
-            check_range(f"{kind}.{name}", value, low, high, above=above, finite=finite)
+            check_range(f"{kind}.{name}", value, **allowed._asdict())
+
+
+def check_not_zero(name: str, vector: Any) -> None:
+    """Raises `ValueError` for a vector of length 0, which has no direction. Tracers pass."""
+    if is_known(vector) and not np.any(np.asarray(vector)):
+        raise ValueError(f"{name} must have a direction, got {np.asarray(vector).tolist()}.")
 
 
 @cache

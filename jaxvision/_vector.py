@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ._arguments import takes_numbers
 from ._types import Scalars, print_by_name
 
 
@@ -53,9 +54,11 @@ class Vec(eqx.Module):
 
 Vec3 = Float[Array, "... 3"] | Vec
 Vector = Float[Array, "3"] | Vec
-print_by_name(globals(), "Vec3", "Vector")
+Direction = Float[Array, "3"] | Vec  # a unit vector
+print_by_name(globals(), "Vec3", "Vector", "Direction")
 
 
+@takes_numbers
 def as_vec(v: Vec3) -> Vec:
     """The components of a vector.
 
@@ -68,6 +71,7 @@ def as_vec(v: Vec3) -> Vec:
     return v if isinstance(v, Vec) else Vec(v[..., 0], v[..., 1], v[..., 2])
 
 
+@takes_numbers
 def as_array(v: Vec3) -> Float[Array, "... 3"]:
     """The array of a vector.
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
+from ._arguments import takes_numbers
 from ._types import check_choice, check_tile, print_by_name
 
 Pattern = tuple[tuple[int, ...], ...]
@@ -86,6 +87,7 @@ def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"]
     return tuple(of_band(band) for band in range(tile.max() + 1))
 
 
+@takes_numbers
 def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
     """The picture that a sensor behind a colour filter array measures: one value for each pixel.
 

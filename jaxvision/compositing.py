@@ -19,9 +19,11 @@ from collections.abc import Callable
 from functools import reduce
 
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ._arguments import takes_numbers
 from ._numerics import divide, smallest_divisor
 from ._types import Scalars, as_relative, check_choice, print_by_name
 from .point_ops import srgb_decode, srgb_encode
@@ -48,6 +50,7 @@ _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]]
 }
 
 
+@takes_numbers
 def over(front: Layer, back: Layer) -> Layer:
     """front + (1 - alpha) back: the front hides the back in proportion to its coverage.
 
@@ -71,6 +74,7 @@ def over(front: Layer, back: Layer) -> Layer:
     return composite(front, back, operator="over")
 
 
+@takes_numbers
 def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     """F_A front + F_B back, for any of the thirteen operators.
 
@@ -102,6 +106,7 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     return of_front(b) * front + of_back(a) * back
 
 
+@takes_numbers
 def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
     """All layers as one, the first in front: `over` from the back to the front.
 
@@ -119,6 +124,7 @@ def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
     return reduce(lambda behind, layer: over(layer, behind), layers[::-1])
 
 
+@takes_numbers
 def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
     """A layer with light and coverage times `fraction`.
 
@@ -132,6 +138,7 @@ def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
     return as_relative(layer) * fraction
 
 
+@takes_numbers
 def darken(layer: Layer, factor: Scalars | float) -> Layer:
     """A layer with its light times `factor` and its coverage kept.
 
@@ -146,6 +153,7 @@ def darken(layer: Layer, factor: Scalars | float) -> Layer:
     return jnp.concatenate([layer[..., :-1] * factor, layer[..., -1:]], axis=-1)
 
 
+@takes_numbers
 def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
     """The layer of a straight colour and its coverage.
 
@@ -168,6 +176,7 @@ def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
     return jnp.concatenate([colour * covered, covered], axis=-1)
 
 
+@takes_numbers
 def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
     """The straight colour of a layer: light over coverage.
 
@@ -184,6 +193,7 @@ def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
     return divide(layer[..., :-1], alpha, ~(alpha <= smallest_divisor(alpha.dtype)))
 
 
+@takes_numbers
 def layer_from_srgb(rgba: Layer) -> Layer:
     """The layer of straight sRGB with coverage, as PNG files store it.
 
@@ -201,6 +211,7 @@ def layer_from_srgb(rgba: Layer) -> Layer:
     return premultiply(srgb_decode(rgba[..., :-1]), rgba[..., -1:])
 
 
+@takes_numbers
 def layer_to_srgb(layer: Layer) -> Layer:
     """The inverse of `layer_from_srgb`.
 
@@ -216,6 +227,7 @@ def layer_to_srgb(layer: Layer) -> Layer:
     return jnp.concatenate([srgb_encode(unpremultiply(layer)), layer[..., -1:]], axis=-1)
 
 
+@takes_numbers
 def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
     """`alpha` itself, after a check that all of it lies in [0, 1].
 
@@ -232,8 +244,8 @@ def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
     alpha = as_relative(alpha)
     if isinstance(alpha, Tracer):
         return alpha
-    rounding = 100 * float(jnp.finfo(alpha.dtype).eps)
-    wrong = int(jnp.sum(~((alpha >= -rounding) & (alpha <= 1 + rounding))))
+    rounding, values = 100 * float(jnp.finfo(alpha.dtype).eps), np.asarray(alpha)
+    wrong = np.sum(~((values >= -rounding) & (values <= 1 + rounding)))
     if wrong:
         raise ValueError(
             f"alpha must lie in [0, 1]: {wrong} of {alpha.size} values do not; clip or rescale it."

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._arguments import takes_numbers
 from ._numerics import dot, gauss_legendre, norm, normalize, safe_sqrt, sine_cosine
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_array, as_vec, where
@@ -27,6 +28,7 @@ class Frame(eqx.Module):
     normal: Vec = eqx.field(converter=as_vec)
 
 
+@takes_numbers
 def cross(u: Vec3, v: Vec3) -> Vec:
     """u x v, the length of which is the area of the parallelogram of `u` and `v`: m^2 if both are
     in m."""
@@ -34,6 +36,7 @@ def cross(u: Vec3, v: Vec3) -> Vec:
     return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
+@takes_numbers
 def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
     """The frame about a normal.
 
@@ -66,6 +69,7 @@ def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
     return Frame(chosen, cross(n, chosen), n)
 
 
+@takes_numbers
 def to_local(frame: Frame, w: Vec3) -> Vec3:
     """A direction in the frame of a surface.
 
@@ -80,6 +84,7 @@ def to_local(frame: Frame, w: Vec3) -> Vec3:
     return local if isinstance(w, Vec) else as_array(local)
 
 
+@takes_numbers
 def to_world(frame: Frame, w: Vec3) -> Vec3:
     """A direction of the frame of a surface in the world.
 
@@ -95,6 +100,7 @@ def to_world(frame: Frame, w: Vec3) -> Vec3:
     return world if isinstance(w, Vec) else as_array(world)
 
 
+@takes_numbers
 def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
     """The unit vector at azimuth `phi` (radians) whose polar cosine falls short of 1 by
     `one_minus_cos`, in [0, 2]: sharp lobes keep their digits, which 1 - cos would lose."""
@@ -102,6 +108,7 @@ def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), 1 - one_minus_cos)
 
 
+@takes_numbers
 def cosine_direction(u: Float[Array, "2"]) -> Vec:
     """A direction of density cos(theta) / pi from two uniform numbers in [0, 1); unit, local.
 
@@ -110,17 +117,20 @@ def cosine_direction(u: Float[Array, "2"]) -> Vec:
     return _at_turns(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
 
 
+@takes_numbers
 def cosine_pdf(w: Vec3) -> Scalars:
     """cos+(theta) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
     return jnp.maximum(as_vec(w).z, 0) / jnp.pi
 
 
+@takes_numbers
 def uniform_direction(u: Float[Array, "2"]) -> Vec:
     """A direction of the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
     uniform numbers in [0, 1); unit, local."""
     return _at_turns(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
 
 
+@takes_numbers
 def uniform_pdf(w: Vec3) -> Scalars:
     """1 / (2 pi) in sr^-1 above the surface, 0 below: the density of `uniform_direction`."""
     z = as_vec(w).z

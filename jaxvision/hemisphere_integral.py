@@ -14,10 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from . import brdf
+from ._arguments import takes_numbers
 from ._directions import arriving_from, balanced, in_frame, in_world
 from ._numerics import reciprocal, safe_sqrt
 from ._types import Colour, Key, check_count
-from ._vector import Vec, Vector, as_vec
+from ._vector import Direction, Vec, Vector, as_vec
 from .geometry import Shapes, sorted_shapes
 from .hemisphere import product_nodes
 from .scene import Light, Material
@@ -36,11 +37,12 @@ class Estimate(eqx.Module):
     error: Colour
 
 
+@takes_numbers
 def hemisphere_radiance(
     material: Material,
     incident_radiance: Callable[[Vector], Colour],
-    normal: Vector,
-    wo: Vector,
+    normal: Direction,
+    wo: Direction,
     *,
     tangent: Vector | None = None,
     polar: int = 32,
@@ -92,12 +94,13 @@ def hemisphere_radiance(
     return Estimate(value, jnp.abs(value - integral(polar // 2, azimuths // 2)))
 
 
+@takes_numbers
 def sampled_radiance(
     key: Key,
     material: Material,
     incident_radiance: Callable[[Vector], Colour],
-    normal: Vector,
-    wo: Vector,
+    normal: Direction,
+    wo: Direction,
     *,
     samples: int,
     tangent: Vector | None = None,
@@ -132,13 +135,14 @@ def sampled_radiance(
     return _mean(jax.vmap(draw)(jax.random.uniform(key, (samples, 3), viewer.z.dtype)))
 
 
+@takes_numbers
 def lit_radiance(
     key: Key,
     material: Material,
     light: Light,
     point: Vector,
-    normal: Vector,
-    wo: Vector,
+    normal: Direction,
+    wo: Direction,
     *,
     samples: int,
     tangent: Vector | None = None,

@@ -21,6 +21,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped
 
+from ._arguments import takes_numbers
 from ._types import as_float, print_by_name
 
 Picture = Shaped[Array | np.ndarray, "*picture"]
@@ -149,6 +150,7 @@ def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
     return Ghosts(source, own, first, last)
 
 
+@takes_numbers
 def pad(
     picture: Picture,
     widths: Widths,
@@ -189,6 +191,7 @@ def pad(
     return restore(image)
 
 
+@takes_numbers
 def continued(
     image: Float[Array, "images h w bands"],
     axis: int,

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from . import brdf
+from ._arguments import takes_numbers
 from ._band_count import band_count
 from ._bands import FEW, Bands, apart, plus
 from ._directions import balanced, in_frame, in_world, where_clear
 from ._staging import together
 from ._types import Colour, common_dtype
-from ._vector import Vec, Vector, as_vec
+from ._vector import Direction, Vec, Vector, as_vec
 from .geometry import Ray, Shapes, sorted_shapes
 from .hemisphere import to_local
 from .lights import (
@@ -62,12 +63,13 @@ class Lighting(eqx.Module):
     visible: Visible | None
 
 
+@takes_numbers
 def outgoing_radiance(
     material: Material,
     lights: Sequence[Light],
     point: Vector,
-    normal: Vector,
-    wo: Vector,
+    normal: Direction,
+    wo: Direction,
     *,
     ambient: AmbientLight | None = None,
     tangent: Vector | None = None,
@@ -148,8 +150,8 @@ def lighting(
 def reflected_radiance(
     material: Material,
     light: Lighting,
-    normal: Vector,
-    wo: Vector,
+    normal: Direction,
+    wo: Direction,
     *,
     tangent: Vector | None = None,
 ) -> Colour:
@@ -171,7 +173,7 @@ def reflected_radiance(
     bands = band_count([material], light.lights, around)
     parameters, k_a = _in_numbers(material), getattr(material, "ambient", None)
 
-    def shown(arriving: Incident, wi: Vector, passes: Bool[Array, ""] | None) -> Bands:
+    def shown(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
         shading = brdf.shading(parameters(), wi, viewer)
         pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
         return tuple(where_clear(passes, e * s) for e, s in pairs)

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool
 
+from ._arguments import takes_numbers
 from ._staging import stored
 from ._types import Scalar, common_dtype
-from ._vector import Vector, as_vec
+from ._vector import Direction, Vector, as_vec
 from .geometry import Shapes, Sorted, blocked, occluded, sorted_shapes
 from .lights import (
     Balanced,
@@ -45,7 +46,7 @@ class Leaving(eqx.Module):
         size: () m, as `geometry.Hit.size`; None: that of the largest shape.
     """
 
-    normal: Vector
+    normal: Direction
     size: Scalar | None = None
 
 
@@ -63,12 +64,13 @@ class Place(eqx.Module):
     occluders: Sorted
 
 
-def clear(place: Place, direction: Vector, distance: Scalar) -> Bool[Array, ""]:
+def clear(place: Place, direction: Direction, distance: Scalar) -> Bool[Array, ""]:
     """Whether light from `distance`, () m, in a unit direction reaches the place."""
     normal, size = place.leaving.normal, place.leaving.size
     return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
 
 
+@takes_numbers
 def visibility(
     lights: Sequence[Light],
     point: Vector,

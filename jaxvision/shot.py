@@ -10,6 +10,7 @@ from functools import partial
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from ._arguments import takes_numbers
 from ._types import Image, Key, Scalar
 from .development import develop
 from .effects import Certificate, Tolerance, prune
@@ -43,6 +44,7 @@ class Capture(eqx.Module):
     certificate: Certificate | None = eqx.field(static=True, default=None)
 
 
+@takes_numbers
 def capture(
     key: Key | None,
     scene: Scene,

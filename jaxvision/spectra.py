@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._arguments import takes_numbers
 from ._numerics import difference_of_products, or_one
 from ._types import Scalar, Spectrum, check_choice, print_by_name
 
@@ -44,6 +45,7 @@ _SPRAGUE_BEFORE = (
 )
 
 
+@takes_numbers
 def interpolate_spectrum(
     values: Spectrum,
     known: Wavelengths,
@@ -93,6 +95,7 @@ def interpolate_spectrum(
     return jnp.sum(jnp.broadcast_to(weights, neighbours.shape) * neighbours, axis=-2)
 
 
+@takes_numbers
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     """Width of the interval that each sample of a spectrum represents.
 
@@ -114,6 +117,7 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     return (jnp.append(step, step[-1]) + jnp.insert(step, 0, step[0])) / 2
 
 
+@takes_numbers
 def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Array, "..."]:
     """Integral over wavelength: the sum of value times band width.
 
@@ -127,6 +131,7 @@ def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Ar
     return spectrum @ band_widths(wavelengths)
 
 
+@takes_numbers
 def spectrum_to_camera(
     spectrum: Spectrum, wavelengths: Wavelengths, sensitivities: Responses
 ) -> Float[Array, "... channels"]:
@@ -144,6 +149,7 @@ def spectrum_to_camera(
     return spectrum @ (sensitivities * band_widths(wavelengths)[:, None])
 
 
+@takes_numbers
 def spectrum_to_xyz(
     spectrum: Spectrum, wavelengths: Wavelengths, observer: Responses
 ) -> Float[Array, "... 3"]:
@@ -163,6 +169,7 @@ def spectrum_to_xyz(
     return LUMINOUS_EFFICACY * spectrum_to_camera(spectrum, wavelengths, observer)
 
 
+@takes_numbers
 def reflectance_to_xyz(
     reflectance: Spectrum, wavelengths: Wavelengths, observer: Responses, illuminant: Wavelengths
 ) -> Float[Array, "... 3"]:
@@ -184,6 +191,7 @@ def reflectance_to_xyz(
     return reflectance @ (weights / jnp.sum(weights[:, 1]))
 
 
+@takes_numbers
 def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     """Planck's law: spectral radiance 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1).
 
@@ -221,6 +229,7 @@ def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) 
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(lost), lost, 0))
 
 
+@takes_numbers
 def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths:
     """Relative power of CIE daylight: S_0 + M_1 S_1 + M_2 S_2, 100 at 560 nm.
 

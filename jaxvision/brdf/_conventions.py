@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._bands import by_band
 from .._types import Colour, Scalar
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
 from ._registry import register
 
@@ -53,14 +53,14 @@ def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
             return value
         return lobe.normalisation(material) * value
 
-    def evaluate(material: Any, wi: Vector, wo: Vector) -> Colour:
+    def evaluate(material: Any, wi: Direction, wo: Direction) -> Colour:
         light, viewer = as_vec(wi), as_vec(wo)
         value = scaled(material, lobe.value(material, light, viewer))
         if convention == "shading":
             value = value / divisor(light.z)
         return _two_terms(material, light, viewer, jnp.ones_like(value), value)
 
-    def shading(material: Any, wi: Vector, wo: Vector) -> Colour:
+    def shading(material: Any, wi: Direction, wo: Direction) -> Colour:
         light, viewer = as_vec(wi), as_vec(wo)
         value = scaled(material, lobe.value(material, light, viewer))
         if convention != "shading":
@@ -78,14 +78,14 @@ def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
                 size = jnp.ones_like(with_cosine)
         return diffuse_share(jnp.pi * material.diffuse, size * material.specular)
 
-    def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
         return choose(diffuse_part(material), u, lobe.direction(material, as_vec(wo), u))
 
-    def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+    def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
         density = lobe.density(material, as_vec(wi), as_vec(wo))
         return mixed_pdf(diffuse_part(material), wi, density)
 
-    def albedo(material: Any, wo: Vector) -> Colour:
+    def albedo(material: Any, wo: Direction) -> Colour:
         plain, with_cosine = lobe.integrals(material, as_vec(wo).z)
         size = plain if convention == "shading" else scaled(material, with_cosine)
         return jnp.pi * material.diffuse + material.specular * size

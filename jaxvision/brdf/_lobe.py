@@ -17,8 +17,8 @@ from .._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
-from .._vector import Vec, Vector, as_vec, where
+from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
+from .._vector import Direction, Vec, Vector, as_vec, where
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
 from ..scene import Material
 
@@ -39,7 +39,7 @@ class PowerLobe(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, diffuse=AMOUNT, specular=AMOUNT, exponent=AMOUNT, ambient=AMOUNT)
 
 
 def mirrored(w: Vector) -> Vec:
@@ -53,7 +53,7 @@ def where_above(height: Scalar, value: Scalars) -> Scalars:
     return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
 
 
-def where_seen(wi: Vector, wo: Vector, value: Scalars) -> Scalars:
+def where_seen(wi: Direction, wo: Direction, value: Scalars) -> Scalars:
     """`value` where both directions lie above the surface, else 0; NaN where one of them is."""
     return where_above(jnp.minimum(as_vec(wi).z, as_vec(wo).z), value)
 
@@ -79,7 +79,7 @@ def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
     return where(diffuse, body, lobe)
 
 
-def mixed_pdf(diffuse_part: Scalar, wi: Vector, lobe_pdf: Scalar) -> Scalar:
+def mixed_pdf(diffuse_part: Scalar, wi: Direction, lobe_pdf: Scalar) -> Scalar:
     """Density of `choose`."""
     return diffuse_part * cosine_pdf(wi) + (1 - diffuse_part) * lobe_pdf
 

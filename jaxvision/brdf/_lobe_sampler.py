@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import divide, normalize, smallest_divisor
 from .._types import Colour, Scalar
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf
 from ._half_vector import (
     azimuth,
@@ -84,7 +84,7 @@ def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
     return divide(density, area, where=usable)
 
 
-def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """`wi` drawn from the material's `sampler`, or from the cosine where that is None. `u`: (3,)
     uniform in [0, 1)."""
     if material.sampler is None:
@@ -93,7 +93,7 @@ def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
     return choose(part, u, _lobe_direction(material.sampler, as_vec(wo), (u[0], u[1])))
 
 
-def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
     """The density of `sample`, sr^-1, over the whole sphere."""
     if material.sampler is None:
         return cosine_pdf(wi)
@@ -101,7 +101,7 @@ def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
     return mixed_pdf(jnp.asarray(COSINE_PART, lobe.dtype), wi, lobe)
 
 
-def albedo(material: Any, wo: Vector) -> Colour:
+def albedo(material: Any, wo: Direction) -> Colour:
     """Directional albedo, (bands,), no unit: with a sampler the midpoint rule on its two squares,
     so that narrow lobes are resolved; else the default product quadrature."""
     shading = family(material).shading

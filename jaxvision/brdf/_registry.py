@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Colour, Scalar
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
 from ._lobe import where_above
 from ._specular import Specular, one_way
@@ -70,10 +71,10 @@ def register(
         given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
         raise ValueError(f"{record.__name__}: got {given} without {missing}; they come together.")
 
-    def shaded(material: Any, wi: Vector, wo: Vector) -> Colour:
+    def shaded(material: Any, wi: Direction, wo: Direction) -> Colour:
         return evaluate(material, wi, wo) * jnp.maximum(as_vec(wi).z, 0)
 
-    def integrated(material: Any, wo: Vector) -> Colour:
+    def integrated(material: Any, wo: Direction) -> Colour:
         return integrate_shading(shaded if shading is None else shading, material, wo)
 
     _FAMILIES[record] = Family(
@@ -105,18 +106,18 @@ def register_delta(
             where that is clear; not given for a material that bounds no body.
     """
 
-    def evaluate(material: Any, wi: Vector, wo: Vector) -> Colour:
+    def evaluate(material: Any, wi: Direction, wo: Direction) -> Colour:
         del wi
         return jnp.zeros_like(specular(material, as_vec(wo)).reflectance)
 
-    def sample(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+    def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
         return one_way(specular(material, as_vec(wo)), u[2], carries="light")[0]
 
-    def pdf(material: Any, wi: Vector, wo: Vector) -> Scalar:
+    def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
         del material, wi
         return jnp.zeros_like(as_vec(wo).z)
 
-    def albedo(material: Any, wo: Vector) -> Colour:
+    def albedo(material: Any, wo: Direction) -> Colour:
         viewer = as_vec(wo)
         return where_above(viewer.z, specular(material, viewer).reflectance)
 
@@ -172,6 +173,7 @@ def absorption(material: Any) -> Colour | None:
     return None if of_body is None else of_body(material)
 
 
+@takes_numbers
 def specular(material: Any, w: Vector) -> Specular:
     """Where a ray goes on from a mirror or a clear surface.
 
@@ -191,7 +193,8 @@ def specular(material: Any, w: Vector) -> Specular:
     return of_family(material, as_vec(w))
 
 
-def seen_in_mirror(material: Any, wo: Vector) -> tuple[Vec, Colour] | None:
+@takes_numbers
+def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
     """What a viewer sees in an opaque mirror.
 
     Args:
@@ -208,13 +211,13 @@ def seen_in_mirror(material: Any, wo: Vector) -> tuple[Vec, Colour] | None:
     return (ways.mirrored, ways.reflectance) if ways.refracted is None else None
 
 
-def sample_cosine(material: Any, wo: Vector, u: Float[Array, "3"]) -> Vec:
+def sample_cosine(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A direction of density cos(theta) / pi, for any material."""
     del material, wo
     return cosine_direction(u[:2])
 
 
-def pdf_cosine(material: Any, wi: Vector, wo: Vector) -> Scalar:
+def pdf_cosine(material: Any, wi: Direction, wo: Direction) -> Scalar:
     """cos+(theta) / pi in sr^-1."""
     del material, wo
     return cosine_pdf(wi)
@@ -223,7 +226,7 @@ def pdf_cosine(material: Any, wi: Vector, wo: Vector) -> Scalar:
 def integrate_shading(
     shading: Callable[[Any, Vec, Vec], Colour],
     material: Any,
-    wo: Vector,
+    wo: Direction,
     *,
     polar: int = POLAR,
     azimuths: int = AZIMUTHS,

@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import arctan2, dot, or_one, smallest_divisor
 from .._types import Scalar, Scalars
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ..hemisphere import direction_at
 from ._conventions import Lobe, register_lobe
 from ._lobe import PowerLobe, circles, log_cosine
@@ -64,7 +65,8 @@ class NormalisedBlinn(PowerLobe):
     """
 
 
-def log_cos_half(wi: Vector, wo: Vector) -> Scalars:
+@takes_numbers
+def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
     """Logarithm of the cosine between the normal and the half vector.
 
     With H = wi + wo, -log(1 + (H.x^2 + H.y^2) / H.z^2) / 2, which keeps its digits for the
@@ -84,6 +86,7 @@ def log_cos_half(wi: Vector, wo: Vector) -> Scalars:
     return -jnp.log1p(jnp.where(above, squared, 0)) / 2
 
 
+@takes_numbers
 def normalisation(exponent: Scalar) -> Scalar:
     """The factor C(n) of the normalised lobe.
 
@@ -97,6 +100,7 @@ def normalisation(exponent: Scalar) -> Scalar:
     return (n + 2) * (n + 4) / (8 * jnp.pi * (n + jnp.exp2(-n / 2)))
 
 
+@takes_numbers
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of the lobe over directions of light above the horizon.
 

@@ -17,9 +17,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import or_one
-from .._types import Colour, Scalar, as_float, check_fields, print_by_name
-from .._vector import Vec, Vector, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, print_by_name
+from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._lobe import ColourOrNeutral, diffuse_share
 from ._registry import family, is_delta, register
@@ -55,20 +56,23 @@ class Dichromatic(Material):
                     f"Dichromatic.{name} must have a BRDF in sr^-1, got {type(part).__name__}, a "
                     "delta function: a polished TorranceSparrow (roughness 1e-3) has one."
                 )
-        check_fields(self)
+        check_fields(self, body_spectrum=AMOUNT, interface_spectrum=AMOUNT)
 
 
-def evaluate(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).evaluate(part, wi, wo))
 
 
-def shading(material: Dichromatic, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def shading(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
     """The two materials' own shadings times their spectra, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).shading(part, wi, wo))
 
 
-def albedo(material: Dichromatic, wo: Vector) -> Colour:
+@takes_numbers
+def albedo(material: Dichromatic, wo: Direction) -> Colour:
     """The two materials' albedos times their spectra, (bands,), no unit."""
     return _two_terms(material, lambda part: family(part).albedo(part, wo))
 
@@ -86,7 +90,8 @@ def _body_part(material: Dichromatic) -> Scalar:
     return diffuse_share(material.body_spectrum, material.interface_spectrum)
 
 
-def sample(material: Dichromatic, wo: Vector, u: Float[Array, "3"]) -> Vec:
+@takes_numbers
+def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit direction from the body's or the interface's own sampler, as u_2 decides; what is
     left of u_2 goes on to it."""
     part = _body_part(material)
@@ -98,7 +103,8 @@ def sample(material: Dichromatic, wo: Vector, u: Float[Array, "3"]) -> Vec:
     return jax.tree.map(lambda b, i: jnp.where(from_body, b, i), as_vec(body), as_vec(lobe))
 
 
-def pdf(material: Dichromatic, wi: Vector, wo: Vector) -> Scalar:
+@takes_numbers
+def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
     """Density of `sample` in sr^-1."""
     part = _body_part(material)
     body = family(material.body).pdf(material.body, wi, wo)

@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._types import Colour, Scalar, check_shape, print_by_name
 
@@ -59,6 +60,7 @@ class Separation(eqx.Module):
     noise_gain: Scalar
 
 
+@takes_numbers
 def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
     """Which pixels are neither dark nor saturated.
 
@@ -73,6 +75,7 @@ def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Sca
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
 
 
+@takes_numbers
 def separate(
     image: Pixels,
     illuminant: Colour,
@@ -125,6 +128,7 @@ def separate(
     )
 
 
+@takes_numbers
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
@@ -163,6 +167,7 @@ def body_colour(
     return jnp.where(tinted, _unit(side + jnp.where(positive, ratio, 0)[chosen] * c_i), c_i)
 
 
+@takes_numbers
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
     """The dichromatic plane of one material.
 
@@ -187,6 +192,7 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
     return axes[:, 0], safe_sqrt(sizes)
 
 
+@takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
     """The colour that all planes share, (3,) of length 1 and sum > 0, relative, and how well the
     planes fix it: () in [0, 1], 0 where they are one and the same.

@@ -2,15 +2,17 @@
 
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Colour, Scalar, check_shape
-from .._vector import Vec, Vector, as_array, as_vec
+from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..hemisphere import local_frame, to_local
 from ..scene import Material
 from ._lobe import where_above
 from ._registry import family
 
 
-def evaluate(material: Material, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
     """The BRDF of any material, f_r(wi, wo).
 
     Args:
@@ -32,7 +34,8 @@ def evaluate(material: Material, wi: Vector, wo: Vector) -> Colour:
     return family(material).evaluate(material, _direction("wi", wi), _direction("wo", wo))
 
 
-def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
+@takes_numbers
+def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
     """A direction toward the light, near where f_r is large.
 
     Args:
@@ -47,7 +50,8 @@ def sample(material: Material, wo: Vector, u: Float[Array, "3"]) -> Vector:
     return wi if isinstance(wo, Vec) else as_array(wi)
 
 
-def pdf(material: Material, wi: Vector, wo: Vector) -> Scalar:
+@takes_numbers
+def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
     """Density of the directions that `sample` draws.
 
     Args:
@@ -61,7 +65,8 @@ def pdf(material: Material, wi: Vector, wo: Vector) -> Scalar:
     return family(material).pdf(material, _direction("wi", wi), _direction("wo", wo))
 
 
-def albedo(material: Material, wo: Vector) -> Colour:
+@takes_numbers
+def albedo(material: Material, wo: Direction) -> Colour:
     """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
 
     It is what a viewer sees of light that comes alike from everywhere; for a reciprocal BRDF it is
@@ -78,7 +83,8 @@ def albedo(material: Material, wo: Vector) -> Colour:
     return where_above(viewer.z, family(material).albedo(material, viewer))
 
 
-def shading(material: Material, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
     """Radiance toward the viewer per unit of irradiance on a surface that faces the light.
 
     The cosine of incidence is included: f_r cos(theta_i).
@@ -101,8 +107,14 @@ def _direction(name: str, w: Vector) -> Vec:
     return as_vec(w)
 
 
+@takes_numbers
 def reflect(
-    material: Material, normal: Vector, wi: Vector, wo: Vector, *, tangent: Vector | None = None
+    material: Material,
+    normal: Direction,
+    wi: Direction,
+    wo: Direction,
+    *,
+    tangent: Vector | None = None,
 ) -> Colour:
     """`shading` in world coordinates.
 

@@ -9,8 +9,9 @@ grazing angles too; at an angle of 90 degrees every interface reflects all.
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
 
 
 class Dielectric(eqx.Module):
@@ -24,7 +25,7 @@ class Dielectric(eqx.Module):
     eta: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, eta=AMOUNT)
 
 
 class Conductor(eqx.Module):
@@ -39,7 +40,7 @@ class Conductor(eqx.Module):
     k: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, eta=AMOUNT, k=AMOUNT)
 
 
 class Schlick(eqx.Module):
@@ -52,12 +53,13 @@ class Schlick(eqx.Module):
     f0: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, f0=AMOUNT)
 
 
 Interface = Dielectric | Conductor | Schlick
 
 
+@takes_numbers
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
     """Reflectance of any interface.
 
@@ -77,6 +79,7 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
             return fresnel_schlick(cos_theta, interface.f0)
 
 
+@takes_numbers
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     """Reflectance of a clear interface, (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
 
@@ -114,6 +117,7 @@ def _index(x: Colour) -> Colour:
     return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
+@takes_numbers
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     """Reflectance of a metal, (R_s + R_p) / 2, with (a + i b)^2 = (eta + i k)^2 - sin^2 and
 
@@ -156,6 +160,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c, 4 * a * c * s_squared)) / 2
 
 
+@takes_numbers
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
     """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5.
 

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot, polynomial, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
-from .._vector import Vec, Vector
+from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
+from .._vector import Direction, Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._conventions import Lobe, register_lobe
@@ -36,7 +37,7 @@ class _Concentrated(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, diffuse=AMOUNT, specular=AMOUNT, concentration=AMOUNT, ambient=AMOUNT)
 
 
 class GaussianLobe(_Concentrated):
@@ -103,6 +104,7 @@ _SQUARED_ANGLE_OVER_CHORD = {
 }
 
 
+@takes_numbers
 def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
     """The lobe exp(-(concentration theta_s)^2).
 
@@ -119,10 +121,11 @@ def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
     return jnp.exp(-jnp.square(concentration * theta_mirror))
 
 
+@takes_numbers
 def gaussian_lobe_shading(
-    normal: Vector,
-    wi: Vector,
-    wo: Vector,
+    normal: Direction,
+    wi: Direction,
+    wo: Direction,
     diffuse: Colour,
     specular: Colour,
     concentration: Scalar,
@@ -152,6 +155,7 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
     return jnp.exp(-concentration * (concentration * squared_angle_between(axis, w)))
 
 
+@takes_numbers
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     """Square of the angle between unit vectors, within a few units in the last place from 0 to pi.
 
@@ -175,6 +179,7 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     return jnp.where(near, square, jnp.square(jnp.pi - safe_sqrt(jnp.where(near, 0, square))))
 
 
+@takes_numbers
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of the lobe over the directions above the horizon, by quadrature over 6 widths of
     the lobe, to 1e-10.

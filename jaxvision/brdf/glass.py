@@ -12,8 +12,9 @@ internal reflection). Local frame; the body is below the normal, +z.
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import or_one, safe_sqrt
-from .._types import Colour, Scalar, as_float, as_optional_float, check_fields
+from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import mirrored
@@ -36,9 +37,10 @@ class Glass(Material):
     absorption: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, index=AMOUNT, absorption=AMOUNT)
 
 
+@takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     """The direction of a refracted ray: -x / eta, -y / eta, and the rest of a unit vector.
 

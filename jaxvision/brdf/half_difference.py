@@ -20,9 +20,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot, normalize, or_one, safe_sqrt
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
 from ._interpolation import in_bin, in_bins, multilinear
@@ -55,7 +56,8 @@ def _turned(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
     return Vec(c * x - s * w.y, s * x + c * w.y, z)
 
 
-def half_difference(wi: Vector, wo: Vector) -> HalfDifference:
+@takes_numbers
+def half_difference(wi: Direction, wo: Direction) -> HalfDifference:
     """The angles of two unit vectors of the local frame, rad: theta in [0, pi / 2], phi in
     [-pi, pi]. On the normal phi_h is 0; for wi = wo phi_d is 0."""
     wi, wo = as_vec(wi), as_vec(wo)
@@ -117,7 +119,8 @@ def bin_angles(
     return jnp.square(h) * (jnp.pi / 2), d * (jnp.pi / 2), p * jnp.pi
 
 
-def evaluate(material: HalfDifferenceTable, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
     local frame."""
     wi, wo = as_vec(wi), as_vec(wo)

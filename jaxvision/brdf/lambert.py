@@ -3,9 +3,10 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import dot
-from .._types import Colour, as_float, as_optional_float, check_fields
-from .._vector import Vector
+from .._types import AMOUNT, Colour, as_float, as_optional_float, check_fields
+from .._vector import Direction
 from ..scene import Material
 from ._lobe import where_seen
 from ._registry import register
@@ -25,10 +26,11 @@ class Lambert(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, diffuse=AMOUNT, ambient=AMOUNT)
 
 
-def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
+@takes_numbers
+def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour:
     """Lambert's shading k_d [n.l]+: radiance per unit of irradiance on a surface facing the light.
 
     Args:
@@ -44,12 +46,14 @@ def lambert_shading(normal: Vector, wi: Vector, diffuse: Colour) -> Colour:
     return diffuse * jnp.maximum(dot(normal, wi), 0)
 
 
-def evaluate(material: Lambert, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: Lambert, wi: Direction, wo: Direction) -> Colour:
     """f_r = k_d, (bands,) in sr^-1."""
     return where_seen(wi, wo, material.diffuse)
 
 
-def albedo(material: Lambert, wo: Vector) -> Colour:
+@takes_numbers
+def albedo(material: Lambert, wo: Direction) -> Colour:
     """pi k_d, (bands,), no unit, from every direction."""
     del wo
     return jnp.pi * material.diffuse

@@ -19,8 +19,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Colour, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
 from ._interpolation import Place, among, around_circle, multilinear
@@ -157,7 +158,8 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
     return jnp.where(covered, value, 0)
 
 
-def evaluate(material: AngleTable, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: AngleTable, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
     local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
@@ -212,6 +214,7 @@ def sample_directions(samples: BRDFSamples) -> tuple[Vec, Vec]:
     return spherical(samples.theta_i, samples.phi_i), spherical(samples.theta_o, samples.phi_o)
 
 
+@takes_numbers
 def samples_of(
     material: Material,
     theta_i: Float[Array, " a"],

@@ -14,9 +14,10 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, log_of_zero, normalize, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, print_by_name
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, Vector, as_vec
 from ..hemisphere import cross
 from ._lobe import divisor
 
@@ -26,18 +27,21 @@ Alpha = Float[Array, "2"]
 print_by_name(globals(), "Alpha")
 
 
+@takes_numbers
 def at_least_polished(alpha: Alpha) -> Alpha:
     """The roughness that counts: below 1e-6 it is 1e-6, without gradient; no unit."""
     return jnp.maximum(alpha, 1e-6)
 
 
-def half_vector(wi: Vector, wo: Vector) -> Vec:
+@takes_numbers
+def half_vector(wi: Direction, wo: Direction) -> Vec:
     """The unit vector half-way between two unit directions, the normal of the facet that mirrors
     one into the other; zero between opposite ones. Rounding of the two turns it by about
     eps / cos(theta): in float32 a lobe of alpha cos(theta) < 1e-6 is narrower than that."""
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 
+@takes_numbers
 def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0
     below it. With the slopes p = h.x / h.z, q = h.y / h.z over their alphas:
@@ -66,6 +70,7 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 
 
+@takes_numbers
 def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
     surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
@@ -88,9 +93,10 @@ def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Sca
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 
 
+@takes_numbers
 def visibility(
-    wi: Vector,
-    wo: Vector,
+    wi: Direction,
+    wo: Direction,
     h: Vector,
     alpha: Alpha,
     *,
@@ -124,7 +130,8 @@ def visibility(
 # ---------------------------------------------------------------- directions
 
 
-def sample_facet(wo: Vector, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
+@takes_numbers
+def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     """The unit normal of a GGX facet that `wo` sees, from two uniform numbers in [0, 1).
 
     It serves Beckmann facets too: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
@@ -145,7 +152,8 @@ def sample_facet(wo: Vector, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     return as_vec(normalize(Vec(a[0] * n.x, a[1] * n.y, jnp.maximum(n.z, 0))))
 
 
-def facet_pdf(wi: Vector, wo: Vector, alpha: Alpha) -> Scalar:
+@takes_numbers
+def facet_pdf(wi: Direction, wo: Direction, alpha: Alpha) -> Scalar:
     """Density in sr^-1, over the whole sphere, of `wo` mirrored about a normal of
     `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o))."""
     facets = normal_distribution(half_vector(wi, wo), alpha, distribution="ggx")

@@ -6,7 +6,7 @@ Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s 
 
 import equinox as eqx
 
-from .._types import Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, as_float, check_fields
 from .._vector import Vec
 from ..scene import Material
 from ._lobe import mirrored, where_above
@@ -25,7 +25,7 @@ class Mirror(Material):
     reflectance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, reflectance=AMOUNT)
 
 
 def specular(material: Mirror, w: Vec) -> Specular:

@@ -17,9 +17,10 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import arctan2, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Vector, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
+from .._vector import Direction, as_vec
 from ..scene import Material
 from ._lobe import divisor, where_seen
 from ._registry import register
@@ -44,17 +45,18 @@ class OrenNayar(Material):
     )
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, diffuse=AMOUNT, sigma=AMOUNT, ambient=AMOUNT)
         check_choice("OrenNayar.form", self.form, ("qualitative", "full"))
 
 
-def evaluate(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     form = _qualitative if material.form == "qualitative" else _full
     return where_seen(wi, wo, form(material, wi, wo))
 
 
-def _qualitative(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
+def _qualitative(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
     """With sin(theta_i) sin(theta_o) cos(phi) = wi.x wo.x + wi.y wo.y, no angle is needed."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     a = 1 - 0.5 * variance / (variance + 0.33)
@@ -63,7 +65,7 @@ def _qualitative(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
     return material.diffuse * (a + b * toward)
 
 
-def _full(material: OrenNayar, wi: Vector, wo: Vector) -> Colour:
+def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
     """Direct light plus one bounce, equations 27 to 30."""
     i, o, variance = as_vec(wi), as_vec(wo), jnp.square(material.sigma)
     sin_i, sin_o = (safe_sqrt(w.x * w.x + w.y * w.y) for w in (i, o))

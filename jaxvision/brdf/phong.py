@@ -21,9 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot, log_cos_between, log_of_zero
-from .._types import Colour, Scalar, Scalars
-from .._vector import Vec, Vector, as_vec
+from .._types import Colour, Scalar, Scalars, check_range
+from .._vector import Direction, Vec, Vector, as_vec
 from ..geometry import mirror_direction
 from ._conventions import Lobe, register_lobe
 from ._lobe import PowerLobe, about, lobe_integrals, log_cosine, mirrored, where_above
@@ -65,6 +66,7 @@ class NormalisedPhong(PowerLobe):
     """
 
 
+@takes_numbers
 def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
     """[cos theta_s]+ ** exponent, from the logarithm of the cosine.
 
@@ -77,18 +79,28 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
     Returns:
         The lobe, not normalised, (...) in [0, 1], no unit.
 
+    Raises:
+        ValueError: for the cosine itself in place of its logarithm.
+
     Source: Szeliski, Computer Vision, section 2.2.2.
 
     Example:
         >>> print(jv.phong_lobe(jnp.log(jnp.array(0.9)), jnp.array(10.0)).round(6))
         0.348678
     """
+    check_range("phong_lobe: log_cos_mirror", log_cos_mirror, -np.inf, 0, finite=False, nan=True)
     behind = log_cos_mirror <= log_of_zero(log_cos_mirror.dtype)
     return jnp.exp(jnp.where(behind, -jnp.inf, exponent * jnp.where(behind, 0, log_cos_mirror)))
 
 
+@takes_numbers
 def phong_shading(
-    normal: Vector, wi: Vector, wo: Vector, diffuse: Colour, specular: Colour, exponent: Scalar
+    normal: Direction,
+    wi: Direction,
+    wo: Direction,
+    diffuse: Colour,
+    specular: Colour,
+    exponent: Scalar,
 ) -> Colour:
     """Phong shading k_d [n.l]+ + k_s [s.v]+ ** exponent.
 
@@ -113,6 +125,7 @@ def phong_shading(
     return where_above(height, diffuse * cos_i + specular * lobe)
 
 
+@takes_numbers
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
     """A direction drawn from a power lobe: cos(alpha) = (1 - u_0)^(1 / (n + 1)).
 
@@ -127,6 +140,7 @@ def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec
     return about(axis, -jnp.expm1(jnp.log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
 
+@takes_numbers
 def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
     """Density of `power_direction`, (n + 1) / (2 pi) [cos alpha]+^n.
 
@@ -142,6 +156,7 @@ def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
     return (exponent + 1) / (2 * jnp.pi) * lobe
 
 
+@takes_numbers
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of a power lobe over the directions above the horizon.
 

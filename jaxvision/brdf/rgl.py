@@ -23,9 +23,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, normalize, or_one, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import (
     azimuth,
@@ -81,6 +82,7 @@ class RGL(Material):
             raise ValueError(f"RGL.symmetry must be 1, 2 or 4, got {self.symmetry}.")
 
 
+@takes_numbers
 def rgl_material(
     theta: Float[Array, " t"],
     phi: Float[Array, " p"],
@@ -149,7 +151,8 @@ def _reflected_by(
     return jnp.where(sigma > 0, value * (ndf / (4 * or_one(sigma))), 0)
 
 
-def shading(material: RGL, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """f_r cos(theta_i), (bands,) in sr^-1: the tabulated quantity itself; 0 where either direction
     lies below the surface. `wi`, `wo`: unit, local frame."""
     wi, wo = as_vec(wi), as_vec(wo)
@@ -161,7 +164,8 @@ def shading(material: RGL, wi: Vector, wo: Vector) -> Colour:
     return where_above(height, _reflected_by(material, at, s, h_place, wo_place))
 
 
-def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface, and on the horizon.
     `wi`, `wo`: unit, local frame."""
     cos_i = as_vec(wi).z
@@ -169,7 +173,8 @@ def evaluate(material: RGL, wi: Vector, wo: Vector) -> Colour:
     return divide(shading(material, wi, wo), cos_i, where=above)
 
 
-def sample(material: RGL, wo: Vector, u: Float[Array, "3"]) -> Vec:
+@takes_numbers
+def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A direction drawn in proportion to the luminance reflected toward `wo`.
 
     Args:
@@ -189,7 +194,8 @@ def sample(material: RGL, wo: Vector, u: Float[Array, "3"]) -> Vec:
     return _unfolded(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
 
 
-def pdf(material: RGL, wi: Vector, wo: Vector) -> Scalar:
+@takes_numbers
+def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     """The density of `sample`, sr^-1, over the whole sphere; 0 for `wo` below the surface."""
     wi, wo = _unfolded(material, as_vec(wi), as_vec(wo))
     at, origin, _ = _seen_from(material, wo)
@@ -202,7 +208,8 @@ def pdf(material: RGL, wi: Vector, wo: Vector) -> Scalar:
     return divide(density, area, where=usable)
 
 
-def albedo(material: RGL, wo: Vector, *, order: int = 64) -> Colour:
+@takes_numbers
+def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     """The reflected part of a uniform surrounding, seen from `wo`: (bands,), no unit.
 
     The hemisphere integral of f_r cos(theta_i) by the midpoint rule of order x order nodes on the

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import (
     arctan2,
     divide,
@@ -30,8 +31,8 @@ from .._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
-from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Vec, Vector, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
+from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import reflected
 from ._lobe import (
@@ -87,7 +88,7 @@ class TorranceSparrow(Material):
     shadowing: Shadowing = eqx.field(static=True, default="smith", kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
         counts = [jnp.size(x) for x in (self.diffuse, self.specular)]
         counts += [jnp.size(x) for x in jax.tree.leaves(self.interface)]
         if len(set(counts) - {1}) > 1:
@@ -103,7 +104,8 @@ def _alpha(material: TorranceSparrow) -> Alpha:
     return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
 
 
-def microfacet_lobe(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     """F D G / (4 cos cos), (bands,) or (1,), in sr^-1, without k_s; 0 outside the hemisphere."""
     h, alpha = half_vector(wi, wo), _alpha(material)
     facets = normal_distribution(h, alpha, distribution=material.distribution)
@@ -116,13 +118,14 @@ def microfacet_lobe(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour
     return fresnel(material.interface, dot(as_vec(wo), h)) * lobe
 
 
-def evaluate(material: TorranceSparrow, wi: Vector, wo: Vector) -> Colour:
+@takes_numbers
+def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     body = where_seen(wi, wo, material.diffuse)
     return body + material.specular * microfacet_lobe(material, wi, wo)
 
 
-def _cavity_facet(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -> Vec:
+def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """The normal of a groove's side that `wo` sees: a groove by its area, then of its two sides
     one by the area turned toward `wo`. Source: Heitz & d'Eon, "Importance Sampling
     Microfacet-Based BSDFs using the Distribution of Visible Normals", CGF 33(4) (2014)."""
@@ -141,7 +144,7 @@ def _cavity_facet(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -
     return Vec(side * h.x, side * h.y, h.z)
 
 
-def _cavity_pdf(material: TorranceSparrow, wi: Vector, wo: Vector) -> Scalar:
+def _cavity_pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
     """Density in sr^-1 of `wo` mirrored about a normal of `_cavity_facet`: D G1 / (4 cos theta_o)
     with G1 = min(1, 2 h.z cos(theta_o) / wo.h)."""
     h = half_vector(wi, wo)
@@ -150,14 +153,15 @@ def _cavity_pdf(material: TorranceSparrow, wi: Vector, wo: Vector) -> Scalar:
     return facets / (4 * divisor(seen))
 
 
-def _diffuse_part(material: TorranceSparrow, wo: Vector) -> Scalar:
+def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
     lobe = material.specular
     if material.interface is not None:
         lobe = lobe * fresnel(material.interface, as_vec(wo).z)
     return diffuse_share(jnp.pi * material.diffuse, lobe)
 
 
-def sample(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -> Vec:
+@takes_numbers
+def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit direction from the cosine about the normal, or `wo` mirrored by a facet it sees.
 
     f_r cos / pdf of the lobe is at most k_s F for v-cavities and for Smith's GGX facets; at most
@@ -173,7 +177,8 @@ def sample(material: TorranceSparrow, wo: Vector, u: Float[Array, "3"]) -> Vec:
     return choose(part, u, reflected(as_vec(wo), h))
 
 
-def pdf(material: TorranceSparrow, wi: Vector, wo: Vector) -> Scalar:
+@takes_numbers
+def pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
     """Density of `sample` in sr^-1."""
     match material.shadowing:
         case "smith":
@@ -187,7 +192,8 @@ _RADII, _TURNS = 32, 64
 _WIDEST = 6.5  # the slope, in units of alpha, beyond which a Beckmann surface has 1e-18 of its area
 
 
-def albedo(material: TorranceSparrow, wo: Vector) -> Colour:
+@takes_numbers
+def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     """pi k_d + k_s times the lobe's albedo, (bands,), no unit; the latter is good to 4e-4
     for every roughness and view, for Smith's facets where cos(theta_o) > 0.1 to 1e-4.
 

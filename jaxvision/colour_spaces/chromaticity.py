@@ -2,9 +2,11 @@
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from ._components import Colours, joined, parts, reciprocal, vanishes
 
 
+@takes_numbers
 def xyz_to_xyy(xyz: Colours) -> Colours:
     """Chromaticities and luminance (x, y, Y).
 
@@ -22,6 +24,7 @@ def xyz_to_xyy(xyz: Colours) -> Colours:
     return joined(x * share, y * share, y)
 
 
+@takes_numbers
 def xyy_to_xyz(xyy: Colours) -> Colours:
     """The inverse of `xyz_to_xyy`.
 

@@ -4,6 +4,7 @@ from 0 to 2 pi rad."""
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Scalars
 from ._components import Colours, chroma_of, hue_angle, joined, parts, reciprocal
 
@@ -25,6 +26,7 @@ def _from_lightness(above: Scalars) -> Scalars:
     return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
 
 
+@takes_numbers
 def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     """CIE 1976 L*, a*, b*.
 
@@ -46,6 +48,7 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     return joined(116 * (fy + y_0), 500 * a, 200 * b)
 
 
+@takes_numbers
 def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
     """The inverse of `xyz_to_lab`.
 
@@ -65,6 +68,7 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
     return joined(*(white[i] * _from_lightness(f) for i, f in enumerate(thirds)))
 
 
+@takes_numbers
 def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     """CIE 1976 L*, u*, v*.
 
@@ -91,6 +95,7 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     return joined(lightness, scale * u, scale * v)
 
 
+@takes_numbers
 def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     """The inverse of `xyz_to_luv`.
 
@@ -114,6 +119,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     return joined(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
 
 
+@takes_numbers
 def to_lch(lab: Colours) -> Colours:
     """Lab or Luv in polar form: lightness, chroma, hue.
 
@@ -130,6 +136,7 @@ def to_lch(lab: Colours) -> Colours:
     return joined(lightness, chroma_of(a, b), hue_angle(a, b))
 
 
+@takes_numbers
 def from_lch(lch: Colours) -> Colours:
     """The inverse of `to_lch`.
 

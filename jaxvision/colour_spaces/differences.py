@@ -2,12 +2,14 @@
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import norm, safe_sqrt
 from .._types import Scalars
 from .._vector import Vec
 from ._components import Colours, chroma_of, hue_angle, parts
 
 
+@takes_numbers
 def delta_e_76(lab: Colours, other: Colours) -> Scalars:
     """Euclidean distance in Lab, CIE 1976; the gradient is 0 between equal colours.
 
@@ -24,6 +26,7 @@ def delta_e_76(lab: Colours, other: Colours) -> Scalars:
     return norm(Vec(*parts(lab - other)))
 
 
+@takes_numbers
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     """The CIEDE2000 colour difference; the gradient is 0 between equal colours.
 

@@ -2,10 +2,12 @@
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._types import Scalars
 from ._components import Colours, joined, parts, reciprocal, vanishes, within
 
 
+@takes_numbers
 def rgb_to_hsv(rgb: Colours) -> Colours:
     """Hue, saturation and value of RGB, usually encoded.
 
@@ -24,6 +26,7 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
     return joined(hue, (most - least) * reciprocal(most), most)
 
 
+@takes_numbers
 def hsv_to_rgb(hsv: Colours) -> Colours:
     """The inverse of `rgb_to_hsv`.
 
@@ -46,6 +49,7 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
     return joined(channel(5), channel(3), channel(1))
 
 
+@takes_numbers
 def rgb_to_hsl(rgb: Colours) -> Colours:
     """Hue, saturation and lightness of RGB, usually encoded.
 
@@ -65,6 +69,7 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
     return joined(hue, (most - least) * reciprocal(room), (most + least) / 2)
 
 
+@takes_numbers
 def hsl_to_rgb(hsl: Colours) -> Colours:
     """The inverse of `rgb_to_hsl`.
 

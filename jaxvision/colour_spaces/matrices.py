@@ -3,11 +3,13 @@
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Scalars
 from ..colour_data import cone_matrix, rgb_to_xyz_matrix
 from ._components import Colours, by_constant, checked, joined, multiplied, parts
 
 
+@takes_numbers
 def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
     """A 3 x 3 matrix times each colour: a camera's colour correction, or any change of primaries.
 
@@ -24,6 +26,7 @@ def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
     return multiplied(checked(colours), matrix)
 
 
+@takes_numbers
 def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
     """Linear RGB of a working space to XYZ under the white of that space.
 
@@ -45,6 +48,7 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
     return by_constant(rgb, rgb_to_xyz_matrix(space))
 
 
+@takes_numbers
 def xyz_to_rgb(xyz: Colours, *, space: str = "sRGB") -> Colours:
     """The inverse of `rgb_to_xyz`.
 
@@ -61,6 +65,7 @@ def xyz_to_rgb(xyz: Colours, *, space: str = "sRGB") -> Colours:
     return by_constant(xyz, np.linalg.inv(rgb_to_xyz_matrix(space)))
 
 
+@takes_numbers
 def luminance(rgb: Colours, *, space: str = "sRGB") -> Scalars:
     """Y of linear RGB.
 
@@ -79,6 +84,7 @@ def luminance(rgb: Colours, *, space: str = "sRGB") -> Scalars:
     return red * r + green * g + blue * b
 
 
+@takes_numbers
 def adapt(
     xyz: Colours,
     white: Float[Array, "3"],
@@ -108,6 +114,7 @@ def adapt(
     return by_constant(joined(*scaled), np.linalg.inv(cones))
 
 
+@takes_numbers
 def change_rgb_space(
     rgb: Colours, *, source: str, target: str, adaptation: str | None = "Bradford"
 ) -> Colours:

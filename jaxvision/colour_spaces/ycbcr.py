@@ -3,11 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 
+from .._arguments import takes_numbers
 from .._types import check_choice, check_count
 from ..colour_data import luma_weights
 from ._components import Colours, by_constant, checked
 
 
+@takes_numbers
 def rgb_to_ycbcr(
     rgb: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
 ) -> Colours:
@@ -32,6 +34,7 @@ def rgb_to_ycbcr(
     return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
 
 
+@takes_numbers
 def ycbcr_to_rgb(
     ycbcr: Colours, *, standard: str = "ITU-R BT.709", levels: str = "full", bits: int = 8
 ) -> Colours:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Spectrum, as_float, check_fields
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
@@ -31,6 +32,7 @@ class CameraColour(eqx.Module):
         check_fields(self)
 
 
+@takes_numbers
 def fit_colour_matrix(
     camera: Float[Array, "patches 3"],
     wanted: Float[Array, "patches 3"],
@@ -75,6 +77,7 @@ def fit_colour_matrix(
     return through + rest.T @ across.T
 
 
+@takes_numbers
 def camera_colour(
     sensitivities: Responses,
     illuminant: Wavelengths,

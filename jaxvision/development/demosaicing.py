@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
+from .._arguments import takes_numbers
 from .._staging import stored
 from .._types import as_float, check_choice, print_by_name
 from ..colour_filters import Pattern, check_pattern, sites
@@ -34,6 +35,7 @@ Mask = Bool[Array, "h w"]
 print_by_name(globals(), "Mosaic", "Picture")
 
 
+@takes_numbers
 def demosaic(
     raw: Mosaic, pattern: Pattern, *, method: str = "malvar", border: str = "in_phase"
 ) -> Picture:
@@ -68,6 +70,7 @@ def demosaic(
     return METHODS[method](raw, pattern)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
     """The mean of the two or four nearest pixels that measured the band.
@@ -94,6 +97,7 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase"
     return _per_image(of_image, raw, pattern)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
     """Bilinear means plus a share of the Laplacian of the measured band: four 5 x 5 filters.
@@ -134,6 +138,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") 
     return _per_image(of_image, raw, pattern)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "refine"))
 def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Picture:
     """Directional filtering and a posteriori decision.
@@ -202,6 +207,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
     return _per_image(of_image, raw, pattern)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames="pattern")
 def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
     """Means of the nearby pixels that measured the band, weighted by tents as wide as the tile.

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._arguments import takes_numbers
 from .._numerics import with_gradient_of
 from .._staging import stored
 from .._types import Image, Scalar, as_float, as_relative, check_choice
@@ -98,6 +99,7 @@ def quantisation_tables(
     return scaled(_LUMA_TABLE), scaled(_CHROMA_TABLE)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("subsampling", "rounding"))
 def jpeg(
     picture: Picture,

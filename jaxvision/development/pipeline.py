@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, UInt
 
+from .._arguments import takes_numbers
 from .._types import Image, Scalars
 from ..colour_spaces import apply_matrix
 from ..filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
@@ -22,6 +23,7 @@ from .tone import encode_tone, map_tone
 from .white_balancing import Gains, grey_world_gains, neutral_gains, white_balance
 
 
+@takes_numbers
 def develop(raw: Scalars, development: Development) -> Scalars:
     """(raw - black) / (white - black), then the stages of a development in their order below.
 
@@ -65,6 +67,7 @@ def develop(raw: Scalars, development: Development) -> Scalars:
     return picture
 
 
+@takes_numbers
 def to_integers(picture: Scalars, *, bits: int = 8) -> UInt[Array, "..."]:
     """The codes of an integer file: round((2^bits - 1) x), with x clipped to [0, 1].
 

@@ -6,6 +6,7 @@ Elementwise on relative values of any shape; the named curves are in `point_ops`
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import or_one
 from .._types import Scalars, as_relative, print_by_name
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
@@ -15,6 +16,7 @@ Points = Float[Array, " points"]
 print_by_name(globals(), "Points")
 
 
+@takes_numbers
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
     """The smooth curve through given points, monotone wherever the points are; constant outside.
 
@@ -52,6 +54,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
     )
 
 
+@takes_numbers
 def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
     """Linear light to the range of a display: each band by the curve of the record.
 
@@ -71,6 +74,7 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
             return tone_curve(picture, inputs, outputs)
 
 
+@takes_numbers
 def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
     """Linear values to encoded ones, by the curve of the record.
 

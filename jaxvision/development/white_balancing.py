@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, or_one, power, smallest_divisor
 from .._types import Image, Scalar, Spectrum, as_relative, print_by_name
 
@@ -16,6 +17,7 @@ Gains = Float[Array, "*images bands"]
 print_by_name(globals(), "Gains")
 
 
+@takes_numbers
 def white_balance(
     image: Image, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
 ) -> Image:
@@ -49,6 +51,7 @@ def white_balance(
     return jnp.minimum(balanced, jnp.broadcast_to(most[..., None, None, None], shape))
 
 
+@takes_numbers
 def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
     """The gains that make the mean of a patch neutral, such as a grey card or a cloud.
 
@@ -68,6 +71,7 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
     return _balancing(jnp.nanmean(as_relative(patch), axis=tuple(range(patch.ndim - 1))))
 
 
+@takes_numbers
 def grey_world_gains(
     image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
 ) -> Gains:

@@ -15,12 +15,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from .._arguments import takes_numbers
 from .._numerics import log_of_zero
 from .._types import Scalars, check_choice, check_count
 from ..padding import check_border
 from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
 
 
+@takes_numbers
 def bilateral_filter(
     picture: AnyPicture,
     sigma_space: float | Scalars,
@@ -64,6 +66,7 @@ def bilateral_filter(
     )
 
 
+@takes_numbers
 @functools.partial(jax.jit, static_argnames=("radius", "window", "difference", "border"))
 def joint_bilateral_filter(
     picture: AnyPicture,

@@ -37,6 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from .._arguments import takes_numbers
 from .._types import check_choice
 from ..padding import Filtered, Picture, check_border, check_picture
 from ._methods import METHODS, Anchor
@@ -52,6 +53,7 @@ _TRANSFORM, _PAIR = 240, 8
 _FEWEST_TAPS = 25
 
 
+@takes_numbers
 def correlate(
     picture: Picture,
     kernel: AnyKernel | Numbers,
@@ -98,6 +100,7 @@ def correlate(
     return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, method))
 
 
+@takes_numbers
 def convolve(
     picture: Picture,
     kernel: AnyKernel | Numbers,
@@ -134,6 +137,7 @@ def convolve(
     )
 
 
+@takes_numbers
 def correlate_separable(
     picture: Picture,
     column: AnyTaps | Numbers,

@@ -7,6 +7,7 @@ exact for parabolas. Pictures, borders and methods as in `convolution`, except t
 
 from typing import NamedTuple
 
+from .._arguments import takes_numbers
 from ..padding import Filtered, Picture
 from ._terms import Fill
 from .convolution import _check_weighs, correlate, correlate_separable
@@ -25,6 +26,7 @@ class Gradient(NamedTuple):
     y: Filtered
 
 
+@takes_numbers
 def derivative(
     picture: Picture,
     *,
@@ -58,6 +60,7 @@ def derivative(
     )
 
 
+@takes_numbers
 def laplacian(
     picture: Picture,
     *,

@@ -25,6 +25,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss
 
+from .._arguments import takes_numbers
 from .._types import Scalar, as_float, check_choice, check_count, print_by_name
 from ..padding import Filtered, Picture
 from ._terms import Fill
@@ -38,6 +39,7 @@ _SMALLEST_SIGMA = 0.01
 _SAMPLINGS = ("sampled", "integrated")
 
 
+@takes_numbers
 def gaussian(
     picture: Picture,
     sigma: Sigma,
@@ -86,6 +88,7 @@ def gaussian(
     return _gaussian(picture, sigma, fill, (size, order, sampling), border, method)
 
 
+@takes_numbers
 def laplacian_of_gaussian(
     picture: Picture,
     sigma: Sigma,
@@ -125,6 +128,7 @@ def laplacian_of_gaussian(
     return along(order=(2, 0)) + along(order=(0, 2))
 
 
+@takes_numbers
 def gaussian_kernel(
     sigma: Scalar, *, size: int, order: int = 0, sampling: str = "sampled"
 ) -> Float[Array, " taps"]:

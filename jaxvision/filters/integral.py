@@ -16,11 +16,11 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from .._arguments import takes_numbers
 from .._types import as_float
-from ..padding import check_picture
+from ..padding import Picture, check_picture
 
 Pair = tuple[Array, Array]
 
@@ -37,8 +37,9 @@ class IntegralImage(eqx.Module):
     low: Float[Array, "..."]
 
 
+@takes_numbers
 @jax.jit
-def integral_image(image: ArrayLike) -> IntegralImage:
+def integral_image(image: Picture) -> IntegralImage:
     """The integral image.
 
     Args:

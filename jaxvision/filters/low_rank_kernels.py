@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import as_float
 from ..padding import Filtered, Picture, check_border, check_picture
 from ._terms import Fill, Separable, Settings, filtered
@@ -37,6 +38,7 @@ class LowRank(eqx.Module):
             raise ValueError(f"columns and rows must be (rank, taps) of one rank, got {shapes}.")
 
 
+@takes_numbers
 def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRank:
     """The best approximation of a kernel by `rank` separable ones.
 
@@ -67,6 +69,7 @@ def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRan
     return LowRank((u[:, :rank] * root[None]).T, v[:rank] * root[:, None], missing)
 
 
+@takes_numbers
 def correlate_low_rank(
     picture: Picture,
     kernel: LowRank,

@@ -17,6 +17,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Shaped
 
+from .._arguments import takes_numbers
 from ..padding import Picture, as_planes, check_border, pad
 from .kernels import _both_ways
 
@@ -24,6 +25,7 @@ Offsets = tuple[tuple[int, int], ...]
 Comparators = tuple[tuple[int, int], ...]
 
 
+@takes_numbers
 def median_filter(
     picture: Picture,
     *,

@@ -16,12 +16,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int
 
+from .._arguments import takes_numbers
 from .._numerics import log_of_zero
 from .._types import Scalars, check_choice, check_count
 from ..padding import Filtered, Picture, check_border
 from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
 
 
+@takes_numbers
 @functools.partial(jax.jit, static_argnames=("patch", "radius", "profile", "border"))
 def nonlocal_means_filter(
     picture: Picture,

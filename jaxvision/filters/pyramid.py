@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._staging import stored
 from .._types import as_float, check_count
 from ..padding import as_planes, check_border, check_picture, continued
@@ -28,6 +29,7 @@ Pyramid = tuple[Floats, ...]
 Size = tuple[int, int]
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("border",))
 def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
     """The next level of a Gaussian pyramid: blurred, every second row and column.
@@ -49,6 +51,7 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
     return restore(image)
 
 
+@takes_numbers
 @partial(jax.jit, static_argnames=("size", "border"))
 def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats:
     """A level of a pyramid at the size of the next finer one.
@@ -79,6 +82,7 @@ def expand(picture: AnyPicture, size: Size, *, border: str = "mirror") -> Floats
     return restore(image)
 
 
+@takes_numbers
 def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
     """The picture and its successive reductions.
 
@@ -101,6 +105,7 @@ def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror"
     return tuple(pyramid)
 
 
+@takes_numbers
 def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror") -> Pyramid:
     """The difference of each level of the Gaussian pyramid from the expanded next one.
 
@@ -153,6 +158,7 @@ def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
     return image
 
 
+@takes_numbers
 def blend_by_pyramid(
     first: AnyPicture,
     second: AnyPicture,

@@ -20,6 +20,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._staging import stored
 from .._types import as_float, check_count, print_by_name
@@ -41,6 +42,7 @@ Profile = Callable[[Float[Array, ""], ScaleMap], ScaleMap]
 Planes = Float[Array, "n h c w"]
 
 
+@takes_numbers
 def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
     """exp(-r^2 / 2 sigma^2).
 
@@ -56,6 +58,7 @@ def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
     return jnp.exp(-0.5 * t * t)
 
 
+@takes_numbers
 def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
     """The disc of defocus: 1 inside, 0 outside, with a linear edge one pixel wide.
 
@@ -71,6 +74,7 @@ def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
     return jnp.clip(blur_radius + 0.5 - radius, 0, 1)
 
 
+@takes_numbers
 def correlate_per_pixel(
     picture: Picture,
     kernels: Kernels | np.ndarray,
@@ -100,6 +104,7 @@ def correlate_per_pixel(
     return _per_pixel(picture, as_float(kernels), anchor=anchor, border=border)
 
 
+@takes_numbers
 def correlate_bank(
     picture: Picture,
     bank: Float[Array | np.ndarray, "..."],
@@ -137,6 +142,7 @@ def correlate_bank(
     return _blended(members, position)
 
 
+@takes_numbers
 def radial_blur(
     picture: Picture,
     scale: ScaleMap,
@@ -170,6 +176,7 @@ def radial_blur(
     return _radial(picture, scale, profile=profile, radius=radius, border=border)
 
 
+@takes_numbers
 def gaussian_varying(
     picture: Picture,
     sigma: ScaleMap,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Scalar, as_float
 from ..padding import Filtered, Picture
@@ -18,6 +19,7 @@ from .gaussians import Sigma, gaussian
 from .kernels import _both_ways, binomial_kernel, box_kernel
 
 
+@takes_numbers
 def box(
     picture: Picture,
     *,
@@ -48,6 +50,7 @@ def box(
     )
 
 
+@takes_numbers
 def binomial(
     picture: Picture,
     *,
@@ -75,6 +78,7 @@ def binomial(
     return correlate_separable(picture, taps, taps, border=border, fill=fill, method=method)
 
 
+@takes_numbers
 def unsharp_mask(
     picture: Picture,
     sigma: Sigma,
@@ -111,6 +115,7 @@ def unsharp_mask(
     return sharp + jnp.asarray(amount, sharp.dtype) * (sharp - blurred)
 
 
+@takes_numbers
 def blur_straight(
     picture: Float[Array, "... h w channels"], *, blur: Callable[[Filtered], Filtered]
 ) -> Float[Array, "... h w channels"]:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._types import Scalar, as_float, check_count, print_by_name
 from ..padding import Filtered, Picture
@@ -52,6 +53,7 @@ class QuadratureBasis(NamedTuple):
     odd: Basis
 
 
+@takes_numbers
 def directional_derivative(
     picture: Picture,
     sigma: Sigma,
@@ -91,6 +93,7 @@ def directional_derivative(
     return _mapped(jnp.cos(angle), right) * right + _mapped(jnp.sin(angle), up) * up
 
 
+@takes_numbers
 def quadrature_basis(
     picture: Picture,
     width: Scalar | float,

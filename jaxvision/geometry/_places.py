@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, norm, normalize, safe_sqrt
 from .._types import Scalar
 from .._vector import Vec, as_vec, scaled
@@ -64,6 +65,7 @@ def surface_area(shape: Shape) -> Scalar:
             return jnp.full_like(shape.point[0], jnp.inf)
 
 
+@takes_numbers
 def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
     """A point of a shape, uniform by area.
 

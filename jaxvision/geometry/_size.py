@@ -6,6 +6,7 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._types import Scalar
 from .._vector import Vec3, as_vec
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
@@ -62,6 +63,7 @@ def largest_size(shapes: Sequence[Shape]) -> Scalar:
     return reduce(jnp.maximum, (size_of(shape) for shape in shapes))
 
 
+@takes_numbers
 def offset_length(size: Scalar) -> Scalar:
     """How far a point is moved off its surface, so that no ray that leaves it meets it again.
 

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, exact_cross, normalize, smallest_divisor
 from .._staging import stored
 from .._types import Scalar
@@ -143,6 +144,7 @@ def quad_distance(ray: Ray, quad: FlatQuad) -> Scalar:
     return jnp.where(meets, height / slope, jnp.inf)
 
 
+@takes_numbers
 def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray meets the parallelogram before `distance`, m."""
     height, slope, meets = _meet_quad(ray, quad)

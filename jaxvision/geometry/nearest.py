@@ -15,11 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from .._arguments import takes_numbers
 from .._groups import group_by_structure, take
 from .._numerics import dot, or_one
 from .._staging import at_once, stored, together
 from .._types import Scalar
-from .._vector import Vec, Vector, as_vec, where
+from .._vector import Direction, Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
@@ -222,10 +223,11 @@ def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
     return jax.tree.map(lambda new, old: jnp.where(here, new, old), filled, other)
 
 
+@takes_numbers
 def occluded(
     point: Vector,
-    normal: Vector,
-    direction: Vector,
+    normal: Direction,
+    direction: Direction,
     distance: Scalar,
     shapes: Shapes,
     *,
@@ -250,8 +252,8 @@ def occluded(
 
 def blocked(
     point: Vector,
-    normal: Vector,
-    direction: Vector,
+    normal: Direction,
+    direction: Direction,
     distance: Scalar,
     shapes: Shapes,
     size: Scalar | None,

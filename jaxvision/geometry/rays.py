@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from .._arguments import takes_numbers
 from .._numerics import angle_between as angle_between
 from .._numerics import dot
 from .._numerics import log_cos_between as log_cos_between
 from .._types import Scalar
-from .._vector import Vec, Vec3, Vector, as_vec, scaled
+from .._vector import Direction, Vec, Vec3, Vector, as_vec, scaled
 from ._size import largest_component, offset_length
 
 
@@ -62,6 +63,7 @@ class Hit(eqx.Module):
     uv: tuple[Scalar, Scalar] | None = None
 
 
+@takes_numbers
 def mirror_direction(normal: Vec3, w: Vec3) -> Vec3:
     """The mirror direction s = (2 n n^T - I) w.
 
@@ -81,8 +83,9 @@ def mirror_direction(normal: Vec3, w: Vec3) -> Vec3:
     return scaled(normal, 2 * dot(normal, w)) - w
 
 
+@takes_numbers
 def offset_origin(
-    point: Vector, normal: Vector, direction: Vector, *, size: Scalar | None = None
+    point: Vector, normal: Direction, direction: Direction, *, size: Scalar | None = None
 ) -> Vec:
     """Where a ray that leaves a surface starts, so that it does not meet the surface again.
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, or_one, safe_sqrt, smallest_divisor, with_gradient_of
 from .._staging import stored
 from .._types import Scalar
@@ -23,6 +24,7 @@ def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
     return jnp.where((discriminant > 0) & (distance > 0), distance, jnp.inf)
 
 
+@takes_numbers
 def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray meets the sphere before `distance`, m, without a square root."""
     b, discriminant = _closest(ray, sphere)

@@ -15,7 +15,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Shaped
 
 from .._numerics import divide
-from .._types import print_by_name
+from .._types import is_known, print_by_name
 
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
 Stack = Shaped[Array, "n _ _ bands"]
@@ -24,6 +24,7 @@ Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
 FLOAT_BINS = 256
+CODES_ABOVE = 2.0  # a floating image that reaches beyond twice its white holds codes or radiance
 # Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
 BLOCK = 2**16
 
@@ -79,6 +80,13 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
         raise ValueError(f"bins must be a whole number, at least 1, got {bins}.")
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise ValueError(f"value_range must be finite with low < high, got ({low}, {high}).")
+    if levels is None and value_range is None and is_known(image):
+        largest = np.max(np.asarray(image), initial=0)
+        if largest > CODES_ABOVE:
+            raise ValueError(
+                f"floating images are counted in [0, 1], got values up to {largest:.6g}; divide "
+                "codes by the largest one, or name value_range."
+            )
     return Binning(int(bins), float(low), float(high))
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._arguments import takes_numbers
 from .._numerics import divide
 from .._types import Scalars, as_float, check_choice
 from ._planes import (
@@ -50,6 +51,7 @@ class Histogram(eqx.Module):
     departure: Float[Array, "*planes"] | None = None
 
 
+@takes_numbers
 def exact_histogram(
     image: Pixels, *, bins: int | np.integer | None = None, value_range: Range | None = None
 ) -> Histogram:
@@ -78,6 +80,7 @@ def exact_histogram(
     return Histogram(per_plane(_exact(stack, chosen), image), _edges(stack, chosen))
 
 
+@takes_numbers
 def soft_histogram(
     image: Pixels,
     *,
@@ -127,6 +130,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
     return cumulative_fractions(histogram.counts, histogram.edges.dtype)
 
 
+@takes_numbers
 def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
     """The smallest value that a fraction q of all values does not exceed.
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._arguments import takes_numbers
 from .._staging import stored
 from .._types import Scalars
 from ._planes import (
@@ -31,6 +32,7 @@ from ._planes import (
 )
 
 
+@takes_numbers
 def equalise(
     image: Pixels,
     *,

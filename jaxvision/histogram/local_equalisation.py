@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._arguments import takes_numbers
 from .._staging import stored
 from .._types import Scalars
 from ._planes import (
@@ -34,6 +35,7 @@ Tiles = tuple[int, int]
 MOST_PIXELS = 2**30  # of a tile: the value for "no limit", exact in every floating dtype
 
 
+@takes_numbers
 def equalise_locally(
     image: Pixels,
     *,

@@ -5,10 +5,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
+from .._arguments import takes_numbers
 from .._staging import stored
 from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, plane_numbers
 
 
+@takes_numbers
 @jax.jit
 def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
     """Each value moved to the one of equal cumulative frequency in the same plane of a reference.

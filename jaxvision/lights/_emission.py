@@ -7,6 +7,7 @@ whole light contributes. Flux in W, lengths in m. For ONE ray; the caller vmaps.
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._types import Colour
 from .._vector import Vec, as_vec
@@ -16,6 +17,7 @@ from ..scene import Light, Shape
 from ._registry import Discrete, Emitted, Incident, kind_of
 
 
+@takes_numbers
 def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitted:
     """A ray that leaves a light.
 
@@ -58,6 +60,7 @@ def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitt
     return _from_afar(around, arriving, u)
 
 
+@takes_numbers
 def emitted_from_point(position: Vec, direction: Vec, flux: Colour) -> Emitted:
     """A ray that leaves a point light.
 
@@ -72,6 +75,7 @@ def emitted_from_point(position: Vec, direction: Vec, flux: Colour) -> Emitted:
     return Emitted(Ray(position, direction), flux, as_vec(jnp.zeros(3, direction.x.dtype)))
 
 
+@takes_numbers
 def emitted_from_surface(
     shape: Shape,
     radiance: Colour,

@@ -7,6 +7,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import gauss_legendre
 from .._types import Key
 
@@ -35,6 +36,7 @@ def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
     return product(gauss_legendre(order), gauss_legendre(order))
 
 
+@takes_numbers
 def shifted_lattice(
     key: Key, samples: int, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:

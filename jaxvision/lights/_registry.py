@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from .._types import Colour, Scalar
-from .._vector import Vec, Vector
+from .._vector import Direction, Vec
 from ..geometry import Ray
 from ..scene import Light
 from ._nodes import square_nodes
@@ -27,7 +27,7 @@ class Incident(eqx.Module):
         distance: () m to the light, or None where the light is infinitely far away.
     """
 
-    direction: Vector
+    direction: Direction
     irradiance: Colour
     distance: Scalar | None = None
 

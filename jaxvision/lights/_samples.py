@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Integer
 
+from .._arguments import takes_numbers
 from .._groups import group_by_structure
 from .._types import Scalar, check_kind
 from .._vector import Vector
@@ -46,6 +47,7 @@ def light_nodes(
     return jnp.asarray(nodes, dtype), jnp.asarray(weights, dtype)
 
 
+@takes_numbers
 def incident_sample(
     light: Light, rule: Rule, point: Vector, u: Float[Array, "2"], weight: Scalar
 ) -> Incident:

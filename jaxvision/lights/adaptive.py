@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._arguments import takes_numbers
 from .._numerics import dot, or_one
 from .._types import Scalars
 from .._vector import Vec, Vec3, as_vec
@@ -23,6 +24,7 @@ _ORDERS = (2, 3, 4, 6)  # a side; more nodes take as long as the closed form
 _FACTOR = 100.0  # K of all but one in a thousand of the receivers that see the whole light
 
 
+@takes_numbers
 def adaptive_irradiance(
     light: RectangleLight,
     points: Vec3,

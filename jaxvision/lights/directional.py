@@ -3,8 +3,9 @@
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import normalize
-from .._types import Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, as_float, check_fields, check_not_zero
 from .._vector import Vector
 from ..scene import Light
 from ._registry import Incident, register
@@ -23,9 +24,11 @@ class DirectionalLight(Light):
     irradiance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, irradiance=AMOUNT)
+        check_not_zero("DirectionalLight.direction", self.direction)
 
 
+@takes_numbers
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
     """Light that arrives from infinity: the same everywhere.
 

@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import arctan2, divide, safe_sqrt
-from .._types import Colour, Scalar, as_float, check_fields, check_shape
-from .._vector import Vec, Vector, as_array, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, check_shape
+from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light
 from ._nodes import gauss_legendre, product
@@ -42,13 +43,14 @@ class EnvironmentMap(Light):
     density: Float[Array, "h w"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radiance=AMOUNT)
         h, w, _ = self.radiance.shape
         check_shape("EnvironmentMap.rows", self.rows, (h + 1,))
         check_shape("EnvironmentMap.columns", self.columns, (h, w + 1))
 
 
-def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colour:
+@takes_numbers
+def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
     """Radiance from a direction, bilinear between the pixels.
 
     Args:
@@ -63,6 +65,7 @@ def environment_radiance(environment: EnvironmentMap, direction: Vector) -> Colo
     return _bilinear(environment.radiance, row, column)
 
 
+@takes_numbers
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
@@ -91,7 +94,8 @@ def environment_sample(
     return Incident(_to_world(environment, direction, point), radiance * weight)
 
 
-def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Vector) -> Scalar:
+@takes_numbers
+def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:
     """Density of `environment_sample` toward a direction.
 
     Args:
@@ -110,6 +114,7 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Vector) -> S
     return environment.density[i, j]
 
 
+@takes_numbers
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
     """A direction spread evenly over the sphere, and 4 pi L: what quadrature uses.
 
@@ -186,7 +191,7 @@ def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]
     return cell, jnp.clip(fraction, 0, 1)
 
 
-def _to_map(environment: EnvironmentMap, direction: Vector) -> Vec:
+def _to_map(environment: EnvironmentMap, direction: Direction) -> Vec:
     d = as_vec(direction)
     x, y, z = (row[0] * d.x + row[1] * d.y + row[2] * d.z for row in environment.rotation)
     return Vec(x, y, z)

@@ -8,14 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Colour
-from .._vector import Vec, Vec3, Vector, as_vec
+from .._vector import Direction, Vec, Vec3, as_vec
 from .environment import EnvironmentMap, _to_map
 
 # The clamped cosine's coefficients A_l: pi, 2 pi / 3, pi / 4, for each (l, m).
 _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 
+@takes_numbers
 def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
     """The nine real spherical harmonics of order <= 2, orthonormal.
 
@@ -65,8 +67,9 @@ def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 band
     return jnp.asarray(_COSINE[:, None], dtype) * projected
 
 
+@takes_numbers
 def harmonic_irradiance(
-    environment: EnvironmentMap, coefficients: Float[Array, "9 bands"], normal: Vector
+    environment: EnvironmentMap, coefficients: Float[Array, "9 bands"], normal: Direction
 ) -> Colour:
     """Irradiance of an environment by spherical harmonics of order <= 2.
 

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot
 from .._types import Colour, Scalar, common_dtype
-from .._vector import Vector
+from .._vector import Direction, Vector
 from ..geometry import Ray
 from ..scene import Light
 from ._registry import Extended, Incident, Seen, can_be_seen, extended_kind, kind_of
@@ -16,6 +17,7 @@ from ._samples import incident_sample, light_nodes
 from .rules import Rule
 
 
+@takes_numbers
 def incident(light: Light, point: Vector) -> Incident:
     """Light that arrives at a point from a light at one place.
 
@@ -44,6 +46,7 @@ def incident(light: Light, point: Vector) -> Incident:
     return kind.incident(light, point)
 
 
+@takes_numbers
 def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
     """Light that arrives at a point from any light, as samples.
 
@@ -63,7 +66,8 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
     )
 
 
-def irradiance(light: Light, point: Vector, normal: Vector, *, rule: Rule) -> Colour:
+@takes_numbers
+def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) -> Colour:
     """Irradiance of any light on a receiver, E = sum_i E_i [n.l_i]+.
 
     A rectangle has it exactly in `polygon.rectangle_irradiance` and for many receivers in
@@ -127,7 +131,8 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
     return Seen(distance, radiance)
 
 
-def radiance_from(light: Light, point: Vector, wi: Vector) -> Colour:
+@takes_numbers
+def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
     """Radiance that reaches a point from one direction.
 
     Args:
@@ -144,6 +149,7 @@ def radiance_from(light: Light, point: Vector, wi: Vector) -> Colour:
     return extended_kind(light).seen(light, Ray(point, wi)).radiance
 
 
+@takes_numbers
 def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incident:
     """A direction drawn toward an extended light.
 
@@ -161,7 +167,8 @@ def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incid
     return extended_kind(light).sample(light, point, u)
 
 
-def direction_pdf(light: Light, point: Vector, wi: Vector) -> Scalar:
+@takes_numbers
+def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
     """Density of the directions that `direction_sample` draws.
 
     Args:

@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot, norm, normalize, reciprocal
-from .._types import Colour, Scalar, as_float, check_fields, is_known
-from .._vector import Vec, Vector, as_array, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, is_known
+from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..hemisphere import cross
 from ..scene import Light
@@ -47,7 +48,7 @@ class LightFieldLight(Light):
     focal: Window
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radiance=AMOUNT)
         if all(is_known(x) for x in jax.tree.leaves((self.aperture, self.focal))):
             _check_windows(self.aperture, self.focal)
 
@@ -106,6 +107,7 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
     return Seen(jnp.where(hit, near.distance, jnp.inf), radiance)
 
 
+@takes_numbers
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
@@ -125,11 +127,13 @@ def light_field_sample(
     return Incident(wi, radiance * solid_angle, distance)
 
 
-def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Vector) -> Scalar:
+@takes_numbers
+def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) -> Scalar:
     """Density of `light_field_sample`'s directions, sr^-1."""
     return window_pdf(light_field.aperture, point, wi)
 
 
+@takes_numbers
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
     """The viewing ray of one sample of a light field: what to trace to record one.
 
@@ -145,6 +149,7 @@ def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 
 
+@takes_numbers
 def refocus(
     light_field: LightFieldLight, focus: Vector, *, order: int = 8, opening: float = 1.0
 ) -> Colour:

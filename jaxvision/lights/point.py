@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._bands import by_band
 from .._numerics import dot, or_one, smallest_divisor
-from .._types import Colour, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import direction_at
 from ..scene import Light
@@ -28,9 +29,10 @@ class PointLight(Light):
     intensity: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, intensity=AMOUNT)
 
 
+@takes_numbers
 def from_point_light(light: PointLight, point: Vector) -> Incident:
     """Light that arrives from a point, E = I / d^2 on a surface that faces it.
 

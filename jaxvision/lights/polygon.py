@@ -16,10 +16,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, or_one, polynomial, smallest_divisor
 from .._staging import together
 from .._types import Colour, Scalar, Scalars
-from .._vector import Vec, Vector, as_vec, masked, where
+from .._vector import Direction, Vec, Vector, as_vec, masked, where
 from ..geometry import reach_of
 from ..hemisphere import cross
 from ._nodes import square_nodes
@@ -125,7 +126,8 @@ def _angle_over_sine_jvp(primals, tangents):
     return value, by_square * d_square + by_cosine * d_cosine
 
 
-def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Vector) -> Colour:
+@takes_numbers
+def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction) -> Colour:
     """Irradiance of a rectangle on a receiver, exact.
 
     The part of the light below the horizon of the receiver does not count; a point behind the light

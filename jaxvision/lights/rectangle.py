@@ -8,9 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import dot, reciprocal
-from .._types import Colour, Scalar, as_float, check_fields
-from .._vector import Vec, Vector, as_array, as_vec
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
+from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light, Quad
 from ._emission import emitted_from_surface
@@ -39,7 +40,7 @@ class RectangleLight(Light):
     radiance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radiance=AMOUNT)
 
 
 def window_of(light: RectangleLight) -> Window:
@@ -62,6 +63,7 @@ def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
+@takes_numbers
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
     """A direction toward a place of the rectangle, chosen by a point of the unit square.
 
@@ -78,7 +80,8 @@ def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"])
     return Incident(wi, light.radiance * solid_angle, distance)
 
 
-def rectangle_pdf(light: RectangleLight, point: Vector, wi: Vector) -> Scalar:
+@takes_numbers
+def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar:
     """Density of the directions of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
     return window_pdf(window_of(light), point, wi)
 

@@ -8,9 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._bands import by_band
 from .._numerics import dot, normalize
-from .._types import Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, as_float, check_fields, check_not_zero
 from .._vector import Vector, as_vec
 from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
@@ -44,9 +45,11 @@ class SmallLight(Light):
     intensity: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, intensity=AMOUNT)
+        check_not_zero("SmallLight.normal", self.normal)
 
 
+@takes_numbers
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
     """Light that arrives from a small light: E = I cos(theta) / d^2 on a surface that faces it.
 

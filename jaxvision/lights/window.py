@@ -8,9 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, as_float, check_fields
-from .._vector import Vec, Vector, as_vec
+from .._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Ray
 from ..geometry.flat import flat_quad, line_crossing
 from ..hemisphere import cross
@@ -132,6 +133,7 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
     return u, v
 
 
+@takes_numbers
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
@@ -165,7 +167,8 @@ def window_sample(
     return direction, distance, solid_angle, jnp.stack([s, t])
 
 
-def window_pdf(window: Window, point: Vector, wi: Vector) -> Scalar:
+@takes_numbers
+def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
     """Density of the directions of `window_sample` for `u` uniform in the square.
 
     Args:

@@ -12,10 +12,11 @@ that of the solution, by one more solve, not of the steps.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._types import as_relative
+from .._arguments import takes_numbers
+from .._types import as_relative, is_known
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsened, v_cycle
@@ -36,6 +37,7 @@ class Matte(eqx.Module):
     converged: Bool[Array, ""]
 
 
+@takes_numbers
 def closed_form_matte(
     image: Float[Array, "h w bands"],
     trimap: Float[Array, "rows columns"],
@@ -74,7 +76,7 @@ def closed_form_matte(
             f"image must be (h, w, bands) of at least 3 x 3 pixels, got shape {image.shape}."
         )
     for name, number in (("epsilon", epsilon), ("confidence", confidence)):
-        if number is not None and not isinstance(number, Tracer) and not number > 0:
+        if number is not None and is_known(number) and not np.asarray(number) > 0:
             raise ValueError(f"{name} must be above 0, got {number}.")
     if image.shape[:2] != trimap.shape:
         raise ValueError(
@@ -109,11 +111,12 @@ def closed_form_matte(
     return Matte(jnp.clip(solution, 0, 1)[..., None], converged)
 
 
-def _check_numbers(image: Array, trimap: Array) -> None:
-    if isinstance(image, Tracer) or isinstance(trimap, Tracer):
+def _check_numbers(image: Array | np.ndarray, trimap: Array | np.ndarray) -> None:
+    if not (is_known(image) and is_known(trimap)):
         return
+    image, trimap = np.asarray(image), np.asarray(trimap)
     for name, numbers in (("picture", image), ("trimap", trimap)):
-        wrong = int(jnp.sum(~jnp.isfinite(numbers)))
+        wrong = int(np.sum(~np.isfinite(numbers)))
         if wrong:
             raise InputError(
                 f"The {name} holds {wrong} numbers that are not finite; repair or mask them."

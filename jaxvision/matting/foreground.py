@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from .._arguments import takes_numbers
 from .._types import as_relative, print_by_name
 from ..compositing import checked_alpha
 
@@ -24,6 +25,7 @@ Alpha = Float[Array, "h w 1"]
 print_by_name(globals(), "Picture", "Alpha")
 
 
+@takes_numbers
 def estimate_foreground(
     image: Picture,
     alpha: Float[Array, "rows columns 1"],

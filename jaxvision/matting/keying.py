@@ -7,11 +7,12 @@ matte is opaque: the picture itself. NaN stays NaN, in its own pixel only. Integ
 """
 
 import jax.numpy as jnp
-from jax.core import Tracer
+import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars, as_relative, check_choice, print_by_name
+from .._types import Scalar, Scalars, as_relative, check_choice, is_known, print_by_name
 from ..compositing import checked_alpha
 from ..point_ops import clip
 
@@ -21,6 +22,7 @@ Layer = Float[Array, "... _"]
 print_by_name(globals(), "Picture", "Alpha", "Layer")
 
 
+@takes_numbers
 def difference_matte(
     image: Picture, background: Picture, low: Scalar | float, high: Scalar | float
 ) -> Alpha:
@@ -39,7 +41,7 @@ def difference_matte(
         ValueError: unless `low` < `high`, where they are known. Under a trace the matte is then a
             step at `low`.
     """
-    if not isinstance(low, Tracer) and not isinstance(high, Tracer) and not low < high:
+    if is_known(low) and is_known(high) and not np.asarray(low) < np.asarray(high):
         raise ValueError(f"low must lie below high, got {low} and {high}.")
     image, background = as_relative(image), as_relative(background)
     apart = image - jnp.broadcast_to(background, image.shape)
@@ -49,6 +51,7 @@ def difference_matte(
     return _unit((distance - low) / jnp.maximum(high - low, smallest_divisor(image.dtype)))
 
 
+@takes_numbers
 def blue_screen_matte(
     image: Picture, backing: Picture, *, channel: int = 2, foreground: str = "grey"
 ) -> Alpha:
@@ -92,6 +95,7 @@ def blue_screen_matte(
     return _unit(1 - _ratio(excess(image), excess(jnp.broadcast_to(backing, image.shape))))
 
 
+@takes_numbers
 def projected_matte(image: Picture, foreground: Picture, background: Picture) -> Alpha:
     """The least-squares alpha for two known colours: (C - B) . (F - B) / |F - B|^2.
 
@@ -115,6 +119,7 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
     return _unit(1 - _ratio(length - along, length))
 
 
+@takes_numbers
 def least_squares_matte(
     images: Float[Array, "pictures *picture bands"],
     backgrounds: Float[Array, "pictures *picture bands"],
@@ -155,6 +160,7 @@ def least_squares_matte(
     return _lifted(image, _unit(1 - _ratio(together, spread)), background)
 
 
+@takes_numbers
 def triangulation_matte(
     image: Picture, background: Picture, image_2: Picture, background_2: Picture
 ) -> Layer:
@@ -174,6 +180,7 @@ def triangulation_matte(
     return least_squares_matte(jnp.stack([image, image_2]), jnp.stack([background, background_2]))
 
 
+@takes_numbers
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     """The light of the object itself, image - (1 - alpha) background, as a layer.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import arctan2, divide, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars, check_count
 from ..scene import (
@@ -20,6 +21,7 @@ from ..scene import (
 )
 
 
+@takes_numbers
 def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     """Maps the unit square to the aperture; equal areas map to equal areas.
 
@@ -50,6 +52,7 @@ def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Sc
             return _in_polygon(aperture, u)
 
 
+@takes_numbers
 def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
     """Area of the aperture of a lens.
 
@@ -97,6 +100,7 @@ def aperture_corners(
     return jnp.cos(angles), jnp.sin(angles)
 
 
+@takes_numbers
 def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
     """Kernel by which a pixel gathers a point out of focus: the shape of the aperture.
 

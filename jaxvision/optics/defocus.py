@@ -32,6 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Scalar, Scalars, check_count, print_by_name
 from ..filters import adjoint, correlate, correlate_bank, disk_profile, radial_blur
@@ -49,6 +50,7 @@ print_by_name(globals(), "Picture", "Depth", "Plane")
 _FEW = 1e-3
 
 
+@takes_numbers
 def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
     """Signed radius in pixels of the image of a point: half the circle of confusion.
 
@@ -64,6 +66,7 @@ def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
     return vergence_difference(depth, focus) * _pixels_per_vergence(view)
 
 
+@takes_numbers
 def gather_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
@@ -89,6 +92,7 @@ def gather_defocus(
     return _gathered(view, picture, _blur(view, depth), radius=radius, members=members)
 
 
+@takes_numbers
 def scatter_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, members: int | None = None
 ) -> Picture:
@@ -118,6 +122,7 @@ def scatter_defocus(
     return adjoint(picture, operator=gather)
 
 
+@takes_numbers
 def layered_defocus(
     view: ThinLens, picture: Picture, depth: Depth, *, radius: int, layers: int
 ) -> Picture:
@@ -167,6 +172,7 @@ def layered_defocus(
     return divide(light, covered, ~(covered <= smallest_divisor(covered.dtype)), picture)
 
 
+@takes_numbers
 def chromatic_defocus(
     view: ThinLens,
     picture: Picture,

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide
 from .._types import Colour, Image, Scalar, Scalars, check_count
 from ..filters import correlate
@@ -26,6 +27,7 @@ from .views import sensor_vergence
 _FIRST_ZERO = 1.2196698912665045
 
 
+@takes_numbers
 def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
     """Radius of the first dark ring of the Airy pattern: 1.22 lambda N.
 
@@ -44,6 +46,7 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
     return _FIRST_ZERO * wavelength * f_number
 
 
+@takes_numbers
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
     """The Airy pattern: irradiance (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
@@ -62,6 +65,7 @@ def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Sca
     return amplitude * amplitude
 
 
+@takes_numbers
 def airy_kernel(
     wavelength: Scalar | Colour,
     f_number: Scalar,
@@ -112,6 +116,7 @@ def airy_kernel(
     )
 
 
+@takes_numbers
 def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> Image:
     """Irradiance on the sensor after diffraction at the aperture.
 
@@ -134,6 +139,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> I
     return jnp.maximum(correlate(irradiance, kernel, border="clamp"), 0)
 
 
+@takes_numbers
 def diffraction_mtf(
     frequency: Scalars,
     wavelength: Scalars,

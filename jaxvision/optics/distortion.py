@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Scalar
 from ..scene import Distortion
@@ -21,6 +22,7 @@ from ..scene import Distortion
 _MOST_STEPS = 60
 
 
+@takes_numbers
 def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Where a chief ray meets the sensor of a lens with distortion.
 
@@ -49,6 +51,7 @@ def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scala
     )
 
 
+@takes_numbers
 def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
     """Ratio of a small area in the distorted image to its area in an ideal one.
 

@@ -14,6 +14,7 @@ Source:
 import jax
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Colour, Image, Scalar
 from ..scene import Orthographic, ThinLens, View
@@ -24,6 +25,7 @@ from .views import chief_slope, pixel_grid, sensor_vergence
 from .vignetting import clear_fraction
 
 
+@takes_numbers
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
     """Irradiance on the sensor at one pixel.
 
@@ -67,6 +69,7 @@ def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) 
     return radiance * light
 
 
+@takes_numbers
 def sensor_irradiance(view: View, radiance: Image) -> Image:
     """Irradiance on the sensor for a whole picture, with the diffraction of a thin lens.
 

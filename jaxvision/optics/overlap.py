@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import arctan2, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars
 
@@ -54,6 +55,7 @@ def _overlap_of_discs_jvp(primals, tangents):
     return overlap_of_discs(distance, r1, r2), change
 
 
+@takes_numbers
 def overlap_of_disc_and_polygon(
     right: Scalar,
     down: Scalar,

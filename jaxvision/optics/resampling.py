@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._types import Image, Scalars, check_choice, print_by_name
 from ..scene import Pinhole, ThinLens
 from .distortion import distort, undistort
@@ -21,6 +22,7 @@ Coordinates = Float[Array, "rows columns"]
 print_by_name(globals(), "Coordinates")
 
 
+@takes_numbers
 def sample_image(
     image: Image, row: Coordinates, column: Coordinates, *, interpolation: str = "cubic"
 ) -> Float[Array, "..."]:
@@ -54,6 +56,7 @@ def sample_image(
     return total
 
 
+@takes_numbers
 def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic") -> Image:
     """The picture that the view's lens makes of an ideal one.
 
@@ -73,6 +76,7 @@ def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str 
     return _bent(view, image, undistort, interpolation)
 
 
+@takes_numbers
 def undistort_image(
     view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic"
 ) -> Image:
@@ -92,6 +96,7 @@ def undistort_image(
     return _bent(view, image, distort, interpolation)
 
 
+@takes_numbers
 def lateral_aberration(
     image: Image, magnification: Float[Array, "..."], *, interpolation: str = "cubic"
 ) -> Image:

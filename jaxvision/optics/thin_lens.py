@@ -15,10 +15,12 @@ Sources:
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._numerics import divide, or_one, smallest_divisor
 from .._types import Scalars
 
 
+@takes_numbers
 def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Distance at which a thin lens images an object: z_i = f z_o / (z_o - f).
 
@@ -42,6 +44,7 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     return jnp.where(near, close, f / (1 - f / jnp.where(near, jnp.inf, z)))
 
 
+@takes_numbers
 def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o: finite where z_i is not.
 
@@ -55,6 +58,7 @@ def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     return vergence_difference(focal_length, object_distance)
 
 
+@takes_numbers
 def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
     """Difference of two reciprocal distances, with all digits where they are nearly equal.
 
@@ -72,6 +76,7 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
     return jnp.where(near, close, far)
 
 
+@takes_numbers
 def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Image size over object size: m = -z_i / z_o = f / (f - z_o).
 
@@ -90,6 +95,7 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     return -focal_length * _reciprocal(object_distance - focal_length)
 
 
+@takes_numbers
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Image distance over lens diameter, z_i / d = N (1 + |m|), for a lens in focus.
 
@@ -111,6 +117,7 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
     return f_number * _reciprocal(image_vergence(focus_distance, focal_length) * focal_length)
 
 
+@takes_numbers
 def lens_power(
     front_curvature: Scalars,
     back_curvature: Scalars,
@@ -144,6 +151,7 @@ def lens_power(
     return (refractive_index - 1) * bending
 
 
+@takes_numbers
 def lens_focal_length(
     front_curvature: Scalars,
     back_curvature: Scalars,
@@ -167,6 +175,7 @@ def lens_focal_length(
     )
 
 
+@takes_numbers
 def circle_of_confusion(
     object_distance: Scalars, focus_distance: Scalars, focal_length: Scalars, f_number: Scalars
 ) -> Scalars:
@@ -195,6 +204,7 @@ def circle_of_confusion(
     return focal_length / f_number * (jnp.sign(blur) * blur)
 
 
+@takes_numbers
 def depth_of_field(
     focus_distance: Scalars, focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars
 ) -> tuple[Scalars, Scalars]:
@@ -223,6 +233,7 @@ def depth_of_field(
     return _positive_reciprocal(focused + tolerance), _positive_reciprocal(focused - tolerance)
 
 
+@takes_numbers
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
     """Nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 

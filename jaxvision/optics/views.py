@@ -14,6 +14,7 @@ with z_f the distance in focus: written in reciprocals, infinity is no special c
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import norm, normalize
 from .._types import Scalar
 from .._vector import Vec, as_array, as_vec
@@ -24,6 +25,7 @@ from .distortion import undistort
 from .thin_lens import image_vergence
 
 
+@takes_numbers
 def look_at(
     position: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]
 ) -> Float[Array, "3 3"]:
@@ -56,6 +58,7 @@ def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
     return jnp.arange(height, dtype=dtype), jnp.arange(width, dtype=dtype)
 
 
+@takes_numbers
 def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
     """Place of a pixel's centre on the sensor, from the optical axis.
 
@@ -101,6 +104,7 @@ def focus_vergence(view: ThinLens) -> Scalar:
     return 1 / view.focus_distance
 
 
+@takes_numbers
 def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
     """Slope of the ray from a pixel's centre through the middle of the pinhole or lens.
 
@@ -119,6 +123,7 @@ def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[
     return undistort(view.distortion, x * vergence, y * vergence)
 
 
+@takes_numbers
 def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
     """The ray that a pixel's centre sees, through the middle of a lens.
 
@@ -138,6 +143,7 @@ def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
     return Ray(view.position, normalize(x * right + y * down + forward))
 
 
+@takes_numbers
 def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) -> Ray:
     """The ray that a pixel's centre sees through one point of the aperture.
 
@@ -164,6 +170,7 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
     return Ray(origin, normalize((x - a * focus) * right + (y - b * focus) * down + forward))
 
 
+@takes_numbers
 def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | None = None) -> Ray:
     """The ray of any view: `lens_ray` for a thin lens and a `u`, else `camera_ray`.
 
@@ -181,6 +188,7 @@ def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | 
     return camera_ray(view, row, column)
 
 
+@takes_numbers
 def cos_to_axis(view: View, row: Scalar, column: Scalar) -> Scalar:
     """Cosine between a pixel's chief ray and the optical axis.
 

@@ -8,6 +8,7 @@ t the slope of the chief ray. Seen from the pixel, the aperture is therefore a d
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._types import Scalar
 from ..scene import AnnularAperture, CircularAperture, ThinLens
@@ -19,6 +20,7 @@ from .views import chief_slope, focus_vergence
 _SMALLEST = 1e-4
 
 
+@takes_numbers
 def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
     """Share of the aperture's area that a pixel sees through the rim.
 

@@ -4,12 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Image, Scalar, as_relative
 
 _LN_10 = 2.302585092994046
 
 
+@takes_numbers
 def graded_filter(
     image: Image,
     density: Scalar | float,
@@ -42,6 +44,7 @@ def graded_filter(
     return image * _per_pixel(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
 
 
+@takes_numbers
 def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
     """Linear light times the falloff 1 + k_1 r^2 + k_2 r^4 + ...
 
@@ -64,6 +67,7 @@ def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
     return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
 
 
+@takes_numbers
 def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Image:
     """The inverse of `vignette`; pixels that received no light at all stay 0.
 

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._powers import (
     Exponent,
     exact,
@@ -15,6 +16,7 @@ from .._powers import (
 from .._types import Scalars, as_relative, check_choice
 
 
+@takes_numbers
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """linear^(1 / gamma); values below 0 count as 0, where the gradient is 0.
 
@@ -33,6 +35,7 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
     return _raised(linear, exact_inverse(gamma, linear.dtype), method)
 
 
+@takes_numbers
 def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """encoded^gamma, the inverse of `gamma_encode`; values below 0 count as 0.
 
@@ -52,6 +55,7 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
     return _raised(encoded, exact(gamma, encoded.dtype), method)
 
 
+@takes_numbers
 def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
     """The sRGB curve: 12.92 x up to 0.0031308 (also below 0), else 1.055 x^(1/2.4) - 0.055.
 
@@ -82,6 +86,7 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
     return jnp.where(curved, encoded, 12.92 * linear)
 
 
+@takes_numbers
 def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
     """The inverse of `srgb_encode`.
 
@@ -121,6 +126,7 @@ def _raised(base: Scalars, exponent: Exponent, method: str) -> Scalars:
     return jnp.where(zero, 0, jnp.exp2(exponent[0] * jnp.log2(jnp.where(zero, 1, base))))
 
 
+@takes_numbers
 def clip(x: Scalars, low: Scalars | float, high: Scalars | float) -> Scalars:
     """x limited to [low, high]; outside, the gradient goes to the limit.
 

@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._powers import exp2
 from .._types import Scalars, as_relative
 
 
+@takes_numbers
 def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scalars:
     """gain x + bias.
 
@@ -24,6 +26,7 @@ def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scala
     return gain * as_relative(x) + bias
 
 
+@takes_numbers
 def contrast_brightness(
     x: Scalars,
     contrast: Scalars | float,
@@ -45,6 +48,7 @@ def contrast_brightness(
     return contrast * (as_relative(x) - pivot) + (pivot + brightness)
 
 
+@takes_numbers
 def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
     """2^stops x: linear light as `stops` more of exposure would have recorded it.
 
@@ -59,6 +63,7 @@ def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
     return exp2(stops if isinstance(stops, jax.Array) else jnp.asarray(stops, x.dtype)) * x
 
 
+@takes_numbers
 def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars:
     """(1 - fraction) first + fraction second, the linear blend.
 
@@ -75,26 +80,34 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
     return (1 - fraction) * as_relative(first) + fraction * as_relative(second)
 
 
+@takes_numbers
 def cross_dissolve(
-    first: Float[Array, "frames ..."], second: Float[Array, "..."]
-) -> Float[Array, "frames ..."]:
+    first: Float[Array, "frames ..."], second: Float[Array, "frames ..."]
+) -> Float[Array, "frames h w bands"]:
     """Two sequences blended frame by frame: `first` alone at the first frame, `second` at the last.
 
     Args:
-        first: (frames, ...) relative, at least two frames.
+        first: (frames, h, w, bands) relative, at least two frames.
         second: the same shape, relative.
 
     Returns:
-        (frames, ...) relative.
+        (frames, h, w, bands) relative.
 
     Raises:
-        ValueError: for unequal shapes or fewer than two frames.
+        ValueError: for still pictures, unequal shapes or fewer than two frames.
+
+    Example:
+        Between two still pictures the fractions are the caller's.
+
+        >>> fractions = jnp.linspace(0.0, 1.0, 3)[:, None, None, None]
+        >>> jv.point_ops.blend(jnp.ones((2, 2, 3)), jnp.zeros((2, 2, 3)), fractions).shape
+        (3, 2, 2, 3)
     """
-    if first.shape != second.shape or first.shape[0] < 2:
-        raise ValueError(
-            "cross_dissolve needs two sequences of one shape and at least two frames, got "
-            f"{first.shape} and {second.shape}."
-        )
     first, second = as_relative(first), as_relative(second)
+    if first.ndim != 4 or first.shape != second.shape or first.shape[0] < 2:
+        raise ValueError(
+            "cross_dissolve needs two sequences (frames, h, w, bands) of one shape and at least "
+            f"two frames, got {first.shape} and {second.shape}; blend mixes two still pictures."
+        )
     fraction = jnp.linspace(0, 1, first.shape[0], dtype=first.dtype)
-    return blend(first, second, fraction.reshape((-1,) + (1,) * (first.ndim - 1)))
+    return blend(first, second, fraction[:, None, None, None])

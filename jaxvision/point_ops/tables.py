@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
+from .._arguments import takes_numbers
 from .._types import Scalars, as_relative
 from .linear import blend
 
 
+@takes_numbers
 def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
     """A curve through equally spaced entries: piecewise linear, constant outside [0, 1].
 
@@ -27,6 +29,7 @@ def lookup(x: Scalars, table: Float[Array, " entries"]) -> Scalars:
     return blend(table[lower], table[lower + 1], t)
 
 
+@takes_numbers
 def lookup_codes(
     codes: UInt[Array, "..."] | Int[Array, "..."], table: Float[Array, " entries"]
 ) -> Float[Array, "..."]:
@@ -42,6 +45,7 @@ def lookup_codes(
     return table[jnp.clip(codes, 0, table.shape[0] - 1)]
 
 
+@takes_numbers
 def lookup_3d(
     image: Float[Array, "... 3"], table: Float[Array, "red green blue channels"]
 ) -> Float[Array, "... channels"]:

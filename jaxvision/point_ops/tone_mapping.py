@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide, safe_log, smallest_divisor
 from .._types import Scalars, as_relative
 
 
+@takes_numbers
 def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     """Reinhard's tone curve: x / (1 + x), or with a white x (1 + x / white^2) / (1 + x).
 
@@ -44,6 +46,7 @@ def _saturating_jvp(primals, tangents):
     return _saturating(x), inverse * inverse * change
 
 
+@takes_numbers
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
     """Luminance times key / log-average, which moves the picture's middle grey to the key.
 
@@ -66,6 +69,7 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
     return luminance * (key_value / average)
 
 
+@takes_numbers
 def filmic(x: Scalars) -> Scalars:
     """The ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
 
@@ -88,6 +92,7 @@ def filmic(x: Scalars) -> Scalars:
     return jnp.minimum(jnp.where(positive < 1, low, high), 1)
 
 
+@takes_numbers
 def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
 
@@ -103,6 +108,7 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     return jnp.log1p(strength * jnp.maximum(as_relative(x), 0)) / jnp.log1p(strength)
 
 
+@takes_numbers
 def with_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:

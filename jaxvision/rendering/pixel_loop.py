@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt32
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._staging import LANES
@@ -162,6 +163,7 @@ def numbers_of(stream: Stream) -> tuple[Array, ...]:
     return (stream.pixel,) if stream.sample is None else (stream.pixel, stream.sample)
 
 
+@takes_numbers
 def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
     """The ray of one sample of a pixel.
 

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .._types import Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(eqx.Module):
@@ -29,4 +29,4 @@ class AmbientLight(eqx.Module):
     radiance: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radiance=AMOUNT)

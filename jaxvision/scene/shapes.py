@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar, as_float, as_optional_float, check_fields
+from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_fields, check_not_zero
 
 
 class Sphere(eqx.Module):
@@ -21,7 +21,7 @@ class Sphere(eqx.Module):
     radius: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radius=AMOUNT)
 
 
 class Plane(eqx.Module):
@@ -37,6 +37,7 @@ class Plane(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self)
+        check_not_zero("Plane.normal", self.normal)
 
 
 class Disc(eqx.Module):
@@ -53,7 +54,8 @@ class Disc(eqx.Module):
     radius: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, radius=AMOUNT)
+        check_not_zero("Disc.normal", self.normal)
 
 
 class Quad(eqx.Module):
@@ -90,7 +92,7 @@ class Box(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, half_extents=AMOUNT)
 
 
 def _as_indices(x: Any) -> Array:

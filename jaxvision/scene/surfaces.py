@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from .._types import Colour, as_optional_float, check_count, check_fields, check_kind
+from .._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
 from .light import AmbientLight, Light
 from .shapes import Shape
 
@@ -41,7 +41,7 @@ class Surface(eqx.Module):
     two_sided: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, emission=AMOUNT)
 
 
 def _as_tuple(records: eqx.Module | Iterable[Any]) -> tuple[Any, ...]:

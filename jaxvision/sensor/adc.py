@@ -2,12 +2,14 @@
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import with_gradient_of
 from .._types import Key, Scalar, Scalars, Spectrum, check_range
 from ..scene import Sensor
 from .fixed_pattern import column_gains
 
 
+@takes_numbers
 def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None) -> Spectrum:
     """Converts electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
 
@@ -45,6 +47,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
     return signal
 
 
+@takes_numbers
 def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
     """Electrons after gain and offset: K electrons + offset.
 
@@ -59,6 +62,7 @@ def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
     return signal if sensor.offset is None else signal + sensor.offset
 
 
+@takes_numbers
 def largest_number(bits: Scalar) -> Scalar:
     """The largest DN of an ADC, 2^bits - 1.
 

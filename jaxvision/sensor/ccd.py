@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._types import Key, Scalar
 from ..scene import ChargeTransfer
@@ -17,6 +18,7 @@ from ._draws import Frame, check_image, gaussian
 from .exposure import Counts
 
 
+@takes_numbers
 def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
     """Electrons after overfull wells have spilled along their columns.
 
@@ -69,6 +71,7 @@ def _flow(
     return jnp.moveaxis(filled, 0, -3)
 
 
+@takes_numbers
 def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     """Electrons as they are read after imperfect transfers along columns and the serial register.
 
@@ -98,6 +101,7 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     return _trailing(rows_read, transfer.serial_inefficiency, transfer.trail, axis=-2)
 
 
+@takes_numbers
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
     """The random part of charge transfer, to be added to `transferred` of whole electrons.
 
@@ -121,6 +125,7 @@ def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer)
     return safe_sqrt(variance) * draw
 
 
+@takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
     """Variance of transferred electrons that move one by one.
 
@@ -140,6 +145,7 @@ def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -
     return transferred(mean, transfer) + transferred_variance(variance - mean, transfer)
 
 
+@takes_numbers
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
     """Variance of transferred electrons that move in fixed shares.
 

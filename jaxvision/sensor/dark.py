@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._types import Scalar
 from ..scene import ArrheniusDarkCurrent, DarkCurrent, DoublingDarkCurrent
 
@@ -9,6 +10,7 @@ BOLTZMANN = 1.380649e-23  # J K^-1, exact in the SI since 2019
 ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact in the SI since 2019
 
 
+@takes_numbers
 def dark_rate(dark_current: Scalar | DarkCurrent) -> Scalar:
     """Dark current at the temperature of its law.
 

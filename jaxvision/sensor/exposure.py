@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
+from .._arguments import takes_numbers
 from .._types import Image, Scalars, Spectrum, as_float, is_known, print_by_name
 from ..colour_filters import check_pattern, mosaic
 from ..scene import ColourFilter, Sensor
@@ -26,6 +27,7 @@ Counts = Float[Array, "... channels"]  # one channel under a colour filter, else
 print_by_name(globals(), "Light", "Counts")
 
 
+@takes_numbers
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
     """Photons per second and pixel: lambda E A / (h c).
 
@@ -51,6 +53,7 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
     return irradiance * _over_bands("wavelength", pixel_area * per_joule, irradiance)
 
 
+@takes_numbers
 def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     """Expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
 
@@ -90,6 +93,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     return over_exposure(sensor, electrons)
 
 
+@takes_numbers
 def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
     """Expected photoelectrons in each pixel after smear and crosstalk.
 
@@ -108,6 +112,7 @@ def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
     return electrons
 
 
+@takes_numbers
 def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     """Electrons counted by each pixel of a mosaic sensor.
 
@@ -133,6 +138,7 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     return mosaic(seen, colour_filter.pattern)[..., None]
 
 
+@takes_numbers
 def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
     """Electrons after crosstalk: each pixel gives a share to each of its four neighbours.
 
@@ -159,6 +165,7 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
     return electrons * (1 - 4 * crosstalk) + crosstalk * (neighbours(-3) + neighbours(-2))
 
 
+@takes_numbers
 def smeared(electrons: Counts, smear: Scalars) -> Counts:
     """Electrons after the frame has been shifted along its columns through the light.
 
@@ -177,6 +184,7 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
     return electrons + smear * (column - electrons)
 
 
+@takes_numbers
 def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
     """Expected dark electrons of a pixel in one exposure: mu_d.
 
@@ -192,6 +200,7 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
     return over_exposure(sensor, dark_rate(sensor.dark_current))
 
 
+@takes_numbers
 def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
     """Electrons that a rate yields in one exposure.
 

@@ -8,6 +8,7 @@ s^-1. Each raises `ValueError` where it draws and `die_key` is None.
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from .._arguments import takes_numbers
 from .._numerics import divide
 from .._types import Key, Scalars
 from ..scene import HotPixels, Sensor
@@ -23,6 +24,7 @@ from ._draws import (
 )
 
 
+@takes_numbers
 def sensitivity(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
@@ -48,6 +50,7 @@ def sensitivity(
     return response
 
 
+@takes_numbers
 def hot_rates(
     die_key: Key | None, hot_pixels: HotPixels, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
@@ -72,6 +75,7 @@ def hot_rates(
     return jnp.where(hot, -hot_pixels.rate * jnp.log(place), 0)
 
 
+@takes_numbers
 def offsets(
     die_key: Key | None, sensor: Sensor, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars | None:
@@ -97,6 +101,7 @@ def offsets(
     return sum(parts[1:], parts[0]) if parts else None
 
 
+@takes_numbers
 def conversion_gains(
     die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
@@ -114,6 +119,7 @@ def conversion_gains(
     return 1 + rms * gaussian(die_key, Die.CONVERSION, shape, dtype)
 
 
+@takes_numbers
 def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Gain of each column amplifier relative to the mean: 1 + rms times a standard Gaussian.
 

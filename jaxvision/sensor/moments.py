@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._types import Scalar, Scalars
 from ..scene import Sensor
 from ._clipped_gaussian import (
@@ -43,6 +44,7 @@ class Moments(NamedTuple):
     variance: Scalars
 
 
+@takes_numbers
 def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
     """Mean raw signal of the EMVA 1288 model, before clipping: mu_y = K (eta mu_p + mu_d) + offset.
 
@@ -61,6 +63,7 @@ def expected_signal(sensor: Sensor, irradiance: Light) -> Counts:
     return amplified(sensor, _read(sensor, _charge(sensor, irradiance)).mean)
 
 
+@takes_numbers
 def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
     """Temporal variance of one pixel, before clipping.
 
@@ -84,6 +87,7 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
     return _signal(sensor, _read(sensor, _charge(sensor, irradiance))).variance
 
 
+@takes_numbers
 def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     """Variance of the pixels' mean signals over the die under uniform irradiance, before clipping.
 
@@ -121,6 +125,7 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     return variance if sensor.gain is None else variance * sensor.gain**2
 
 
+@takes_numbers
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     """Mean and temporal variance of raw data that a full well and the range of the ADC clip.
 
@@ -144,6 +149,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     return censored(signal, low=jnp.zeros_like(sensor.bits), high=largest_number(sensor.bits))
 
 
+@takes_numbers
 def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None = None) -> Moments:
     """Moments of a Gaussian variable clipped to [low, high].
 

@@ -8,6 +8,7 @@ are shared along them. Frames of one die are a `vmap` over keys.
 
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._types import Key
 from ..scene import Sensor
 from ._draws import Frame, needed
@@ -19,6 +20,7 @@ from .read_out import read_out_noise
 from .shot_noise import count
 
 
+@takes_numbers
 def collect(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:
@@ -80,6 +82,7 @@ def collect(
     return electrons
 
 
+@takes_numbers
 def raw_image(
     key: Key | None, sensor: Sensor, irradiance: Light, *, die_key: Key | None = None
 ) -> Counts:

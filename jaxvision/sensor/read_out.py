@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._types import Key, Scalar, Scalars
 from ..scene import Banding, HeavyTailedReadNoise, ResetNoise, Sensor, TelegraphNoise
@@ -29,6 +30,7 @@ def reset_noise_rms(reset: ResetNoise) -> Scalar:
     return safe_sqrt(electrons * (reset.capacitance / ELEMENTARY_CHARGE))
 
 
+@takes_numbers
 def read_out_noise(
     key: Key | None,
     die_key: Key | None,

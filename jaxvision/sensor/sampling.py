@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import safe_sqrt, sine_cosine, smallest_divisor
 from .._types import Image, Scalar, Scalars
 from ..scene import PixelAperture
@@ -30,6 +31,7 @@ def light_share(aperture: PixelAperture) -> Scalar:
     return aperture.fill_factor + aperture.microlens * (1 - aperture.fill_factor)
 
 
+@takes_numbers
 def pixel_means(
     irradiance: Image, aperture: PixelAperture
 ) -> Float[Array, "*batch rows columns bands"]:
@@ -62,6 +64,7 @@ def pixel_means(
     return jnp.einsum("...iajbc,a,b->...ijc", cells, weights, weights)
 
 
+@takes_numbers
 def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
     """Contrast that the pixel's aperture leaves of a grating along rows or columns: sinc(width f).
 

@@ -21,6 +21,7 @@ use `expected_signal` and `signal_variance`, whose gradients have no noise.
 import jax
 import jax.numpy as jnp
 
+from .._arguments import takes_numbers
 from .._numerics import divide, safe_sqrt, smallest_divisor, with_gradient_of
 from .._types import Key, Scalars
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, PoissonShotNoise, ShotNoise
@@ -31,6 +32,7 @@ SUMMED_MEAN = 10.0  # up to here the distribution is summed
 SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest uniform number
 
 
+@takes_numbers
 def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
     """Draws the electrons counted in each pixel.
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arguments import takes_numbers
 from .._numerics import divide
 from .._types import Scalar, check_count
 from ..scene import RollingShutter
@@ -19,6 +20,7 @@ from ..scene import RollingShutter
 Pictures = TypeVar("Pictures")
 
 
+@takes_numbers
 def row_starts(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int
 ) -> Float[Array, " rows"]:
@@ -37,6 +39,7 @@ def row_starts(
     return jnp.arange(rows, dtype=exposure_time.dtype) * shutter.line_time
 
 
+@takes_numbers
 def exposure_slots(
     shutter: RollingShutter | None, exposure_time: Scalar, *, rows: int, slots: int
 ) -> tuple[Float[Array, " slots"], Float[Array, "rows slots"]]:
@@ -65,6 +68,7 @@ def exposure_slots(
     return (edges[:-1] + edges[1:]) / 2, weights
 
 
+@takes_numbers
 def exposed(
     shutter: RollingShutter | None,
     exposure_time: Scalar,

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
 from .._staging import TILE, together
@@ -52,6 +53,7 @@ class _Arrival(eqx.Module):
     response: Scalar
 
 
+@takes_numbers
 def light_traced(
     key: Key, scene: Scene, view: View, *, paths: int, depth: int = 6, samples: int = 16
 ) -> Traced:

@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._arguments import takes_numbers
 from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, seed_of, uniforms
@@ -246,6 +247,7 @@ def _where(counts: Bool[Array, ""], bands: Bands) -> Bands:
     return tuple(jnp.where(counts, band, 0) for band in bands)
 
 
+@takes_numbers
 def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
     """Radiance that arrives along one ray, against its direction.
 
@@ -279,6 +281,7 @@ def path_along(scene: Scene, method: Paths) -> Along:
     return each(lambda ray, stream: _walk(world, ray, stream, method))
 
 
+@takes_numbers
 def path_traced_pixels(
     key: Key,
     scene: Scene,
@@ -308,6 +311,7 @@ def path_traced_pixels(
     return photograph(along, view, samples, pixels=pixels, first_sample=first_sample)
 
 
+@takes_numbers
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """The picture in radiance.
 

@@ -16,7 +16,7 @@ EXAMPLES = {
     "point_ops.linear.contrast_brightness": ((X, TWO, ONE), {}),
     "point_ops.linear.exposure": ((X, ONE), {}),
     "point_ops.linear.blend": ((X, Y, ONE), {}),
-    "point_ops.linear.cross_dissolve": ((X, Y), {}),
+    "point_ops.linear.cross_dissolve": ((X[..., None], Y[..., None]), {}),
     "point_ops.across_picture.graded_filter": ((X, ONE, TWO, ONE * 0.1, TWO), {}),
     "point_ops.across_picture.vignette": ((X, FALLOFF), {}),
     "point_ops.across_picture.correct_vignetting": ((X, FALLOFF), {}),

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._arguments import takes_numbers
 from ..._numerics import dot, norm, reciprocal
 from ..._random import Stream, uniforms
 from ..._types import Scalar, check_count
@@ -179,6 +180,7 @@ def _place_above(
     return bilinear(patch.corners, s, t) + patch.bulge * patch.normal
 
 
+@takes_numbers
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
     """How far the sum of each row is from 1.
 
@@ -192,6 +194,7 @@ def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
     return table.sum(axis=1) - 1
 
 
+@takes_numbers
 def reciprocity_error(
     table: Float[Array, "patches patches"], area: Float[Array, " patches"]
 ) -> Float[Array, "patches patches"]:

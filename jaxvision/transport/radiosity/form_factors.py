@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arguments import takes_numbers
 from ..._numerics import (
     arctan2,
     divide,
@@ -31,6 +32,7 @@ from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon, squ
 _LARGEST = 1e8  # side over distance: its square is far from overflow in float32
 
 
+@takes_numbers
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     """F between two equal rectangles that face each other.
 
@@ -57,6 +59,7 @@ def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     return divide(2 * _opposed(x, y), jnp.pi * area, extended)
 
 
+@takes_numbers
 def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
     """F between two rectangles that meet at a right angle in a common edge.
 
@@ -128,6 +131,7 @@ def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
     return jnp.where(small, jnp.log1p(-jnp.where(small, lost, 0)), safe_log(remaining))
 
 
+@takes_numbers
 def parallel_exchange(
     first: Float[Array, "2 2"], second: Float[Array, "2 2"], gap: Scalar
 ) -> Scalar:
@@ -160,6 +164,7 @@ def parallel_exchange(
     return jnp.where(_far(apart, first, second), by_nodes, jnp.maximum(exact, 0))
 
 
+@takes_numbers
 def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2"]) -> Scalar:
     """A_1 F_12 = A_2 F_21 between rectangles in planes that meet at a right angle, with sides along
     the line in which the planes meet and across it.

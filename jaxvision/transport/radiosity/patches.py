@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._arguments import takes_numbers
 from ..._numerics import divide, norm, normalize, reciprocal
 from ..._staging import stored, together
 from ..._vector import Vec, as_vec
@@ -164,6 +165,7 @@ def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
     return np.concatenate(planes)
 
 
+@takes_numbers
 def by_patch(
     values: Float[Array, "elements n"], elements: Patches, plan: Plan
 ) -> Float[Array, "patches n"]:

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arguments import takes_numbers
 from ..._staging import TILE, in_tiles
 from ..._types import Colour
 from ..._vector import Vec
@@ -48,6 +49,7 @@ class Solution(eqx.Module):
     covered: Bool[Array, " elements"]
 
 
+@takes_numbers
 def radiosity(
     scene: Scene,
     plan: Plan,

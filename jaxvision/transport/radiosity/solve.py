@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arguments import takes_numbers
 from ..._numerics import divide, or_one
 from ..._types import Scalar, check_choice, print_by_name
 
@@ -21,6 +22,7 @@ print_by_name(globals(), "PatchSpectra", "Table")
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
 
+@takes_numbers
 def solve_radiosity(
     table: Table,
     albedo: PatchSpectra,
@@ -85,6 +87,7 @@ def solve_radiosity(
     return jax.vmap(band, in_axes=1, out_axes=1)(albedo, sent)
 
 
+@takes_numbers
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
     """B after a number of reflections: the first terms of the Neumann series, as a path tracer of
     that depth sees them.
@@ -174,6 +177,7 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
     return (divide(total.max(axis=0), 1 - kept, kept < 1, jnp.inf) - 1).max()
 
 
+@takes_numbers
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:

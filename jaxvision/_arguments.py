@@ -1,0 +1,182 @@
+"""What a caller may pass: plain numbers and lists become arrays, a function of one point says so
+when it is given several, and directions must be unit.
+
+Numbers are looked at where they are known, outside `jax.jit` and its like; NaN passes.
+"""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from inspect import signature
+from types import UnionType
+from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+from ._types import is_known
+from .errors import InputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+UNIT_WITHIN = 1e-2  # of a length of 1: the rounding of half precision, below what a lobe shows
+LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
+PLAIN = (bool, int, float, list, tuple, str)
+
+
+class _Wanted(NamedTuple):
+    """What a parameter holds.
+
+    Attributes:
+        shapes: that it may have; a word is any length, one with a star or `...` any axes.
+        is_direction: whether its length must be 1.
+        is_wavelength: whether it is in metres, of light.
+        keeps_integers: whether codes may be there: those functions answer for themselves.
+    """
+
+    shapes: tuple[tuple[str, ...], ...]
+    is_direction: bool
+    is_wavelength: bool
+    keeps_integers: bool
+
+
+def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
+    """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
+
+    They become arrays of the floating dtype that is beside them. A shape that the annotation
+    excludes, and a direction that is not unit, raise `InputError`.
+
+    Args:
+        function: whose annotations say which of its parameters are arrays.
+
+    Returns:
+        The same function of the same parameters.
+    """
+
+    @wraps(function)
+    def of_numbers(*args: P.args, **kwargs: P.kwargs) -> R:
+        wanted = _wanted(function)
+        values = dict(zip(wanted, args, strict=False)) | kwargs
+        arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
+        plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
+        if plain:
+            dtype = _dtype_beside(values)
+            for name in plain:
+                values[name] = _as_array(function, name, values[name], arrays[name], dtype)
+            args = tuple(values.get(n, x) for n, x in zip(wanted, args, strict=False))  # type: ignore[assignment]
+            kwargs = {name: values[name] for name in kwargs}  # type: ignore[assignment]
+        for name, want in arrays.items():
+            if isinstance(values[name], jax.Array):
+                _check(function, name, values[name], want)
+        return function(*args, **kwargs)
+
+    return of_numbers
+
+
+def _is_plain(value: Any, want: _Wanted) -> bool:
+    """Whether to make an array of it, or of floating numbers where it is one."""
+    if isinstance(value, PLAIN) or want.keeps_integers:
+        return isinstance(value, PLAIN)
+    is_whole = isinstance(value, jax.Array) and value.dtype.kind in "iu"
+    return is_whole or isinstance(value, np.ndarray | np.generic)
+
+
+@cache
+def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
+    """What each parameter holds, in their order; None where that is not an array of floating
+    numbers, or not only one."""
+    hints = get_type_hints(function)
+    return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
+
+
+def _of_hint(name: str, hint: Any) -> _Wanted | None:
+    union = get_origin(hint) in (Union, UnionType)
+    parts = [kind for p in (get_args(hint) if union else [hint]) for kind in _kinds(p)]
+    arrays = [part for part in parts if part is not np.ndarray and not _is_record(part)]
+    if not arrays or not all(hasattr(part, "dim_str") for part in arrays):
+        return None
+    if not all(_dtypes(part) in (_dtypes(Float), _dtypes(Shaped)) for part in arrays):
+        return None
+    floating = all(_dtypes(part) == _dtypes(Float) for part in arrays)
+    shapes = tuple(tuple(part.dim_str.split()) for part in arrays)
+    return _Wanted(
+        shapes,
+        is_direction=getattr(hint, "__name__", "") == "Direction",
+        is_wavelength=name in ("wavelength", "wavelengths"),
+        keeps_integers=not floating or any("h" in shape for shape in shapes),
+    )
+
+
+def _kinds(part: Any) -> tuple[Any, ...]:
+    return () if part is type(None) else getattr(part, "kinds", ()) or (part,)
+
+
+def _dtypes(part: Any) -> Any:
+    return part.dtypes
+
+
+def _is_record(part: Any) -> bool:
+    return isinstance(part, type) and issubclass(part, eqx.Module)
+
+
+def _dtype_beside(values: dict[str, Any]) -> Any:
+    """The dtype of the floating arrays among the arguments, records and all; else JAX's default."""
+    leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
+    floating = [x.dtype for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)]
+    return max(floating, key=lambda dtype: dtype.itemsize, default=jnp.result_type(float))
+
+
+def _as_array(
+    function: Callable[..., Any], name: str, value: Any, want: _Wanted, dtype: Any
+) -> Array:
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{_place(function, name)} must be numbers, got {value!r}.") from error
+    given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"
+    whole = array.dtype.kind != "f" and want.keeps_integers
+    return array if given or whole else array.astype(dtype)
+
+
+def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted) -> None:
+    if not any(_fits(value.shape, shape) for shape in want.shapes):
+        allowed = " or ".join(f"({', '.join(s)}{',' * (len(s) == 1)})" for s in want.shapes)
+        several = value.ndim > max(map(len, want.shapes))
+        many = "; for many at once take jax.vmap of the function" if several else ""
+        raise InputError(
+            f"{_place(function, name)} must have shape {allowed}, got {value.shape}{many}."
+        )
+    if want.is_direction and is_known(value):
+        length = float(np.linalg.norm(np.asarray(value, np.float64)))
+        if abs(length - 1) > UNIT_WITHIN:
+            raise InputError(
+                f"{_place(function, name)} must be a unit vector, got one of length {length:.6g}; "
+                "divide it by its length (jaxvision.normalize)."
+            )
+    if want.is_wavelength and is_known(value):
+        longest = np.max(np.asarray(value), initial=0)
+        if longest > LONGEST_WAVE:
+            raise InputError(
+                f"{_place(function, name)} is in metres, got {longest:.6g}; 550 nm are 550e-9."
+            )
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[str, ...]) -> bool:
+    free = [axis for axis in wanted if axis == "..." or axis.startswith("*")]
+    if free:
+        place = wanted.index(free[0])
+        after = len(wanted) - place - 1
+        if len(shape) < len(wanted) - 1:
+            return False
+        shape = shape[:place] + shape[len(shape) - after :]
+        wanted = wanted[:place] + wanted[place + 1 :]
+    return len(shape) == len(wanted) and all(
+        not axis.isdigit() or int(axis) == size for axis, size in zip(wanted, shape, strict=True)
+    )
+
+
+def _place(function: Callable[..., Any], name: str) -> str:
+    return f"{getattr(function, '__name__', 'function')}: {name}"

@@ -1,0 +1,134 @@
+"""What a caller may pass to public functions: plain numbers and lists are as good as arrays, and
+misuse that is visible has one sentence."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from examples import ROOMS, examples_of
+from public_names import traced
+
+import jaxvision as jv
+from jaxvision.brdf.phong import phong_shading
+from jaxvision.histogram import equalise, exact_histogram
+from jaxvision.optics import airy_radius
+from jaxvision.point_ops import cross_dissolve
+
+UP = [0, 0, 1]
+THREE_NORMALS = np.eye(3)
+
+
+def as_lists(argument):
+    """A floating array as a user types it; anything else as it is."""
+    is_array = isinstance(argument, np.ndarray | jax.Array)
+    if is_array and jnp.issubdtype(argument.dtype, jnp.floating):
+        return np.asarray(argument).tolist()
+    return argument
+
+
+def shapes(call):
+    return [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(jax.eval_shape(call))]
+
+
+@pytest.mark.sweep("geometry", "brdf", "sensor")
+@pytest.mark.parametrize("room", ROOMS)
+def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
+    """Traced, not compiled: shapes and dtypes of the results are those that arrays give."""
+    known = traced()
+    for name, (arguments, options) in examples_of(room).items():
+        if name == "lights.polygon.angle_over_sine":  # of numbers at hand, with a derivative rule
+            continue
+        function = partial(known[name], **options)
+        lists = [as_lists(argument) for argument in arguments]
+        try:
+            found = shapes(partial(function, *lists))
+        except Exception as error:
+            pytest.fail(f"{name}: {type(error).__name__}: {error}")
+        assert found == shapes(partial(function, *arguments)), name
+
+
+def test_numbers_take_the_dtype_beside_them():
+    half = jnp.asarray(0.5, jnp.float32)
+    assert jv.image_distance(half, 0.05).dtype == jnp.float32
+    assert jv.image_distance(2, 0.05).dtype == jnp.float64
+    assert jv.dot(np.ones(3, np.float32), jnp.ones(3, jnp.float32)).dtype == jnp.float32
+
+
+def test_whole_numbers_do_not_divide_silently():
+    found = jv.image_distance(jnp.asarray(3), jnp.asarray(2))
+    assert float(found) == 6.0
+
+
+def test_nan_passes():
+    assert np.isnan(jv.lambert_shading([0, 0, np.nan], UP, [1.0])).all()
+    assert np.isnan(jv.Lambert([np.nan]).diffuse).all()
+    assert np.isnan(jv.Sphere(UP, np.nan).radius)
+
+
+SENTENCES = {
+    "radiance of a normal twice as long": (
+        lambda: jv.lambert_shading([0, 0, 2], UP, [1.0]),
+        r"lambert_shading: normal must be a unit vector, got one of length 2; divide",
+    ),
+    "a viewer three times too far": (
+        lambda: phong_shading(UP, UP, wo=[0, 0, 3], diffuse=[0.1], specular=[0.1], exponent=30),
+        r"phong_shading: wo must be a unit vector, got one of length 3",
+    ),
+    "three normals for one point": (
+        lambda: jv.lambert_shading(THREE_NORMALS, UP, [1.0, 1.0, 1.0]),
+        r"normal must have shape \(3,\), got \(3, 3\); for many at once take jax.vmap",
+    ),
+    "words": (lambda: jv.dot("abc", UP), "dot: u must be numbers, got 'abc'"),
+    "ragged lists": (lambda: jv.dot([1, [2, 3]], UP), "dot: u must be numbers"),
+    "nanometres": (
+        lambda: airy_radius(550, 4),
+        "airy_radius: wavelength is in metres, got 550; 550 nm are 550e-9",
+    ),
+    "micrometres": (lambda: airy_radius(0.55, 4), "wavelength is in metres, got 0.55"),
+    "a cosine for its logarithm": (
+        lambda: jv.phong_lobe(0.5, 30),
+        "phong_lobe: log_cos_mirror must be at least -inf and at most 0, got 0.5",
+    ),
+    "pictures as sequences": (
+        lambda: cross_dissolve(jnp.ones((3, 2, 3)), jnp.zeros((3, 2, 3))),
+        "blend mixes two still pictures",
+    ),
+    "codes as fractions": (
+        lambda: equalise(np.linspace(0, 255, 400).reshape(20, 20)),
+        "counted in .0, 1., got values up to 255; divide codes by the largest one",
+    ),
+    "codes counted as fractions": (
+        lambda: exact_histogram(np.linspace(0, 255, 400).reshape(20, 20)),
+        "got values up to 255",
+    ),
+    "negative light": (
+        lambda: jv.PointLight(UP, [-4.0]),
+        "PointLight.intensity must be at least 0, got -4.0",
+    ),
+    "negative albedo": (lambda: jv.Lambert([-0.1]), "Lambert.diffuse must be at least 0"),
+    "negative exponent": (
+        lambda: jv.Phong([0.1], [0.2], -3.0),
+        "Phong.exponent must be at least 0, got -3.0",
+    ),
+    "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
+    "a plane without a normal": (
+        lambda: jv.Plane(UP, [0, 0, 0]),
+        "Plane.normal must have a direction",
+    ),
+}
+
+
+@pytest.mark.parametrize("misuse", SENTENCES)
+def test_misuse_has_one_sentence(misuse):
+    call, sentence = SENTENCES[misuse]
+    with pytest.raises(ValueError, match=sentence):
+        call()
+
+
+def test_what_is_traced_is_not_looked_at():
+    """Inside a compiled function numbers are not known; shapes are."""
+    jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.full(3, 2.0))
+    with pytest.raises(ValueError, match="normal must have shape"):
+        jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.ones((2, 3)))
