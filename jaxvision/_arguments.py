@@ -31,10 +31,11 @@ class _Wanted(NamedTuple):
     """What a parameter holds.
 
     Attributes:
-        shapes: that it may have; a word is any length, one with a star or `...` any axes.
+        shapes: of one point, in which a word is any length; none where there may be more axes, and
+            for pictures, whose functions answer for themselves.
         is_direction: whether its length must be 1.
         is_wavelength: whether it is in metres, of light.
-        keeps_integers: whether codes may be there: those functions answer for themselves.
+        keeps_integers: whether whole numbers stay so: there may be codes.
     """
 
     shapes: tuple[tuple[str, ...], ...]
@@ -69,19 +70,22 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             args = tuple(values.get(n, x) for n, x in zip(wanted, args, strict=False))  # type: ignore[assignment]
             kwargs = {name: values[name] for name in kwargs}  # type: ignore[assignment]
         for name, want in arrays.items():
-            if isinstance(values[name], jax.Array):
-                _check(function, name, values[name], want)
+            value = values[name]
+            if isinstance(value, jax.Array):
+                _check(function, name, value, want)
         return function(*args, **kwargs)
 
     return of_numbers
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
-    """Whether to make an array of it, or of floating numbers where it is one."""
+    """Whether to make an array of it, or of floating numbers where it is one. Unsigned integers
+    are codes, which the functions of pictures answer for."""
     if isinstance(value, PLAIN) or want.keeps_integers:
         return isinstance(value, PLAIN)
-    is_whole = isinstance(value, jax.Array) and value.dtype.kind in "iu"
-    return is_whole or isinstance(value, np.ndarray | np.generic)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.kind != "u"
+    return isinstance(value, jax.Array) and value.dtype.kind == "i"
 
 
 @cache
@@ -102,11 +106,13 @@ def _of_hint(name: str, hint: Any) -> _Wanted | None:
         return None
     floating = all(_dtypes(part) == _dtypes(Float) for part in arrays)
     shapes = tuple(tuple(part.dim_str.split()) for part in arrays)
+    is_picture = any("h" in shape for shape in shapes)
+    is_one_point = not any(axis == "..." or axis[0] == "*" for shape in shapes for axis in shape)
     return _Wanted(
-        shapes,
+        shapes if is_one_point and not is_picture else (),
         is_direction=getattr(hint, "__name__", "") == "Direction",
         is_wavelength=name in ("wavelength", "wavelengths"),
-        keeps_integers=not floating or any("h" in shape for shape in shapes),
+        keeps_integers=not floating or is_picture,
     )
 
 
@@ -142,7 +148,7 @@ def _as_array(
 
 
 def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted) -> None:
-    if not any(_fits(value.shape, shape) for shape in want.shapes):
+    if want.shapes and not any(_fits(value.shape, shape) for shape in want.shapes):
         allowed = " or ".join(f"({', '.join(s)}{',' * (len(s) == 1)})" for s in want.shapes)
         several = value.ndim > max(map(len, want.shapes))
         many = "; for many at once take jax.vmap of the function" if several else ""
@@ -165,14 +171,6 @@ def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted)
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[str, ...]) -> bool:
-    free = [axis for axis in wanted if axis == "..." or axis.startswith("*")]
-    if free:
-        place = wanted.index(free[0])
-        after = len(wanted) - place - 1
-        if len(shape) < len(wanted) - 1:
-            return False
-        shape = shape[:place] + shape[len(shape) - after :]
-        wanted = wanted[:place] + wanted[place + 1 :]
     return len(shape) == len(wanted) and all(
         not axis.isdigit() or int(axis) == size for axis, size in zip(wanted, shape, strict=True)
     )

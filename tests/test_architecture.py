@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = [
     {"_primitives"},
     {"errors", "_types", "_staging"},
+    {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics", "_chebyshev"},
     {"spectra", "hemisphere", "padding", "_powers"},

@@ -24,7 +24,7 @@ Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
 FLOAT_BINS = 256
-CODES_ABOVE = 2.0  # a floating image that reaches beyond twice its white holds codes or radiance
+CODES_ABOVE = 16.0  # a floating image that reaches so far beyond its white holds codes
 # Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
 BLOCK = 2**16
 
