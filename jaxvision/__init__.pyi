@@ -208,6 +208,7 @@ from .material_files import (
 from .measured_files import (
     read_measured as read_measured,
 )
+from .memory import keep_memory as keep_memory
 from .optics import (
     camera_ray as camera_ray,
     circle_of_confusion as circle_of_confusion,

@@ -13,6 +13,7 @@ EAGER = {
     "jaxvision.plots.inspection",
     "jaxvision.plots.summary",
     "jaxvision.errors",
+    "jaxvision.memory",
     "jaxvision.camera_files",
     "jaxvision.material_files",
     "jaxvision.record_files",

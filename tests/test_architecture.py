@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
     {"_primitives"},
-    {"errors", "_types", "_staging"},
+    {"errors", "memory", "_types", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics", "_chebyshev"},
