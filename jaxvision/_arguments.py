@@ -33,7 +33,7 @@ class _Wanted(NamedTuple):
     Attributes:
         shapes: of one point, in which a word is any length; none where there may be more axes, and
             for pictures, whose functions answer for themselves.
-        is_direction: whether its length must be 1.
+        is_direction: whether its length must be 1, or 0 where there is no surface.
         is_wavelength: whether it is in metres, of light.
         keeps_integers: whether whole numbers stay so: there may be codes.
     """
@@ -111,7 +111,7 @@ def _of_hint(name: str, hint: Any) -> _Wanted | None:
     return _Wanted(
         shapes if is_one_point and not is_picture else (),
         is_direction=getattr(hint, "__name__", "") == "Direction",
-        is_wavelength=name in ("wavelength", "wavelengths"),
+        is_wavelength=name == "wavelength",
         keeps_integers=not floating or is_picture,
     )
 
@@ -157,7 +157,7 @@ def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted)
         )
     if want.is_direction and is_known(value):
         length = float(np.linalg.norm(np.asarray(value, np.float64)))
-        if abs(length - 1) > UNIT_WITHIN:
+        if length != 0 and abs(length - 1) > UNIT_WITHIN:
             raise InputError(
                 f"{_place(function, name)} must be a unit vector, got one of length {length:.6g}; "
                 "divide it by its length (jaxvision.normalize)."

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._arguments import takes_numbers
 from .._bands import by_band
 from .._numerics import dot, normalize
-from .._types import AMOUNT, Colour, as_float, check_fields, check_not_zero
+from .._types import AMOUNT, Colour, as_float, check_fields
 from .._vector import Vector, as_vec
 from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
@@ -46,7 +46,6 @@ class SmallLight(Light):
 
     def __check_init__(self) -> None:
         check_fields(self, intensity=AMOUNT)
-        check_not_zero("SmallLight.normal", self.normal)
 
 
 @takes_numbers
