@@ -12,6 +12,7 @@ from ..inference.posterior import Posterior, convergence_in_words
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
+from .left_out import TOLERANCE
 from .model import JointData, log_posterior
 from .prediction import Score
 
@@ -120,6 +121,21 @@ def laplace_faults(fit: JointFit, posterior: Posterior) -> list[str]:
 @eqx.filter_jit
 def _log_posteriors(vectors: Array, data: JointData) -> Array:
     return jax.lax.map(lambda vector: log_posterior(vector, data), vectors)
+
+
+def left_out_table(calibration: JointCalibration) -> Table:
+    """Errors that the rig names and the likelihood leaves out, with what they do at most."""
+    return Table(
+        title="Left out",
+        columns=("channel", "error", "as the rig states it", "moves the data by at most [s.d.]"),
+        rows=tuple(
+            (fit.channel, own.name, own.size, own.bound)
+            for fit in calibration.fits
+            for own in fit.left_out
+        ),
+        caption="Too small for any fit to tell: the law of all data moves by no more than this, in "
+        f"standard deviations of their noise; all together at most {TOLERANCE:g}.",
+    )
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:

@@ -19,6 +19,7 @@ from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstr
 from ..reflectance.models import shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
+from .left_out import LeftOut, small, widest, without
 from .model import (
     Cells,
     Form,
@@ -34,7 +35,7 @@ from .model import (
     weights,
 )
 from .read import JointMeasurement, UniformLevels
-from .start import first_noise, first_reflectance, parameters, scatter_scales
+from .start import SCATTERS, first_noise, first_reflectance, parameters, scatter_scales
 
 FEWEST_CELLS = 50
 EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
@@ -59,6 +60,7 @@ class JointFit:
         cells: how many there are, over all images.
         unexplained: chi-square per cell before a misfit was allowed; None where none was needed.
         converged: whether the optimum was reached.
+        left_out: errors that the rig names and that are too small to matter.
     """
 
     channel: str
@@ -71,6 +73,7 @@ class JointFit:
     cells: int
     unexplained: float | None
     converged: bool
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def space(self) -> ParameterSpace:
@@ -100,6 +103,10 @@ def fit_channel(
         InputError: where too little is left to fit.
     """
     grid, data, vector = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
+    gone = ()
+    if not set(SCATTERS).isdisjoint(names(data.space)):
+        gone = small(data, *_predicted(widest(vector, data.space), data))
+    data, vector = without(data, vector, gone)
     data, solution = _rounds(measurement, channel, grid, data, vector)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
@@ -122,6 +129,7 @@ def fit_channel(
         cells=cells,
         unexplained=unexplained,
         converged=bool(solution.converged),
+        left_out=gone,
     )
 
 
@@ -181,7 +189,7 @@ def _reduced(
     measurement: JointMeasurement, channel: int, grid: Grid, natural: dict[str, float], form: Form
 ) -> Cells:
     reference = {name: jnp.asarray(value) for name, value in natural.items()}
-    products = measurement.camera.prnu_sd is not None
+    products = "prnu" in natural
     return reduce_images(measurement.observation, channel, grid, reference, form, products=products)
 
 

@@ -8,7 +8,7 @@ from ..reflectance.models import LABELS
 from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
-from .findings import findings, misfit_table, score_table
+from .findings import findings, left_out_table, misfit_table, score_table
 from .prediction import score
 
 
@@ -28,13 +28,14 @@ def section(calibration: JointCalibration) -> Section:
         if fit.channel in calibration.posteriors
     )
     known = calibration.fits[0].data.known
+    gone = (left_out_table(calibration),) if any(f.left_out for f in calibration.fits) else ()
     return Section(
         kind="joint",
         title=f"Surface, response and sensor: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
         findings=findings(calibration),
         pictures=_pictures(calibration),
-        tables=(score_table(scores), misfit_table(calibration)),
+        tables=(score_table(scores), misfit_table(calibration), *gone),
         posteriors=calibration.posteriors,
         settings={
             "model": calibration.model,

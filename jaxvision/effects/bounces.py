@@ -104,7 +104,7 @@ def _transport(sums: Sums) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     albedo = np.zeros(len(sums.surfaces))
     for i, own in enumerate(sums.reflections):
         lobe = 0.0 if own.lobe is None else float(np.max(own.lobe.spectrum)) * own.lobe.size
-        albedo[i] = np.pi * float(np.max(own.body)) + lobe
+        albedo[i] = np.pi * (1 + own.grazing) * float(np.max(own.body)) + lobe
     return albedo, sums.k_mirror.max(1), _form_factors(sums)
 
 

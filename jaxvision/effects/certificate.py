@@ -107,7 +107,8 @@ class Effect:
         unit: that of `bound`: of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or of the certificate.
         rank: "exact": proved not to matter; "bound": proved; "estimate": sampled, never counted
             among what is proved.
-        saves: share of a picture's work that goes with it, by a declared table.
+        saves: share of a picture's work that goes with it, by a declared table of what benchmarks
+            measured; 0 where it goes with another effect.
         free: whether a fit may change it, so that it is never dropped.
         rare: expected number of pixels that it changes by any amount.
     """
@@ -152,6 +153,12 @@ class Certificate:
     assumptions: tuple[str, ...] = ()
     rare: float = 0.0
 
+    @property
+    def saves(self) -> float:
+        """Share of the picture's work that went: each effect its declared share of what the others
+        leave."""
+        return 1 - math.prod(1 - effect.saves for effect in self.dropped)
+
     def _repr_html_(self) -> str:
         """The table that a notebook shows."""
         head = "".join(f"<th>{word}</th>" for word in ("", *_HEADINGS))
@@ -161,7 +168,8 @@ class Certificate:
         )
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.assumptions)
         last = escape(summary(self))
-        return f"<table><tr>{head}</tr>{body}</table><p>{last}</p><ul>{notes}</ul>"
+        table = f'<div style="overflow-x: auto"><table><tr>{head}</tr>{body}</table></div>'
+        return f"{table}<p>{last}</p><ul>{notes}</ul>"
 
 
 @dataclass(frozen=True)
@@ -188,7 +196,7 @@ class Pruned:
     depth: int | None = None
 
 
-_HEADINGS = ("effect", "bound", "pixels", "rank", "why")
+_HEADINGS = ("effect", "bound", "pixels", "saves", "rank", "why")
 
 
 def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
@@ -197,7 +205,8 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why
             bound = "none" if math.isinf(effect.bound) else f"{effect.bound:.3g}"
-            yield word, (effect.name, bound, f"{effect.place:.2g}", effect.rank, why)
+            numbers = bound, f"{effect.place:.2g}", f"{100 * effect.saves:.0f} %"
+            yield word, (effect.name, *numbers, effect.rank, why)
 
 
 def summary(certificate: Certificate) -> str:
@@ -219,6 +228,7 @@ def summary(certificate: Certificate) -> str:
     line += f", {c.place:.2f} px"
     line += f", {c.rare:.2g} pixels by any amount" if c.rare > 0 else ""
     line += f"; relative to {c.level:.4g} W m^-2 sr^-1" if c.level is not None else ""
+    line += f"; saves about {100 * c.saves:.0f} % of the work" if c.dropped else ""
     return f"{line}."
 
 
@@ -234,11 +244,11 @@ def explain(certificate: Certificate) -> str:
     """
     table = [(word, *cells) for word, cells in _rows(certificate)]
     table = [("", *_HEADINGS), *table]
-    widths = [max(len(row[i]) for row in table) for i in range(5)]
+    widths = [max(len(row[i]) for row in table) for i in range(6)]
     lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row[:5], widths, strict=True))
+        "  ".join(cell.ljust(width) for cell, width in zip(row[:6], widths, strict=True))
         + "  "
-        + row[5]
+        + row[6]
         for row in table
     ]
     notes = [f"Assumed: {note}" for note in certificate.assumptions]

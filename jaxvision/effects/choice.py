@@ -191,7 +191,9 @@ class Choice:
                 continue
             if row.part_of in names:
                 told = self._told(row, 0.0, unit)
-                dropped.append(replace(told, rank="exact", why=f"gone with {row.part_of}"))
+                dropped.append(
+                    replace(told, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
+                )
             elif not row.ladder or row.effect.name not in {effect.name for effect in kept}:
                 kept.append(self._told(row, self.bound(row), unit))
         assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)

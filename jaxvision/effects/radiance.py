@@ -13,6 +13,7 @@ import numpy as np
 
 from ..brdf.glass import Glass
 from ..brdf.lambert import Lambert
+from ..brdf.oren_nayar import OrenNayar
 from ..brdf.torrance_sparrow import TorranceSparrow
 from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
 from .bodies import body_of, heights, numbers, stacked
@@ -30,6 +31,7 @@ from .sums import (
     emitted,
     geometry_of,
     lobe_sent,
+    looked_at,
     pictured,
     sent,
     sums_of,
@@ -67,7 +69,7 @@ def scene_stage(
 def top(sums: Sums, onward: Onward) -> np.ndarray:
     """The supremum of the picture, (bands,): all lights, what is emitted, what is seen of lamps."""
     cells = sum((sent(sums, k) for k in range(len(sums.sources))), sums.own[sums.cells.surface])
-    return np.max([pictured(sums, onward(cells)), *sums.shown], axis=0)
+    return np.maximum(pictured(sums, onward(cells)), looked_at(sums, sums.shown))
 
 
 def depths(sums: Sums) -> tuple[float, float]:
@@ -127,8 +129,8 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
     amount = pictured(sums, onward(sent(sums, k)))
     why = source.why or type(sums.lights[k].low).__name__
     if source.kind == "area":  # among paths it hides light as well as sending it
-        others = [sums.spectrum[m] for m, own in enumerate(sums.sources) if own.extended]
-        behind = np.max(others, axis=0) * sums.k_mirror
+        extended = np.array([own.extended for own in sums.sources])[:, None]
+        behind = looked_at(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
         seen = by_surface_seen(sums)
         amount = np.maximum(amount, np.max(behind[seen], axis=0, initial=0))
         if sums.visible[k] or onward.depth is not None:
@@ -202,7 +204,7 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
         yield lobe(sums, onward, i)
     if isinstance(material, TorranceSparrow) and material.interface is not None:
         yield interface(sums, onward, i)
-    if np.any(reflection.plain):
+    if np.any(reflection.plain) or isinstance(material, OrenNayar):
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
         why = "a mirror shows other light than it reflects"
@@ -281,9 +283,11 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     """Oren-Nayar's facets, or all in which a measured body differs from a Lambertian."""
     reflection, material = sums.reflections[i], sums.surfaces[i].low.material
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
+    grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
     def of_light(k: int) -> np.ndarray:
-        return times(sums.body[k][:, None] * np.ones(1), times(plain, sums.spectrum[k])[None])
+        even = times(sums.body[k][:, None] * np.ones(1), times(plain, sums.spectrum[k])[None])
+        return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k])[None])
 
     amount = _all_lights(sums, onward, i, of_light)
     if np.isinf(plain).any():

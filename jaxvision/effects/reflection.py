@@ -57,10 +57,12 @@ class Reflection(NamedTuple):
     Attributes:
         body: (bands,) sr^-1, sup of the diffuse part's f_r.
         lobe: or None.
-        plain: (bands,) sr^-1: the most by which the body differs from a Lambertian of the same k_d;
-            0 for one.
+        plain: (bands,) sr^-1: the most by which the body, but for its share `grazing`, differs from
+            a Lambertian of the same k_d; 0 for one.
         mirror: (bands,) or (1,), reflectance of a mirror, or None.
         why: "" or why there is no bound; then `body` is inf.
+        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not fall toward the
+            horizon.
     """
 
     body: np.ndarray
@@ -68,6 +70,7 @@ class Reflection(NamedTuple):
     plain: np.ndarray | float = 0.0
     mirror: np.ndarray | None = None
     why: str = ""
+    grazing: float = 0.0
 
 
 def _peak(x: Any, name: str) -> np.ndarray:
@@ -142,21 +145,23 @@ def _blinn(x: Ends[Any]) -> Reflection:
 
 
 def _oren_nayar(x: Ends[OrenNayar]) -> Reflection:
-    """k_d (A + B sin tan): the body is at most A + B, since cos sin tan <= 1; it differs from
-    Lambert's by at most max(1 - A, B). In full (equations 27 to 30) the second and the third term
-    exclude each other in cos(phi), and the light between facets adds at most .34 rho v / (v + .13).
-    It is never less than the k_d of the Lambertian that may take its place.
+    """k_d (A + B sin tan): times cos(theta_i) at most k_d (A cos(theta_i) + B), for cos sin tan is
+    at most 1, not cos. Lambert's differs by at most max((1 - A) cos, B) k_d. In full (equations 27
+    to 30) the second and the third term exclude each other in cos(phi), and the light between
+    facets adds at most .34 rho v / (v + .13). The body is never less than the k_d of the Lambertian
+    that may take its place.
     """
     v_low, v = _least(x, "sigma") ** 2, _most(x, "sigma") ** 2
     a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
     b = 0.45 * v / (v + 0.09)
     k_d = _peak(x, "diffuse")
     if x.low.form == "qualitative":
-        return Reflection(k_d * max(a_most + b, 1), plain=k_d * max(1 - a_least, b))
-    facets = 0.34 * np.pi * k_d * v / (v + 0.13)
-    return Reflection(
-        k_d * np.maximum(a_most + b + facets, 1), plain=k_d * (1 - a_least + b + facets)
-    )
+        whole, plain = np.maximum(a_most + b, 1), k_d * max(1 - a_least - b, 0)
+    else:
+        facets = 0.34 * np.pi * k_d * v / (v + 0.13)
+        whole = np.maximum(a_most + b + facets, 1)
+        plain = k_d * np.maximum(1 - a_least, facets)
+    return Reflection(k_d * whole, plain=plain, grazing=float(np.max(b / whole)))
 
 
 def _torrance_sparrow(x: Ends[TorranceSparrow]) -> Reflection:
@@ -267,15 +272,16 @@ def _dichromatic(x: Ends[Dichromatic]) -> Reflection:
     c_b, c_i = _peak(x, "body_spectrum"), _peak(x, "interface_spectrum")
     diffuse = c_b * body.body + c_i * interface.body
     parts = [(own.lobe, c) for own, c in ((body, c_b), (interface, c_i)) if own.lobe is not None]
+    grazing = max(body.grazing, interface.grazing)
+    why = body.why or interface.why
     if not parts:
-        return Reflection(diffuse, plain=np.inf, why=body.why or interface.why)
+        return Reflection(diffuse, plain=np.inf, why=why, grazing=grazing)
     first, colour = parts[0]
     if len(parts) == 2:
         return Reflection(diffuse + np.inf, plain=np.inf, why="two lobes in one material")
     spectrum = colour * first.spectrum
-    return Reflection(
-        diffuse, first._replace(spectrum=spectrum), np.inf, why=body.why or interface.why
-    )
+    lobe = first._replace(spectrum=spectrum)
+    return Reflection(diffuse, lobe, np.inf, why=why, grazing=grazing)
 
 
 def _lambert(x: Ends[Lambert]) -> Reflection:

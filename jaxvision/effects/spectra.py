@@ -83,7 +83,7 @@ Terms = list[tuple[np.ndarray, np.ndarray]]  # (c, t) geometry, (t, bands) spect
 
 
 def _terms(sums: Sums) -> Terms:
-    """The terms of each surface in view, and of the lamps that may be seen."""
+    """The terms of each surface in view, and of the lights that may be seen."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
         part = sums.seen & (sums.cells.surface == i)
@@ -96,7 +96,10 @@ def _terms(sums: Sums) -> Terms:
             spectra += [table[i] * spectrum for table in (sums.k_body, sums.k_lobe, sums.k_mirror)]
         table, used = np.stack(spectra), [bool(np.any(s)) for s in spectra]
         found.append((np.stack(geometry, 1)[:, used], table[used]))
-    found += [(np.ones((1, 1)), shown[None]) for shown in sums.shown if shown.any()]
+    skies = np.array([source.kind == "sky" for source in sums.sources], bool)
+    found += [(np.ones((1, 1)), shown[None]) for shown in sums.shown[~skies] if shown.any()]
+    if skies.any():  # they add
+        found.append((np.ones((1, skies.sum())), sums.shown[skies]))
     return [(g, p) for g, p in found if p.size]
 
 

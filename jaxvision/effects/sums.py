@@ -32,8 +32,9 @@ class Sums(NamedTuple):
         sources, reflections: what bounds know of each.
         cells: of all surfaces.
         seen: (c,) whether a pixel may see the cell.
-        body, lobe: (l, c) the suprema of E cos and of E f_r cos / k_s, per unit of the light's
-            spectrum.
+        body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
+            light's spectrum.
+        facing: (l, c) the suprema of E, of a facing surface.
         k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
         own: (n, bands) W m^-2 sr^-1, emission and reflected ambient light.
         spectrum: (l, bands) of each light.
@@ -52,6 +53,7 @@ class Sums(NamedTuple):
     seen: np.ndarray
     body: np.ndarray
     lobe: np.ndarray
+    facing: np.ndarray
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
@@ -88,7 +90,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     facing = cos_seen(cells, eye)[1] > 0
     seen = facing & in_view(eye, bodies_of(cells))
     nearest = _nearest(sources, surfaces)
-    body, lobe = _geometry(sources, nearest, surfaces, reflections, cells, eye)
+    body, lobe, facing = _geometry(sources, nearest, surfaces, reflections, cells, eye)
     bands = _bands(scene, sources)
     table = _Table(len(surfaces), bands)
     k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
@@ -117,6 +119,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         seen,
         body,
         lobe,
+        facing,
         k_body,
         k_lobe,
         k_mirror,
@@ -205,10 +208,11 @@ def _geometry(
     reflections: Sequence[Reflection],
     cells: Cells,
     eye: Eye,
-) -> tuple[np.ndarray, np.ndarray]:
-    """`body` and `lobe` of `Sums`; materials that are shared are asked once."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`body`, `lobe` and `facing` of `Sums`; materials that are shared are asked once."""
     shape = len(sources), len(cells.radius)
-    body, lobe = np.zeros(shape), np.zeros(shape)
+    body, lobe, facing = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    grazing = _grazing(reflections, cells)
     groups: dict[int, list[int]] = {}
     for i, surface in enumerate(surfaces):
         if reflections[i].lobe is not None:
@@ -216,13 +220,24 @@ def _geometry(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for k, source in enumerate(sources):
             arrived = arriving(source, cells, nearest[k, cells.surface])
-            body[k] = arrived.body
+            body[k] = _of_bodies(arrived, grazing)
+            facing[k] = arrived.facing
             for members in groups.values():
                 part = np.isin(cells.surface, members)
                 own = reflections[members[0]].lobe
                 if own is not None:
                     lobe[k, part] = _on(arrived, source, own, cells, eye, part)
-    return body, lobe
+    return body, lobe, facing
+
+
+def _grazing(reflections: Sequence[Reflection], cells: Cells) -> np.ndarray:
+    """(c,) `Reflection.grazing` of each cell."""
+    return np.array([own.grazing for own in reflections])[cells.surface]
+
+
+def _of_bodies(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
+    """(c,) sup of E f_r cos / k_d: E cos, and E of the share that does not fall with cos."""
+    return times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
 
 
 def _on(
@@ -248,7 +263,7 @@ def geometry_of(
             if own is not None:
                 part = cells.surface == i
                 found[part] = _on(arrived, source, own, cells, sums.eye, part)
-    return arrived.body, found
+    return _of_bodies(arrived, _grazing(sums.reflections, cells)), found
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
@@ -317,6 +332,14 @@ def lobe_sent(sums: Sums, k: int) -> np.ndarray:
     """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
     return times(sums.lobe[k][:, None] * np.ones(1), own)
+
+
+def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
+    """The most that a ray sees of lights, of their (l, bands) radiance: one with a place hides what
+    is behind it, and skies add. (bands,)"""
+    skies = np.array([source.kind == "sky" for source in sums.sources], bool)[:, None]
+    around = np.where(skies, radiance, 0).sum(0)
+    return np.maximum(around, np.where(skies, 0, radiance).max(0, initial=0))
 
 
 def pictured(sums: Sums, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,119 @@
+"""Which of the errors that a rig names its likelihood calls for.
+
+In units of their noise the data have the covariance 1 without an error that they share, and with it
+1 + h h'. The 2-Wasserstein distance of the two laws is
+
+    sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
+
+and over images, or pixels, whose errors are independent the squares of the distances add. An error
+shared by all pixels of an image is not averaged over them: it is compared with the noise of all of
+them together. Where the distance is a tenth of the noise or less, no fit can tell the two laws
+apart, and the likelihood is that without the error. The error is taken at the upper end of what its
+prior allows, so that the bound holds wherever a fit may go.
+
+Source:
+    Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.
+    Multivariate Analysis 12 (1982).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Array
+
+from ..inference.parameters import ParameterSpace, to_natural, to_unconstrained
+from .model import JointData, Prediction, Table
+from .start import SCATTERS
+
+TOLERANCE = 0.1  # standard deviations of the noise of all data
+WIDEST = 3.0  # standard deviations of the prior of an error's size
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An error that the rig names and the likelihood leaves out.
+
+    Attributes:
+        name: of the parameter that it would be.
+        size: as the rig states it, relative or in rad.
+        bound: by which it moves the law of the data at most, standard deviations of their noise.
+    """
+
+    name: str
+    size: float
+    bound: float
+
+
+def widest(vector: Array, space: ParameterSpace) -> Array:
+    """A model with every error as large as its prior allows.
+
+    Args:
+        vector: (P,) unconstrained.
+        space: the parameters.
+
+    Returns:
+        (P,) unconstrained.
+    """
+    natural = to_natural(space, vector)
+    for i, parameter in enumerate(space):
+        if parameter.name in SCATTERS:
+            most = parameter.prior.median * np.exp(WIDEST * parameter.prior.log_sd)
+            natural = natural.at[i].set(most)
+    return to_unconstrained(space, natural)
+
+
+def small(
+    data: JointData, model: Prediction, weight: Table, of_cells: Table | None
+) -> tuple[LeftOut, ...]:
+    """The errors that no fit can tell from none: all together within the tolerance, the smallest
+    first.
+
+    Args:
+        data: of one channel, with all errors.
+        model: the prediction at `widest`.
+        weight: (images, cells) DN^-2 of the noise alone.
+        of_cells: (images, cells) DN, of the gains of pixels; None where they are alike.
+
+    Returns:
+        What may be left out; bounds in standard deviations of the noise of all data.
+    """
+    found = []
+    at = 0
+    for parameter in data.space:
+        name = parameter.name
+        if name not in SCATTERS:
+            continue
+        if name == "prnu":
+            squares = (np.asarray(weight) * np.asarray(of_cells) ** 2).sum(0)
+            count = np.asarray(data.cells.count).max(0)  # pixels of a cell, each of its own
+        else:
+            rows = 2 if name == "direction_scatter" else 1
+            errors = np.asarray(model.image_errors)[:, at : at + rows]
+            squares, count = (np.asarray(weight)[:, None] * errors**2).sum((1, 2)), 1.0
+            at += rows
+        moved = float(np.sqrt(np.sum(count * (np.sqrt(1 + squares) - 1) ** 2)))
+        found.append(LeftOut(name, parameter.prior.median, moved))
+    found.sort(key=lambda own: own.bound)
+    total = np.cumsum([own.bound for own in found])
+    return tuple(own for own, sum_ in zip(found, total, strict=True) if sum_ <= TOLERANCE)
+
+
+def without(data: JointData, vector: Array, gone: tuple[LeftOut, ...]) -> tuple[JointData, Array]:
+    """The data and a model without some errors, of which nothing is traced any more.
+
+    Args:
+        data: of one channel.
+        vector: (P,) unconstrained.
+        gone: the errors.
+
+    Returns:
+        Both, of fewer parameters.
+    """
+    named = {own.name for own in gone}
+    if not named:
+        return data, vector
+    left = [i for i, parameter in enumerate(data.space) if parameter.name not in named]
+    cells = replace(data.cells, products=None) if "prnu" in named else data.cells
+    relative = {name: size for name, size in data.relative.items() if name not in named}
+    space = tuple(data.space[i] for i in left)
+    return replace(data, space=space, cells=cells, relative=relative), vector[np.array(left)]
