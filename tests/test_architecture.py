@@ -45,6 +45,7 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference"},
     {"observation", "report"},
+    {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"demo", "joint", "checks"},
     {"commands"},

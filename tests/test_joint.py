@@ -2,6 +2,7 @@
 the likelihood, and simulated labs against their truth."""
 
 import json
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +15,12 @@ from typer.testing import CliRunner
 from fitting.cli import app
 from fitting.demo.lab import sphere_lights
 from fitting.inference.parameters import names, to_unconstrained
-from fitting.joint import calibrate, cells, from_photographs, marginal, read_joint_measurement
+from fitting.joint import calibrate, from_photographs, marginal, read_joint_measurement
 from fitting.joint.fit import fit_channel
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.start import parameters, scatter_scales
 from fitting.rig import Camera, SphereGeometry, load_rig
-from jaxvision import Vec
+from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
 
@@ -60,7 +61,7 @@ def test_shared_errors_are_integrated_out(with_images, with_cells):
     places, matrix = dense(weight, *kept.values())
     given = {k: None if v is None else jnp.asarray(v) for k, v in kept.items()}
     found = marginal.log_density(jnp.asarray(residual), jnp.asarray(weight), **given)
-    normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)
+    normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)  # pyright: ignore
     expected = normal.logpdf(residual[places]) + len(matrix) * np.log(2 * np.pi) / 2
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     square = marginal.chi_square(jnp.asarray(residual), jnp.asarray(weight), **given)
@@ -89,7 +90,8 @@ def test_the_scatter_of_pixels_and_its_mean_are_the_pixels():
     variance, gains = RNG.uniform(1, 3, images), RNG.uniform(1, 2, images)
     y = RNG.standard_normal((images, pixels)) * 2
     covariance = np.diag(variance) + np.outer(gains, gains)
-    expected = scipy.stats.multivariate_normal(np.zeros(images), covariance).logpdf(y.T).sum()
+    normal = scipy.stats.multivariate_normal(np.zeros(images), covariance)  # pyright: ignore
+    expected = normal.logpdf(y.T).sum()
     mean, n = y.mean(axis=1), pixels
     left = y - mean[:, None]
     column = {"variance": variance, "gains": gains, "mean": mean}
@@ -151,7 +153,7 @@ def photographs(
     return images, directions
 
 
-BALL = {
+BALL: dict[str, Any] = {
     "sphere": SphereGeometry(centre=(CENTRE, CENTRE), radius=RADIUS),
     "intensities": np.full(7, LIGHT),
     "held_out": [6],
@@ -284,6 +286,8 @@ def test_images_in_memory_are_those_of_files(tmp_path):
     np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
     for name, sizes in theirs.uncertain.items():
         np.testing.assert_array_equal(ours.uncertain[name], sizes)
+    assert ours.levels is not None
+    assert theirs.levels is not None
     (mine,), (other,) = ours.levels, theirs.levels
     for field in ("mean", "variance", "freedom", "mean_error", "dark"):
         np.testing.assert_array_equal(getattr(mine, field), getattr(other, field))
@@ -302,7 +306,8 @@ def test_the_command_writes_report_results_and_chains(tmp_path):
     done = CliRunner().invoke(app, ["joint", str(rig), "--out", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.stderr
     names_ = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names_ == {"report.html", "results.json", "joint_chains.nc"}
+    material = {"material.toml", "material.npz"}
+    assert names_ == {"report.html", "results.json", "joint_chains.nc"} | material
     (section,) = json.loads((tmp_path / "out" / "results.json").read_text())["sections"]
     found = {estimate["name"]: estimate for estimate in section["estimates"]}
     for name in ("diffuse", "specular", "exponent", "system_gain", "read_noise", "black_level"):
@@ -311,6 +316,15 @@ def test_the_command_writes_report_results_and_chains(tmp_path):
     chains = tmp_path / "out" / "joint_chains.nc"
     with xarray.open_dataset(chains, group="posterior", engine="h5netcdf") as drawn:
         assert set(found) == set(drawn.data_vars)
+    best = read_material(tmp_path / "out" / "material.toml")
+    assert isinstance(best, Phong)
+    for name in ("diffuse", "specular", "exponent"):
+        np.testing.assert_array_equal(np.ravel(getattr(best, name)), found[name]["value"])
+    many = read_material(tmp_path / "out" / "material.toml", draws=200)
+    assert isinstance(many, Phong)
+    assert many.exponent.shape == (200,)
+    spread = float(np.std(many.exponent)) / found["exponent"]["standard_error"]
+    assert 0.8 < spread < 1.25
 
 
 def z_scores(calibration, truth):
@@ -331,7 +345,7 @@ def test_a_simulated_lab_is_recovered_with_its_errors():
         np.random.default_rng(2), turn=0.005, stray=0.002, prnu=0.01, gamma=1
     )
     camera = Camera(bits=12, black_level=BLACK, black_sd=0.5, prnu_sd=0.01)
-    sizes = {"intensity_sd": 0.01, "direction_sd": 0.005, "stray_sd": 0.002}
+    sizes: dict[str, Any] = {"intensity_sd": 0.01, "direction_sd": 0.005, "stray_sd": 0.002}
     found = calibrate(from_photographs(images, lights, camera=camera, **BALL, **sizes))
     scales = {
         "light_scatter": 0.01,
@@ -355,7 +369,8 @@ def test_a_width_that_few_lights_tell_has_their_degrees_of_freedom():
     images, lights = photographs(np.random.default_rng(3))
     found = calibrate(from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=0.01))
     posterior = found.posteriors["grey"]
-    freedom = dict(zip(names(posterior.space), posterior.freedom, strict=True))
+    assert posterior.freedom is not None
+    freedom = dict(zip(names(posterior.space), posterior.freedom.tolist(), strict=True))
     scale = names(posterior.space).index("light_scatter")
     of_scale = 1 / (2 * posterior.covariance[scale, scale])
     assert of_scale < freedom["diffuse"] < 2 * of_scale
@@ -370,10 +385,10 @@ def test_flats_and_darks_sharpen_gain_read_noise_and_black():
     images, lights = photographs(rng, gamma=1)
     camera = Camera(bits=12, black_level=BLACK, black_sd=0.5)
 
-    given = {"camera": camera, **BALL, "intensity_sd": 0.01}
+    given: dict[str, Any] = {"camera": camera, **BALL, "intensity_sd": 0.01}
     alone = calibrate(from_photographs(images, lights, **given)).posteriors["grey"]
     flats, darks = [uniform(rng, 2000), uniform(rng, 8000)], [uniform(rng, 0)]
-    beside = {"flats": flats, "darks": darks}
+    beside: dict[str, Any] = {"flats": flats, "darks": darks}
     both = calibrate(from_photographs(images, lights, **given, **beside))
     names_ = names(alone.space)
     spread = [np.sqrt(np.diagonal(p.covariance)) for p in (alone, both.posteriors["grey"])]
@@ -399,7 +414,7 @@ def test_cells_of_many_pixels_say_what_the_pixels_say():
     fits = []
     for width in (0.05, 0.12):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(cells, "STEPS", (width,))
+            patch.setattr("fitting.joint.fit.cell_width", lambda form, shape, width=width: width)
             fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
     fine, wide = fits
     assert wide.cells < fine.cells / 1.5

@@ -9,6 +9,7 @@ import scipy.optimize
 
 from fitting.inference.bounded import minimise_in_box
 from fitting.inference.least_squares import minimise_residuals
+from fitting.inference.newton import minimise
 
 RNG = np.random.default_rng(1)
 X = np.linspace(0, 3, 40)
@@ -88,3 +89,13 @@ def test_only_the_maintenance_notice_of_jaxopt_is_silenced():
         import fitting.inference.bounded
 
         importlib.reload(fitting.inference.bounded)
+
+
+def test_one_evaluation_of_newton_gives_the_derivatives_at_the_start():
+    x, y = start = np.array([-1.2, 1.0])
+    found = minimise(rosenbrock, jnp.asarray(start), 100.0, max_steps=1)
+    np.testing.assert_array_equal(found.vector, start)
+    np.testing.assert_allclose(found.cost, 24.2, rtol=1e-12)
+    hessian = [[1200 * x**2 - 400 * y + 2, -400 * x], [-400 * x, 200]]
+    np.testing.assert_allclose(found.information, hessian, rtol=1e-12)
+    assert not found.converged

@@ -57,7 +57,6 @@ class _State(eqx.Module):
     steps: Array
 
 
-@eqx.filter_jit
 def minimise(
     objective: Objective,
     start: Float[Array, " parameters"],
@@ -79,12 +78,25 @@ def minimise(
         args: all data of the objective.
         derivatives: cost, gradient (parameters,) and curvature (parameters, parameters) of the
             objective at (vector, args); None differentiates it twice.
-        max_steps: most evaluations.
+        max_steps: most evaluations; one gives the derivatives at the start, of the same compiled
+            program.
         tolerance: on the promised fall in cost.
 
     Returns:
         The end of the search.
     """
+    return _minimise(objective, start, args, derivatives, jnp.asarray(max_steps), tolerance)
+
+
+@eqx.filter_jit
+def _minimise(
+    objective: Objective,
+    start: Array,
+    args: Any,
+    derivatives: Derivatives | None,
+    max_steps: Array,
+    tolerance: float,
+) -> NewtonSolution:
     local = derivatives or partial(_twice, objective)
 
     def goes_on(state: _State) -> Array:
@@ -137,14 +149,16 @@ def minimise(
 
 
 def _twice(objective: Objective, vector: Array, args: Any) -> tuple[Array, Array, Array]:
-    """Cost, gradient and Hessian in one pass."""
+    """Cost, gradient and Hessian, one column at a time: for large data half the time of all at
+    once, whose intermediate arrays leave the cache."""
+    slope = jax.value_and_grad(objective)
 
-    def first(vector: Array) -> tuple[Array, tuple[Array, Array]]:
-        cost, gradient = jax.value_and_grad(objective)(vector, args)
-        return gradient, (cost, gradient)
+    def column(along: Array) -> tuple[tuple[Array, Array], Array]:
+        here, (_, change) = jax.jvp(lambda v: slope(v, args), (vector,), (along,))
+        return here, change
 
-    information, (cost, gradient) = jax.jacfwd(first, has_aux=True)(vector)
-    return cost, gradient, information
+    (cost, gradient), information = jax.lax.map(column, jnp.eye(vector.size, dtype=vector.dtype))
+    return cost[0], gradient[0], information
 
 
 def _damped_step(state: _State) -> tuple[Array, Array]:

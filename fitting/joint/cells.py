@@ -25,7 +25,7 @@ from ..reflectance.from_images.read import VIEW, ReflectanceObservation
 from ..reflectance.models import has_lobe, unit_shading
 from .model import Cells, Form, Geometry, Values, signal, stored
 
-STEPS = (0.05, 0.025, 0.0125, 0.00625)  # rad of the normal: widths of a cell
+WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
 FINE = 0.5  # width of a cell over that of the lobe, as the normal turns
 CLEAR = 5.0  # deviations from either end of the scale
 SMALLEST_COSINE = 0.02  # of incidence: below, the outline's half-lit pixels
@@ -51,7 +51,7 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """The largest of `STEPS` that resolves a lobe.
+    """The widest cell that resolves a lobe.
 
     Args:
         form: of the fit.
@@ -61,15 +61,14 @@ def cell_width(form: Form, shape: float | None) -> float:
         rad.
     """
     if shape is None or not has_lobe(form.model):
-        return STEPS[0]
+        return WIDEST
     angle = np.linspace(0, 1.2, 1201)
     wi = Vec(*(jnp.asarray(x) for x in (np.sin(angle), np.zeros(1201), np.cos(angle))))
     wo = Vec(jnp.zeros(1201), jnp.zeros(1201), jnp.ones(1201))
     lobe = np.asarray(_lobe(form, jnp.asarray(shape), wi, wo))
     below = lobe < np.exp(-0.5) * lobe[0]
     width = angle[int(np.argmax(below))] / 2 if below.any() else angle[-1]
-    fine = [step for step in STEPS if step <= FINE * width]
-    return fine[0] if fine else STEPS[-1]
+    return float(np.clip(FINE * width, NARROWEST, WIDEST))
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ from jaxvision.errors import InputError
 
 from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.newton import NewtonSolution, minimise
-from ..inference.parameters import Parameter, ParameterSpace, names, to_unconstrained
+from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
 from ..reflectance.models import shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
@@ -29,7 +29,6 @@ from .model import (
     Values,
     cell_errors,
     cost,
-    log_likelihood,
     predicted,
     values_at,
     weights,
@@ -117,7 +116,8 @@ def fit_channel(
         vector = jnp.concatenate([solution.vector, first])
         data, solution = _rounds(measurement, channel, grid, replace(data, space=space), vector)
         chi_square, cells = _chi_square(solution.vector, data)
-    by_data = np.asarray(_data_information(solution.vector, data), np.float64)
+    of_prior = _prior_information(solution.vector, data.space)
+    by_data = np.asarray(solution.information - of_prior, np.float64)
     return JointFit(
         channel=measurement.observation.channels[channel],
         data=data,
@@ -233,8 +233,8 @@ def _quadratic(
 
 
 @eqx.filter_jit
-def _data_information(vector: Array, data: JointData) -> Array:
-    return -jax.hessian(log_likelihood)(vector, data)
+def _prior_information(vector: Array, space: ParameterSpace) -> Array:
+    return -jax.hessian(log_prior, argnums=1)(space, vector)
 
 
 def image_errors(

@@ -14,15 +14,14 @@ Source:
     Bulletin 2, 1946.
 """
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from ..inference.newton import minimise
 from ..inference.parameters import names
 from .fit import JointFit
-from .model import JointData, cost
+from .model import cost
 from .start import SCATTERS
 
 STEP = 0.1  # of ln s, over which the variances' slopes are taken
@@ -57,10 +56,6 @@ def _variances(fit: JointFit, scale: int, step: float, others: np.ndarray) -> np
     """Of the other parameters, with all scales held and one of them moved."""
     vector = fit.vector.copy()
     vector[scale] += step
-    information = np.asarray(_information(jnp.asarray(vector), fit.data), np.float64)
+    there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
+    information = np.asarray(there.information, np.float64)
     return np.diagonal(np.linalg.inv(information[np.ix_(others, others)]))
-
-
-@eqx.filter_jit
-def _information(vector: Array, data: JointData) -> Array:
-    return jax.hessian(cost)(vector, data)

@@ -2,13 +2,13 @@
 that a rig of the same images gives."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from ..observation import in_memory, require_as_many
+from ..photographs import rig_entries
 from ..rig import Camera, SphereGeometry
 from .read import OF_LIGHTS, JointMeasurement, read_joint_measurement
 
@@ -59,34 +59,23 @@ def from_photographs(
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
     """
-    require_as_many("lights", lights, "images", images)
-    strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
-    require_as_many("intensities", strengths, "images", images)
     given = dict(zip(OF_LIGHTS, (intensity_sd, direction_sd, exposure_sd, stray_sd), strict=True))
-    uncertain = {name: _each(name, sd, images) for name, sd in given.items() if sd is not None}
-    entries = [
-        {
-            "file": f"images[{i}]",
-            "direction": np.asarray(light).tolist(),
-            "intensity": np.atleast_1d(strength).tolist(),
-            "held_out": i in held_out,
-        }
-        | {name: float(sizes[i]) for name, sizes in uncertain.items() if sizes[i] != 0}
-        for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
-    ]
-    named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
-    geometry: dict[str, Any] = {} if sphere is None else {"sphere": sphere}
-    for name, array in (("normals", normals), ("mask", mask)):
-        if array is not None:
-            named[name] = array
-            geometry[name] = name
-    levels = {}
+    named, entries = rig_entries(
+        images,
+        lights,
+        normals=normals,
+        sphere=sphere,
+        mask=mask,
+        intensities=intensities,
+        held_out=held_out,
+        uncertain={name: _each(name, sd, images) for name, sd in given.items() if sd is not None},
+    )
     for kind, sets in (("flat", flats), ("dark", darks)):
         files = [[f"{kind}s[{i}][{j}]" for j in range(len(set_))] for i, set_ in enumerate(sets)]
         for of_level, frames in zip(files, sets, strict=True):
             named |= dict(zip(of_level, frames, strict=True))
-        levels[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
-    rig, load = in_memory(named, camera=camera, light=entries, geometry=geometry, **levels)
+        entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
+    rig, load = in_memory(named, camera=camera, **entries)
     return read_joint_measurement(rig, load=load)
 
 

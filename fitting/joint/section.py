@@ -4,6 +4,7 @@ from functools import partial
 
 from ..inference.estimates import Estimate, not_determined
 from ..inference.posterior import estimates
+from ..reflectance.material import material_files
 from ..reflectance.models import LABELS
 from ..report.section import Picture, Section
 from . import figures
@@ -45,6 +46,13 @@ def section(calibration: JointCalibration) -> Section:
             "clip level [DN]": observation.clip,
             **{f"{name}, taken as exact": float(value) for name, value in known.items()},
         },
+        records=material_files(
+            {
+                fit.channel: (fit.data.form.model, fit.data.form.index, posterior)
+                for fit in calibration.fits
+                if (posterior := calibration.posteriors.get(fit.channel)) is not None
+            }
+        ),
     )
 
 

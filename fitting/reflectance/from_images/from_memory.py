@@ -2,13 +2,13 @@
 images gives."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from ...observation import in_memory, require_as_many
+from ...observation import in_memory
+from ...photographs import rig_entries
 from ...rig import Camera, SphereGeometry
 from .read import ReflectanceObservation, read_reflectance_observation
 
@@ -47,23 +47,15 @@ def from_photographs(
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
     """
-    require_as_many("lights", lights, "images", images)
-    strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
-    require_as_many("intensities", strengths, "images", images)
-    entries = [
-        {
-            "file": f"images[{i}]",
-            "position" if point_lights else "direction": np.asarray(light).tolist(),
-            "intensity": np.atleast_1d(strength).tolist(),
-            "held_out": i in held_out,
-        }
-        for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
-    ]
-    named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
-    geometry: dict[str, Any] = {} if sphere is None else {"sphere": sphere}
-    for name, array in (("normals", normals), ("mask", mask)):
-        if array is not None:
-            named[name] = array
-            geometry[name] = name
-    rig, load = in_memory(named, camera=camera, light=entries, geometry=geometry)
+    named, entries = rig_entries(
+        images,
+        lights,
+        normals=normals,
+        sphere=sphere,
+        mask=mask,
+        intensities=intensities,
+        held_out=held_out,
+        place="position" if point_lights else "direction",
+    )
+    rig, load = in_memory(named, camera=camera, **entries)
     return read_reflectance_observation(rig, load=load)

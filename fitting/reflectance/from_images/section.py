@@ -12,6 +12,7 @@ import numpy as np
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
 from ...inference.posterior import estimates
 from ...report.section import Picture, Section
+from ..material import material_files
 from ..models import CLEAR, LABELS
 from . import figures
 from .calibration import ReflectanceCalibration
@@ -52,6 +53,13 @@ def section(calibration: ReflectanceCalibration) -> Section:
             "gamma": observation.gamma or 1.0,
             **_facet_settings(calibration),
         },
+        records=material_files(
+            {
+                fit.channel: (fit.form.model, fit.form.index, calibration.posteriors[fit.channel])
+                for fit in calibration.reported
+                if fit.channel in calibration.posteriors
+            }
+        ),
     )
 
 

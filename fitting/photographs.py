@@ -1,0 +1,64 @@
+"""Photographs of a known shape under known lights, from memory, as the entries of a rig."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from .observation import require_as_many
+from .rig import SphereGeometry
+
+
+def rig_entries(
+    images: Sequence[ArrayLike],
+    lights: Float[np.ndarray, "lights 3"],
+    *,
+    normals: Float[np.ndarray, "h w 3"] | None,
+    sphere: SphereGeometry | None,
+    mask: Bool[np.ndarray, "h w"] | None,
+    intensities: ArrayLike | None,
+    held_out: Sequence[int],
+    place: Literal["direction", "position"] = "direction",
+    uncertain: Mapping[str, Float[np.ndarray, " lights"]] | None = None,
+) -> tuple[dict[str, ArrayLike], dict[str, Any]]:
+    """What `observation.in_memory` takes.
+
+    Args:
+        images: one a light, (h, w) or (h, w, 3) DN each.
+        lights: (lights, 3) directions or positions.
+        normals: (h, w, 3) unit; None where the shape is a sphere.
+        sphere: None where the shape is given by its normals.
+        mask: (h, w), true where the object is; None for wherever the shape is.
+        intensities: (lights,) or (lights, channels); None for 1.
+        held_out: indices of the lights kept for testing.
+        place: what `lights` holds.
+        uncertain: by name of an entry of a light, its standard deviation for each.
+
+    Returns:
+        The images by name, and the entries `light` and `geometry`.
+
+    Raises:
+        InputError: for lists of unequal length.
+    """
+    require_as_many("lights", lights, "images", images)
+    strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
+    require_as_many("intensities", strengths, "images", images)
+    entries = [
+        {
+            "file": f"images[{i}]",
+            place: np.asarray(light).tolist(),
+            "intensity": np.atleast_1d(strength).tolist(),
+            "held_out": i in held_out,
+        }
+        | {name: float(sizes[i]) for name, sizes in (uncertain or {}).items() if sizes[i] != 0}
+        for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
+    ]
+    named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
+    geometry: dict[str, Any] = {} if sphere is None else {"sphere": sphere}
+    for name, array in (("normals", normals), ("mask", mask)):
+        if array is not None:
+            named[name] = array
+            geometry[name] = name
+    return named, {"light": entries, "geometry": geometry}

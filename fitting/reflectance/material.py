@@ -1,0 +1,79 @@
+"""A fitted reflectance as a material for a scene: the best fit, and draws of it."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.brdf.lambert import Lambert
+from jaxvision.material_files import write_material
+from jaxvision.scene import Material
+
+from ..inference.parameters import names
+from ..inference.posterior import Posterior
+from .models import REFLECTANCES, has_lobe, shape_of
+from .names import Model
+
+DRAWS = 1000  # kept at most
+
+
+def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[Material, Material]:
+    """The material of one channel, a record of one band.
+
+    Amplitudes are per unit of the intensity that the rig states: sr^-1 (no unit for normalised
+    lobes) where that is the digital number, above black, of a surface that faces the light and
+    reflects 1 sr^-1.
+
+    Args:
+        model: of the fit, Lambert's where no highlight was seen.
+        index: of refraction, of clear facets.
+        posterior: of its parameters, others among them.
+
+    Returns:
+        The best fit; and the same with a leading axis of draws at every number.
+    """
+    labels = names(posterior.space)
+    wanted = ["diffuse"] if model == "lambert" else ["diffuse", shape_of(model).name]
+    wanted += ["specular"] if has_lobe(model) else []
+    columns = np.array([labels.index(name) for name in wanted])
+    rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
+
+    def material(values: Float[Array, " numbers"]) -> Material:
+        if model == "lambert":
+            return Lambert(values[:1])
+        build = REFLECTANCES[model].material
+        assert build is not None, model
+        amplitudes = (values[:1], values[2:])
+        if not has_lobe(model):
+            return eqx.tree_at(lambda m: m.diffuse, build(values[1], index), amplitudes[0])
+        return eqx.tree_at(lambda m: (m.diffuse, m.specular), build(values[1], index), amplitudes)
+
+    drawn = jnp.asarray(posterior.samples[rows.astype(int)][:, columns])
+    return material(jnp.asarray(posterior.mode[columns])), eqx.filter_vmap(material)(drawn)
+
+
+def material_files(
+    fitted: dict[str, tuple[Model, float, Posterior]],
+) -> dict[str, Callable[[Path], None]]:
+    """What writes the materials of a calibration.
+
+    Args:
+        fitted: model, index of refraction and posterior by channel.
+
+    Returns:
+        By the name of its file a function of its path, `material` for a single grey channel and
+        `material_red` and the like for colours, which may differ in the shape of their lobes.
+    """
+    return {
+        "material" if channel == "grey" else f"material_{channel}": partial(_write, *of_channel)
+        for channel, of_channel in fitted.items()
+    }
+
+
+def _write(model: Model, index: float, posterior: Posterior, path: Path) -> None:
+    best, draws = fitted_material(model, index, posterior)
+    write_material(best, path, draws=draws)

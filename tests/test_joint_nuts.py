@@ -1,0 +1,84 @@
+"""The joint posterior, its shared errors integrated out, against draws of all of them by NUTS."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_joint import BALL, BLACK, GAMMA, LIGHT, READ, photographs
+
+from fitting.inference import nuts
+from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.parameters import Parameter, log_prior, to_unconstrained
+from fitting.inference.posterior import sample
+from fitting.joint import calibrate, from_photographs, marginal
+from fitting.joint.model import log_posterior, predicted, values_at, weights
+from fitting.rig import Camera
+
+pytest.importorskip("blackjax")
+
+
+def of_all(vector, data):
+    """Log density with the relative error of each light as a parameter of its own."""
+    theta, errors = jnp.split(vector, [len(data.space)])
+    values, cells = values_at(theta, data), data.cells
+    model = predicted(values, data, cells)
+    weight = weights(values, cells, model)
+    assert model.image_errors is not None
+    sizes = errors / values["light_scatter"]
+    left = cells.mean - model.mean - sizes[:, None] * model.image_errors[:, 0]
+    volume = jnp.sum(jnp.log(jnp.where(weight > 0, weight, 1)))
+    total = (volume - jnp.sum(weight * left**2) - sizes @ sizes) / 2
+    total -= len(errors) * jnp.log(values["light_scatter"])
+    total += marginal.scatter_log_density(cells.scatter, cells.count, model.variance)
+    return total + log_prior(data.space, theta)
+
+
+def light_errors(vector, data):
+    """Means and standard deviations of the lights' relative errors given all else."""
+    values = values_at(vector, data)
+    model = predicted(values, data, data.cells)
+    weight = weights(values, data.cells, model)
+    assert model.image_errors is not None
+    found = marginal.image_error_means(data.cells.mean - model.mean, weight, model.image_errors)
+    return tuple(values["light_scatter"] * x[:, 0] for x in found)
+
+
+@pytest.mark.slow
+def test_draws_without_the_errors_of_lights_are_those_with_them():
+    """emcee of the marginal density against NUTS of the whole: means within .1 standard deviation
+    and widths within 5 %."""
+    images, lights = photographs(np.random.default_rng(0), lights=13)
+    camera = Camera(
+        bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd=0.5,
+        read_noise=READ, read_noise_sd=1.0,
+    )  # fmt: skip
+    given = BALL | {"intensities": np.full(13, LIGHT), "held_out": [12]}
+    found = calibrate(from_photographs(images, lights, camera=camera, **given, intensity_sd=0.01))
+    (fit,), posterior = found.fits, found.posteriors["grey"]
+    mode, data, count = jnp.asarray(fit.vector), fit.data, len(fit.space)
+
+    options = SamplingOptions(steps=3000)
+    drawn = sample(log_posterior, fit.space, mode, posterior.covariance, data, options=options)
+    assert not drawn.missing_steps
+
+    errors, spread = (np.asarray(x) for x in light_errors(mode, data))
+    follow = np.asarray(jax.jacfwd(lambda v: light_errors(v, data)[0])(mode)) @ posterior.covariance
+    whole = np.block(
+        [
+            [posterior.covariance, follow.T],
+            [follow, np.diag(spread**2) + follow @ np.linalg.solve(posterior.covariance, follow.T)],
+        ]
+    )
+    space = (*fit.space, *(Parameter(f"error_{i}") for i in range(len(errors))))
+    start = jnp.concatenate([mode, jnp.asarray(errors)])
+    options = nuts.NutsOptions(draws=1500)
+    reference = nuts.nuts(of_all, space, start, whole, data, options=options)
+    assert reference.divergences == 0
+
+    ours, theirs = (
+        np.asarray(to_unconstrained(fit.space, jnp.asarray(p.samples[:, :count])))
+        for p in (drawn, reference)
+    )
+    mean, deviation = theirs.mean(axis=0), theirs.std(axis=0)
+    assert np.abs((ours.mean(axis=0) - mean) / deviation).max() < 0.1
+    np.testing.assert_allclose(ours.std(axis=0), deviation, rtol=0.05)
