@@ -114,7 +114,8 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     if wavelengths.shape[0] < 2:
         raise ValueError(f"wavelengths must hold at least two values, got {wavelengths.shape[0]}.")
     step = jnp.diff(wavelengths)
-    return (jnp.append(step, step[-1]) + jnp.insert(step, 0, step[0])) / 2
+    padded = jnp.concatenate([step[:1], step, step[-1:]])
+    return (padded[1:] + padded[:-1]) / 2
 
 
 @takes_numbers

@@ -2,6 +2,7 @@
 and quick compiles, which are most of its time."""
 
 import gc
+import itertools
 import os
 import pickle
 import shutil
@@ -52,6 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     if "not slow" in config.option.markexpr:
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILE)
+    share_lowering_context()
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(compiled_folder(config))
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
@@ -62,12 +64,29 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("filterwarnings", "ignore:Error (read|writ)ing persistent compilation")
 
 
+def share_lowering_context() -> None:
+    """One MLIR context for some hundred programs. JAX makes one for each, with all its dialects,
+    which takes a quarter of the time of an operation that is compiled by itself. A new one now and
+    then lets go of the constants that the last one keeps."""
+    from jax._src.interpreters import mlir
+
+    make = getattr(mlir, "make_ir_context", None)
+    if make is None:  # another JAX: it makes its own
+        return
+    contexts = (context for _ in itertools.count() for context in itertools.repeat(make(), 256))
+    mlir.make_ir_context = lambda: next(contexts)
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a sweep over like cases the default run takes the first, and those whose ids hold a word
-    that the mark names; the others are slow."""
+    that the mark names; the others are slow. So are hard cases in float64, the easier precision,
+    and what needs the simulated afternoon; CI runs both."""
     begun = set()
     for item in items:
+        hard = item.path.parent.name == "stability" and "float64" in item.name
+        if hard or "lab" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
         sweep = item.get_closest_marker("sweep")
         if sweep is not None and isinstance(item, pytest.Function):
             if item.function in begun and not any(word in item.name for word in sweep.args):

@@ -125,14 +125,14 @@ def test_a_viewer_below_the_surface_sees_nothing(shade):
     has it; the light below too."""
     wi = jnp.asarray([0.6, 0, 0.8])
     below = [[-0.8, 0, -0.6], [-1.0, 0, 0], [0.6, 0, -0.8]]
-    shaded = jax.vmap(shade, in_axes=(None, None, 0, None, None, None))
+    shaded = jax.jit(jax.vmap(shade, in_axes=(None, None, 0, None, None, None)))
     got = shaded(Z, wi, jnp.asarray(below), KD, KS, jnp.asarray(1.0))
     assert (got == 0).all()
     family = {phong_shading: Phong, gaussian_lobe_shading: GaussianLobe}[shade]
     wo = jnp.asarray([-0.96, 0, 0.28])
     np.testing.assert_allclose(
-        shade(Z, wi, wo, KD, KS, jnp.asarray(1.0)),
-        reflect(family(KD, KS, 1.0), Z, wi, wo),
+        jax.jit(shade)(Z, wi, wo, KD, KS, jnp.asarray(1.0)),
+        jax.jit(reflect)(family(KD, KS, 1.0), Z, wi, wo),
         rtol=1e-14,
     )
 

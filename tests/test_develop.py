@@ -177,7 +177,7 @@ def raw_of(chart, sensitivities):
 
 
 def developed(chart, sensitivities):
-    found = camera_colour(
+    found = jax.jit(camera_colour)(
         jnp.asarray(sensitivities),
         *(chart[k] for k in ("illuminant", "reflectances", "wavelengths", "observer", "white")),
     )
@@ -188,7 +188,7 @@ def developed(chart, sensitivities):
         colour_matrix=found.matrix,
         tone=s.SRGB(),
     )
-    return np.asarray(develop(raw_of(chart, sensitivities), development)), found
+    return np.asarray(jax.jit(develop)(raw_of(chart, sensitivities), development)), found
 
 
 def truth_of(chart):

@@ -90,7 +90,8 @@ def test_saturation_gives_capacity_snr_and_dynamic_range():
     clipped[20:, 1] = 0.5
     measured = eqx.tree_at(lambda m: m.bright.variance, measured, jnp.asarray(clipped[:, 1]))
     within = ranges(measured)
-    found = sheet(statistics(measured, within.saturation), measured, within)
+    evaluated = jax.jit(lambda measured: evaluate(measured, within))(measured)
+    found = evaluated.values
     electrons = camera.efficiency * LIGHT[19]
     threshold = np.sqrt(camera.read_noise**2 + 1 / 12 / camera.gain**2) + 0.5
     np.testing.assert_allclose(found["saturation_photons"], LIGHT[19])
@@ -103,7 +104,7 @@ def test_saturation_gives_capacity_snr_and_dynamic_range():
     inside = (0.05 * LIGHT[19] <= LIGHT) & (0.95 * LIGHT[19] >= LIGHT)
     np.testing.assert_array_equal(within.linearity, inside)
     # The true peak lies anywhere between the neighbours: sd of a triangle of that base.
-    error = evaluate(measured, within).errors["saturation_photons"]
+    error = evaluated.errors["saturation_photons"]
     np.testing.assert_allclose(error, (LIGHT[20] - LIGHT[18]) / np.sqrt(24))
 
 

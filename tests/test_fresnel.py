@@ -36,11 +36,10 @@ def test_dielectrics_in_ulps(dtype, eta):
     """Nearly equal indices too, where c - g would cancel. Near the critical angle the square root
     magnifies what rounding does to eta^2 - 1 + c^2: that conditioning is allowed for."""
     index = jnp.asarray([eta], dtype)
-    got = jax.jit(jax.vmap(fresnel_dielectric, in_axes=(0, None)))(
-        jnp.asarray(COSINES, dtype), index
-    )[:, 0]
-    for c, value in zip(jnp.asarray(COSINES, dtype), got, strict=True):
-        n, cos = exact.number(index[0]), exact.number(c)
+    cosines = np.asarray(COSINES, dtype)
+    got = jax.jit(jax.vmap(fresnel_dielectric, in_axes=(0, None)))(cosines, index)
+    for c, value in zip(cosines, np.asarray(got)[:, 0], strict=True):
+        n, cos = exact.number(index.item()), exact.number(c)
         truth = amplitudes(cos, n)
         g_squared = abs(n**2 - 1 + cos**2)
         assert exact.ulps(value, truth) <= 16 + 8 * float(1 / mp.sqrt(g_squared))
@@ -65,11 +64,10 @@ def test_dielectrics_in_ulps(dtype, eta):
 def test_conductors_in_ulps(dtype, index):
     """Nearly equal indices too, where a - c would cancel."""
     eta, k = (jnp.asarray([x], dtype) for x in index)
-    got = jax.jit(jax.vmap(fresnel_conductor, in_axes=(0, None, None)))(
-        jnp.asarray(COSINES, dtype), eta, k
-    )[:, 0]
-    for c, value in zip(jnp.asarray(COSINES, dtype), got, strict=True):
-        truth = amplitudes(exact.number(c), exact.number(eta[0]), exact.number(k[0]))
+    cosines = np.asarray(COSINES, dtype)
+    got = jax.jit(jax.vmap(fresnel_conductor, in_axes=(0, None, None)))(cosines, eta, k)
+    for c, value in zip(cosines, np.asarray(got)[:, 0], strict=True):
+        truth = amplitudes(exact.number(c), exact.number(eta.item()), exact.number(k.item()))
         assert exact.ulps(value, truth) <= 32
 
 
@@ -77,26 +75,33 @@ def test_conductors_in_ulps(dtype, index):
 def test_where_most_is_reflected_in_ulps(dtype):
     """At grazing angles R = 1 - T has the digits of T, which is small; metals at every angle."""
     cosines = jnp.asarray(np.geomspace(1e-8, 0.1, 30), dtype)
+    metals = jax.jit(jax.vmap(fresnel_conductor, (0, None, None)))
+    glasses = jax.jit(jax.vmap(fresnel_dielectric, (0, None)))
     for eta, k in ((1.5, 0.0), (2.4, 0.0), (0.2, 3.1), (3.0, 20.0), (0.05, 0.05)):
         index, absorbed = jnp.asarray([eta], dtype), jnp.asarray([k], dtype)
-        got = [jax.vmap(fresnel_conductor, (0, None, None))(cosines, index, absorbed)[:, 0]]
-        got += [] if k else [jax.vmap(fresnel_dielectric, (0, None))(cosines, index)[:, 0]]
-        for i, c in enumerate(cosines):
-            truth = amplitudes(*map(exact.number, (c, index[0], absorbed[0])))
+        got = [metals(cosines, index, absorbed)]
+        got += [] if k else [glasses(cosines, index)]
+        numbers = exact.number(index.item()), exact.number(absorbed.item())
+        for i, c in enumerate(np.asarray(cosines)):
+            truth = amplitudes(exact.number(c), *numbers)
             if truth > 0.51:
-                assert all(exact.ulps(found[i], truth) <= 3 for found in got), (eta, k, c)
+                assert all(exact.ulps(np.asarray(found)[i, 0], truth) <= 3 for found in got), (
+                    eta,
+                    k,
+                    c,
+                )
 
 
 def test_nan_reflects_nothing_and_no_index_is_too_large():
-    for dtype in (jnp.float32, jnp.float64):
-        nan, half = jnp.asarray(jnp.nan, dtype), jnp.asarray(0.5, dtype)
-        one, huge = jnp.ones(1, dtype), jnp.asarray([1e30], dtype)
-        for c, eta, k in ((nan, one, one), (half, nan[None], one), (half, one, nan[None])):
-            assert jnp.isnan(fresnel_conductor(c, eta, k)).all()
-            assert jnp.isnan(fresnel_dielectric(c, eta + 0 * k)).all()
-        assert fresnel_dielectric(half, huge) == pytest.approx(1)
-        assert fresnel_conductor(half, huge, one) == pytest.approx(1)
-        assert fresnel_conductor(half, one, huge) == pytest.approx(1)
+    metal, glass = jax.jit(fresnel_conductor), jax.jit(fresnel_dielectric)
+    for dtype in (np.float32, np.float64):
+        nan, half, one, huge = (np.array([x], dtype) for x in (np.nan, 0.5, 1, 1e30))
+        for c, eta, k in ((nan, one, one), (half, nan, one), (half, one, nan)):
+            assert np.isnan(metal(c[0], eta, k)).all()
+            assert np.isnan(glass(c[0], eta + 0 * k)).all()
+        assert np.asarray(glass(half[0], huge)) == pytest.approx(1)
+        assert np.asarray(metal(half[0], huge, one)) == pytest.approx(1)
+        assert np.asarray(metal(half[0], one, huge)) == pytest.approx(1)
 
 
 def test_known_angles():

@@ -22,7 +22,10 @@ def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
     Returns:
         (...) no unit.
     """
-    return special.log_ndtr(z)
+    return _log_ndtr(z)
+
+
+_log_ndtr = jax.jit(special.log_ndtr)  # one program, and one trace for each shape
 
 
 @log_ndtr.defjvp
@@ -31,6 +34,7 @@ def _log_ndtr_jvp(primals, tangents):
     return log_ndtr(z), _hazard(z) * tangents[0]
 
 
+@jax.jit
 def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
     """phi(z) / Phi(z); in the tail a + 1 / (a + 2 / (a + 3 / (...))) of a = -z, after Laplace."""
     far = z < -_FAR
@@ -39,5 +43,5 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
     for k in range(_TERMS, 0, -1):
         fraction = a + k / fraction
     near = jnp.where(far, 0, z)
-    ratio = jnp.exp(-near * near / 2 - special.log_ndtr(near)) / float(np.sqrt(2 * np.pi))
+    ratio = jnp.exp(-near * near / 2 - _log_ndtr(near)) / float(np.sqrt(2 * np.pi))
     return jnp.where(far, fraction, ratio)

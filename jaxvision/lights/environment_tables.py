@@ -46,24 +46,36 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
             f"environment_map's radiance must have pixels and bands, got {picture.shape}."
         )
     check_range("environment_map's radiance", picture, 0)
-    h, w, _ = picture.shape
-    fixed = jax.lax.stop_gradient(picture)
-    brightest = fixed.max()
-    # relative to the brightest, so that sums stay within the range of a float
-    relative = divide(fixed, brightest, otherwise=1)
-    brightness = _pixel_means(relative.mean(axis=-1))
-    cell = jnp.asarray(_row_solid_angles(h), picture.dtype)[:, None] * (2 * jnp.pi / w)
-    mass = brightness * cell
-    row_mass = mass.sum(axis=1, keepdims=True)
-    within = divide(mass, row_mass, otherwise=1 / w)
-    rows, columns = _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
+    rows, columns = _tables(jax.lax.stop_gradient(picture))
     return EnvironmentMap(
         picture,
         jnp.eye(3, dtype=picture.dtype) if rotation is None else rotation,
         rows,
         columns,
-        jnp.diff(rows)[:, None] * jnp.diff(columns) / cell,
+        _density(rows, columns),
     )
+
+
+@jax.jit
+def _tables(
+    picture: Float[Array, "h w bands"],
+) -> tuple[Float[Array, " h_1"], Float[Array, "h w_1"]]:
+    """Cumulative probabilities of the rows, and within each row of its columns."""
+    h, w, _ = picture.shape
+    # relative to the brightest, so that sums stay within the range of a float
+    relative = divide(picture, picture.max(), otherwise=1)
+    brightness = _pixel_means(relative.mean(axis=-1))
+    mass = brightness * jnp.asarray(_solid_angles(h, w), picture.dtype)
+    row_mass = mass.sum(axis=1, keepdims=True)
+    within = divide(mass, row_mass, otherwise=1 / w)
+    return _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
+
+
+@jax.jit  # apart from the tables, whose numbers as they are stored it takes
+def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Float[Array, "h w"]:
+    """Probability of each pixel's draws by solid angle."""
+    solid_angles = jnp.asarray(_solid_angles(len(rows) - 1, columns.shape[1] - 1), rows.dtype)
+    return jnp.diff(rows)[:, None] * jnp.diff(columns) / solid_angles
 
 
 def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
@@ -79,9 +91,11 @@ def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
     return (jnp.roll(rows, 1, 1) + 6 * rows + jnp.roll(rows, -1, 1)) / 8
 
 
-def _row_solid_angles(h: int) -> Float[np.ndarray, " h"]:
-    """Differences of cos(theta) over each row: 2 sin(middle) sin(half a row)."""
-    return 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
+def _solid_angles(h: int, w: int) -> Float[np.ndarray, "h 1"]:
+    """Of a pixel in each row: the difference of cos(theta), 2 sin(middle) sin(half a row), times
+    that of phi."""
+    differences = 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
+    return differences[:, None] * (2 * np.pi / w)
 
 
 def _cumulative(probability: Float[Array, "... n"]) -> Float[Array, "... n_1"]:

@@ -70,6 +70,7 @@ def test_the_standards_sheet_is_the_published_one(calibration, published, ours, 
     assert 0 < float(calibration.standard.errors[ours]) < abs(value)
 
 
+@pytest.mark.slow
 def test_three_published_figures_are_mended(calibration, published):
     values = calibration.standard.values
     # The sheet's decibels are 20 ln of the ratio instead of 20 log10.
@@ -82,6 +83,7 @@ def test_three_published_figures_are_mended(calibration, published):
     )
 
 
+@pytest.mark.slow
 def test_what_sums_cannot_give_is_not_given(calibration):
     section = noise_section(calibration)
     for name in ("dsnu", "prnu"):
@@ -90,6 +92,7 @@ def test_what_sums_cannot_give_is_not_given(calibration):
         assert "temporal sums" in estimate.reason
 
 
+@pytest.mark.slow
 def test_the_non_linearity_is_noticed_and_explained(calibration):
     linear, chosen = calibration.linear, calibration.chosen
     assert linear.chi_square / linear.degrees > 30
@@ -112,6 +115,7 @@ def test_the_non_linearity_is_noticed_and_explained(calibration):
     assert "black level wanders" in told
 
 
+@pytest.mark.slow
 def test_dark_current_by_mean_variance_and_likelihood_agree(calibration):
     values, errors = calibration.standard.values, calibration.standard.errors
     spread = np.hypot(errors["dark_current_mean"], errors["dark_current_variance"])

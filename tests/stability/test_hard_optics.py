@@ -385,11 +385,12 @@ def test_the_cosine_law_in_ulps(dtype):
 @both_precisions
 def test_nan_and_discs_without_bounds(dtype):
     """NaN makes no area, no contrast and no light 0; a disc of any size shares the whole square."""
-    nan, one = jnp.asarray(jnp.nan, dtype), jnp.ones((), dtype)
+    nan, one = np.array(np.nan, dtype), np.ones((), dtype)
+    discs, contrast = jax.jit(optics.overlap_of_discs), jax.jit(optics.diffraction_mtf)
     for arguments in ((nan, one, one), (one, nan, one), (one, one, nan)):
-        assert jnp.isnan(optics.overlap_of_discs(*arguments))
-        assert jnp.isnan(optics.diffraction_mtf(*(1e-3 * a for a in arguments)))
+        assert np.isnan(discs(*arguments))
+        assert np.isnan(contrast(*arguments))
     x, y = jnp.asarray([[1, -1, -1, 1], [1, 1, -1, -1]], dtype)
     zero, huge = jnp.zeros((), dtype), jnp.asarray(1e30, dtype)
-    area = jax.value_and_grad(optics.overlap_of_disc_and_polygon, argnums=2)
+    area = jax.jit(jax.value_and_grad(optics.overlap_of_disc_and_polygon, argnums=2))
     assert area(zero, zero, huge, x, y) == (4, 0)
