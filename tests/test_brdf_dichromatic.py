@@ -28,6 +28,7 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.phong import NormalisedPhong
 
 RNG = np.random.default_rng(4)
+separated = jax.jit(separate)
 LIGHT = np.array([1.0, 0.9, 0.7])  # the illuminant's colour
 RED, GREEN = np.array([0.8, 0.2, 0.15]), np.array([0.2, 0.7, 0.3])
 BODY, LOBE = Lambert([1 / np.pi]), NormalisedPhong([0.0], [0.3], 30.0)
@@ -91,7 +92,7 @@ def test_least_squares_with_non_negative_factors_against_scipy():
     """Noise that throws pixels out of the wedge on every side."""
     c = np.stack([unit([0.9, 0.3, 0.2]), unit(LIGHT)], axis=1)
     pixels = RNG.normal(0.1, 0.5, (200, 3))
-    found = separate(jnp.asarray(pixels), jnp.asarray(LIGHT), body=jnp.asarray([0.9, 0.3, 0.2]))
+    found = separated(jnp.asarray(pixels), jnp.asarray(LIGHT), body=jnp.asarray([0.9, 0.3, 0.2]))
     expected = [nnls(c, p) for p in pixels]
     np.testing.assert_allclose(found.body, [x[0] for x, _ in expected], atol=1e-12)
     np.testing.assert_allclose(found.interface, [x[1] for x, _ in expected], atol=1e-12)
@@ -103,10 +104,10 @@ def test_noise_grows_as_promised(red, spectrum):
     """The standard deviation of both factors is `noise_gain` times that of a band: for a vivid
     body about 1.7, for a nearly neutral one about 12."""
     image = photograph(np.asarray(spectrum))
-    clean = separate(image, jnp.asarray(LIGHT), body=jnp.asarray(spectrum * LIGHT))
+    clean = separated(image, jnp.asarray(LIGHT), body=jnp.asarray(spectrum * LIGHT))
     sigma = 1e-4
     noisy = image + sigma * jnp.asarray(RNG.normal(size=image.shape))
-    found = separate(noisy, jnp.asarray(LIGHT), body=jnp.asarray(spectrum * LIGHT))
+    found = separated(noisy, jnp.asarray(LIGHT), body=jnp.asarray(spectrum * LIGHT))
     inside = np.asarray((clean.body > 0.02) & (clean.interface > 0.02))
     assert inside.sum() > 100
     for got, true in ((found.body, clean.body), (found.interface, clean.interface)):
@@ -124,11 +125,13 @@ def test_a_delta_function_is_no_part(name):
 def test_a_neutral_body_is_seen_as_lost(red):
     """Body and illuminant in one line: angle 0, and the noise gain says that nothing is known."""
     image = photograph(FLAT * 0.5)
-    found = separate(image, jnp.asarray(LIGHT))
+    found = separated(image, jnp.asarray(LIGHT))
     assert found.angle < 1e-6
     assert found.noise_gain > 1e6
-    np.testing.assert_allclose(found.body + found.interface, jnp.sqrt((image**2).sum(-1)))
-    _, sizes = plane_normal(image)
+    np.testing.assert_allclose(
+        found.body + found.interface, np.sqrt((np.asarray(image) ** 2).sum(-1))
+    )
+    _, sizes = map(np.asarray, jax.jit(plane_normal)(image))
     assert sizes[1] < 1e-6 * sizes[2]
 
 

@@ -112,7 +112,7 @@ def test_gradient_of_the_distance_to_a_sphere():
     """Closed form at the pole: moving the centre away by 1 moves the hit by 1, growing the radius
     by 1 moves it by -1."""
     gradient = jax.grad(lambda sphere: intersect(ray([0, 0, 0], [0, 0, 1]), sphere).distance)
-    result = gradient(Sphere([0, 0, 5], 2))
+    result = jax.jit(gradient)(Sphere([0, 0, 5], 2))
     np.testing.assert_allclose(result.centre, [0, 0, 1], atol=1e-15)
     np.testing.assert_allclose(result.radius, -1, rtol=1e-15)
 

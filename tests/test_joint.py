@@ -60,7 +60,7 @@ def test_shared_errors_are_integrated_out(with_images, with_cells):
     kept |= {"cell_errors": gains if with_cells else None}
     places, matrix = dense(weight, *kept.values())
     given = {k: None if v is None else jnp.asarray(v) for k, v in kept.items()}
-    found = marginal.log_density(jnp.asarray(residual), jnp.asarray(weight), **given)
+    found = jax.jit(marginal.log_density)(jnp.asarray(residual), jnp.asarray(weight), **given)
     normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)  # pyright: ignore
     expected = normal.logpdf(residual[places]) + len(matrix) * np.log(2 * np.pi) / 2
     np.testing.assert_allclose(found, expected, rtol=1e-12)

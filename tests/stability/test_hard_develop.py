@@ -149,7 +149,8 @@ def test_high_means_neither_overflow_nor_vanish(dtype, level):
     """x^200 would do either; the gains do not depend on the unit."""
     shape = np.array([1.0, 0.5, 0.25])
     image = jnp.asarray(level * shape * np.ones((3, 3, 1)), dtype)
-    for gains in (grey_world_gains(image, norm=200.0), neutral_gains(image)):
+    worlds = jax.jit(lambda image: (grey_world_gains(image, norm=200.0), neutral_gains(image)))
+    for gains in worlds(image):
         np.testing.assert_allclose(gains, 1 / shape, rtol=8 * eps(dtype))
 
 
