@@ -228,8 +228,9 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
             raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
     if not is_concrete(sensor):
         return
-    gain = jnp.asarray(sensor.gain)
-    noise = np.sqrt(np.asarray(read_out_variance(sensor, dtype=gain.dtype)))
+    with jax.ensure_compile_time_eval():  # the sensor's numbers are known, inside `jit` too
+        gain = jnp.asarray(sensor.gain)
+        noise = np.sqrt(np.asarray(read_out_variance(sensor, dtype=gain.dtype)))
     needed = np.max(8 * noise + ROUNDING / np.asarray(gain))
     if reach < needed:
         raise InputError(
