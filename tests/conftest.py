@@ -12,7 +12,7 @@ from pathlib import Path
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 
 import jax
-import jaxlib
+import jaxlib.version
 import pytest
 
 gc.set_threshold(20_000, 20, 100)  # what has been traced is much, and seldom garbage
@@ -34,7 +34,7 @@ def compiled_folder(config: pytest.Config) -> Path:
     """Where compiled programs are kept between runs: those of this version of XLA alone, and if
     they have grown too many, the newest half of them."""
     kept = config.rootpath / ".pytest_cache" / "xla"
-    folder = kept / jaxlib.__version__
+    folder = kept / jaxlib.version.__version__
     folder.mkdir(parents=True, exist_ok=True)
     for other in set(kept.iterdir()) - {folder}:
         shutil.rmtree(other, ignore_errors=True)
