@@ -3,6 +3,7 @@ traps by hand. The pictures are drawn by an oracle that shares no code with the 
 
 import json
 from dataclasses import fields, replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -65,12 +66,13 @@ def test_the_promise_is_within_four_times_of_what_happens():
     assert np.median(ratios) <= 4
 
 
+@cache
 def alone(seed):
     """Each droppable row of a random scene: name, bound and what the picture changes by."""
     scene, view = random_scene(seed)
     full, ends = drawn(scene, view), (Ends(scene, scene), Ends(view, view))
     rows, _, sums = scene_stage(*ends)
-    camera = jv.Camera(view, jv.Sensor())
+    camera, found = jv.Camera(view, jv.Sensor()), []
     draft = Draft(scene.surfaces, scene.lights, frozenset(), scene.ambient, camera)
     for row in [*rows, *band_rows(sums, direct=True)]:
         if row.drop is None or not row.effect.present:
@@ -79,7 +81,8 @@ def alone(seed):
         if row.ladder == "bands":
             kept, expand = row.drop(draft).bands
             left = with_bands(scene, kept, len(expand))
-        yield row, np.abs(drawn(left, view, expand) - full).max(), full.max()
+        found.append((row, np.abs(drawn(left, view, expand) - full).max(), full.max()))
+    return found
 
 
 def only(scene, draft, row):
@@ -116,7 +119,7 @@ def test_half_of_a_bound_is_caught():
     """The planted fault: of all bounds halved, the same comparison must fail."""
     broken = [
         row.effect.name
-        for seed in range(4)
+        for seed in range(2)
         for row, change, _ in alone(seed)
         if change > 0.5 * row.effect.bound + ROUNDING
     ]

@@ -41,6 +41,25 @@ def test_what_was_dropped_left_nothing_in_the_program():
     assert effects.equations(left.scene, VIEW) < 0.6 * effects.equations(scene, VIEW)
 
 
+def test_10_what_a_loop_costs_is_not_read_off_flops():
+    """XLA counts a loop's body once, however often it runs: shares of work are declared instead,
+    and programs are compared by their equations."""
+
+    def looped(times):
+        compiled = jax.jit(lambda x: jax.lax.fori_loop(0, times, lambda _, y: y * y + 1, x))
+        return compiled.lower(1.0).compile().cost_analysis()["flops"]
+
+    assert looped(2) == looped(200)
+    camera = jv.Camera(VIEW, jv.Sensor(exposure_time=1.0))
+    still = effects.prune(
+        jv.Scene(FLOOR, POINT), camera, "0DN", motion=lambda s, v, t: (s, v), moments=50
+    )
+    gone = {effect.name: effect.saves for effect in still.certificate.dropped}
+    assert still.moments is None
+    assert gone["motion"] >= 0.7
+    assert still.certificate.saves >= gone["motion"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_random_scenes_through_render(seed):

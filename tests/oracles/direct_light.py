@@ -4,7 +4,7 @@ code of the library's. `picture` is what `render` should show."""
 import numpy as np
 
 OFFSET = 1e-6
-SKY = 8, 16  # nodes of a sky, polar and around
+SKY = 10, 20  # nodes of a sky, polar and around: for lobes no narrower than 0.32 rad
 
 
 def number(x):

@@ -1,0 +1,74 @@
+"""Random scenes through what `render --tolerance` runs: files on disk, whole and pruned."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from oracles.random_scenes import random_scene
+
+from jaxvision.effects import explain
+from jaxvision.effects.certificate import summary
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+from jaxvision.render_command import pruned_for, render_to_file
+from jaxvision.scene_files import SceneFile
+from jaxvision.scene_files.schema import RenderEntry
+
+SETTINGS = RenderEntry.model_validate({"dtype": "float64"})
+SINGLE = 1e-6  # relative to the brightest pixel: an EXR holds float32
+
+
+def scene_file(seed):
+    """A random scene as if it had been read."""
+    scene, view = random_scene(seed)
+    first = scene.lights[0]
+    bands = getattr(first, first.spectra[0]).shape[-1]
+    shapes, lamps = (tuple(map(str, range(len(x)))) for x in (scene.surfaces, scene.lights))
+    return SceneFile(
+        Path(f"{seed}.toml"), scene, view, SETTINGS, bands, None, shapes, lamps, str(seed)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40, 60))
+def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
+    source, whole, less = scene_file(seed), tmp_path / "whole.exr", tmp_path / "less.exr"
+    render_to_file(source, whole, SETTINGS)
+    full = np.asarray(read_image(whole), float)
+    if not full.max() > 0:
+        with pytest.raises(InputError, match="level"):
+            pruned_for(source, SETTINGS, "1%")
+        return
+    pruned = pruned_for(source, SETTINGS, "1%")
+    render_to_file(source, less, SETTINGS, pruned=pruned)
+    left, certificate = np.asarray(read_image(less), float), pruned.certificate
+    level = certificate.level
+    assert 0 < level <= full.max() * (1 + SINGLE)
+    assert np.abs(left - full).max() <= certificate.total * level + SINGLE * full.max()
+    head = oiio.ImageInput.open(str(less)).spec().getattribute("jaxvision:certificate")
+    assert head == explain(certificate)
+    assert summary(certificate) in head
+
+
+@pytest.mark.slow
+def test_a_pruned_picture_is_not_resumed_as_a_whole_one(tmp_path):
+    """The part of a killed render is kept only for the same certificate."""
+    source, out = scene_file(2), tmp_path / "out.exr"
+    settings = SETTINGS.model_copy(update={"tile": 100})
+    pruned = pruned_for(source, settings, "5%")
+
+    def killed(done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_to_file(source, out, settings, pruned=pruned, advance=killed)
+    other = replace(pruned, certificate=replace(pruned.certificate, tolerance=0.04))
+    for another in (None, other):
+        with pytest.raises(InputError, match="certificate"):
+            render_to_file(source, out, settings, pruned=another)
+    seen = []
+    render_to_file(source, out, settings, pruned=pruned, advance=lambda n, _: seen.append(n))
+    assert seen[0] == 1
