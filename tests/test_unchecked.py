@@ -24,10 +24,10 @@ UNCHECKED = {
     "pixel_means(np.ones((4, 4)), PixelAperture(0.5))": "irradiance must be (..., h, w, bands), "
     "got shape (4, 4).",
     "Camera(None, None, development=3)": "Camera.development must be a record, Development, got 3.",
-    "brdf.evaluate(GREY, MANY, UP)": "wi must have shape (3,), got (4, 3).",
+    "brdf.evaluate(GREY, MANY, UP)": "wi must have shape (3,), got (4, 3)",
     "brdf.shading(GREY, UP, UP[:2])": "wo must have shape (3,), got (2,).",
-    "brdf.pdf(GREY, MANY, UP)": "wi must have shape (3,), got (4, 3).",
-    "brdf.sample(GREY, MANY, UP)": "wo must have shape (3,), got (4, 3).",
+    "brdf.pdf(GREY, MANY, UP)": "wi must have shape (3,), got (4, 3)",
+    "brdf.sample(GREY, MANY, UP)": "wo must have shape (3,), got (4, 3)",
     "brdf.albedo(GREY, UP[:2])": "wo must have shape (3,), got (2,).",
     "TorranceSparrow([0.2], [0.3], 0.3, interface=1.5)": "must be a record, Dielectric or "
     "Conductor or Schlick, got 1.5.",
