@@ -23,7 +23,7 @@ from .stages import Draft, Row
 from .sums import Sums
 
 _DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
-_ROUNDING = 1e-15  # of the picture, for each band
+_ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
@@ -47,10 +47,14 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
     rows: list[Row] = []
     limit = 0.1 * picture
     for kept, expand in _ladder(terms, bands):
-        residual = _largest([(g, p - p[:, kept] @ expand.T) for g, p in terms], bands)
+        missed = [p - p[:, kept] @ expand.T for _, p in terms]
+        residual = _largest([(g, m) for (g, _), m in zip(terms, missed, strict=True)], bands)
         if residual.max() > limit and len(kept) < bands:
             continue
-        exact = residual.max() <= _ROUNDING * bands * picture
+        exact = all(
+            (np.abs(m) <= _ROUNDING * bands * np.abs(p)).all()
+            for (_, p), m in zip(terms, missed, strict=True)
+        )
         rows.append(_step(bands, kept, expand, 0 * residual if exact else residual))
         if exact or len(rows) == _DECADES:
             break
