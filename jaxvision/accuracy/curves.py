@@ -15,7 +15,7 @@ from .reference import PAIRED, paired_reference, random_reference
 from .session import Clock, Point, Session
 from .spread import next_error
 
-FIRST_LOOK = 0.45  # of the budget, for two calls of each setting
+FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 HOLLOW = 3.0  # errors below so many of the reference's say little
 WRONG = 3.0  # standard deviations between a reference and the finest setting
 REPEATS = 5  # of the time of a setting that is not random
@@ -106,9 +106,8 @@ def curve(
 def _look(session: Session) -> None:
     """Two calls of each setting while they fit; the first setting is always run."""
     for setting in session.knob.settings:
-        allowed = FIRST_LOOK * session.seconds - session.taken
-        if session.points and session.expected(setting, calls=2) > allowed:
-            return
+        if session.points and session.expected(setting, calls=2) > FIRST_LOOK * session.left:
+            continue
         for seed in PAIRED:
             session.call(setting, seed)
 

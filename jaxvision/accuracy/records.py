@@ -59,6 +59,8 @@ class Problem:
         developed: from a result and the reference, by whose brightness it is exposed, to the Lab of
             the developed picture, (pixels, 3), where there is one.
         whole: seconds of the whole over seconds of a call, for a problem that is a part of another.
+        compiled: whether the settings of all knobs take no new program, so that their first call
+            takes no longer than others; None: every setting takes its own.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Problem:
     level: float | None = None
     developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     whole: float = 1.0
+    compiled: Callable[[Mapping[str, Any]], bool] | None = None
 
 
 @dataclass(frozen=True)

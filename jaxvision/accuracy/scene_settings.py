@@ -93,9 +93,9 @@ def measured(
         if name not in known:
             words = ", ".join(repr(one) for one in known)
             raise InputError(f"{source.path}: knob {name!r} changes nothing here; use {words}.")
-    problem = scene_problem(source, settings=settings, expand=expand, clock=clock)
     now = clock or time.perf_counter
     until, found = now() + seconds, []
+    problem = scene_problem(source, settings=settings, expand=expand, clock=clock)
     chosen = names or known
     for number, name in enumerate(chosen):
         share = max(until - now(), 1e-3) / (len(chosen) - number)
@@ -118,7 +118,7 @@ def settings(
     *,
     tolerance: float | None = None,
     render_seconds: float | None = None,
-    seconds: float = 60.0,
+    seconds: float = 240.0,
     cache: bool = True,
     clock: Clock | None = None,
 ) -> Chosen:

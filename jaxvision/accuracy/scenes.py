@@ -26,7 +26,6 @@ from .session import Clock
 
 PROBE = 64  # pixels along each side, of those that are computed
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
-AT_ONCE = 4  # samples of a call
 FEW = 16  # samples of a problem whose other knobs are turned
 _QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
 
@@ -129,16 +128,23 @@ def scene_problem(
 
     compiled: dict[str, Callable[[int], Callable[..., np.ndarray]]] = {}
 
+    def program(entry: RenderEntry) -> RenderEntry:
+        return entry.model_copy(update={"samples": _at_once(entry)})
+
+    def known(turned: Mapping[str, Any]) -> bool:
+        return program(entry_of(own, turned)).model_dump_json() in compiled
+
     def prepare(turned: Mapping[str, Any]) -> Compute:
         entry = entry_of(own, turned)
         scene, view = as_dtype((source.scene, source.view), entry.dtype)
         given = replace(source, scene=scene, view=view)
         if own.integrator == "light":
             return _by_passes(given, entry, (len(rows), len(columns)), expand)
-        at_once = _at_once(entry)
-        few = entry.model_copy(update={"samples": at_once})
-        seeded = compiled.setdefault(few.model_dump_json(), seeded_pixels_of(given, few))
-        firsts = range(0, entry.samples, at_once)
+        few = program(entry)
+        if few.model_dump_json() not in compiled:
+            compiled[few.model_dump_json()] = seeded_pixels_of(given, few)
+        seeded = compiled[few.model_dump_json()]
+        firsts = range(0, entry.samples, few.samples)
 
         def compute(seed: int) -> np.ndarray:
             pixels = seeded(seed)
@@ -154,6 +160,7 @@ def scene_problem(
         prepare,
         settings=base,
         developed=lambda radiance, exposed: _developed(radiance, exposed, to_rgb),
+        compiled=None if own.integrator == "light" else known,
     )
     if not scaled:
         return problem
@@ -161,20 +168,20 @@ def scene_problem(
     pixels = height * width / len(places[0])
     if own.integrator == "light" or pixels == 1:
         return replace(problem, whole=pixels)
-    cheap = entry_of(own, {**base, **({"samples": 1} if "samples" in base else {})})
-    part = _seconds_of(source, cheap, places, clock)
-    tile = _seconds_of(source, cheap, everything, clock)
+    cheap = {**base, **({"samples": 1} if "samples" in base else {})}
+    part = _seconds_of(prepare(cheap), clock)
+    seeded = seeded_pixels_of(source, entry_of(own, cheap))
+    tile = _seconds_of(lambda seed: seeded(seed)(*everything), clock)
     tiles = height * width / len(everything[0])
     return replace(problem, whole=float(np.clip(tile / part * tiles, 1.0, pixels)))
 
 
 def _at_once(entry: RenderEntry) -> int:
-    """Samples of one call, of which a few make any number: so that one program serves all."""
-    if entry.samples <= AT_ONCE and entry.integrator != "path":
-        return entry.samples
-    if entry.samples % AT_ONCE == 0:
-        return AT_ONCE
-    return 1 if entry.integrator == "path" else entry.samples
+    """Samples of one call, of which several make any number, so that one program serves all: one
+    path; of the others, for which one sample is the pixel's middle, two or all."""
+    if entry.integrator == "path":
+        return 1
+    return 2 if entry.samples % 2 == 0 else entry.samples
 
 
 def _spread(size: int, count: int) -> np.ndarray:
@@ -200,17 +207,14 @@ def _in_all_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray
     return flat if expand is None else flat @ expand.T.astype(flat.dtype)
 
 
-def _seconds_of(
-    source: SceneFile, entry: RenderEntry, places: tuple[np.ndarray, ...], clock: Clock | None
-) -> float:
+def _seconds_of(compute: Compute, clock: Clock | None) -> float:
     """s of a warm call."""
     now = clock or time.perf_counter
-    seeded = seeded_pixels_of(source, entry)
-    seeded(0)(*places)
+    compute(0)
     taken = []
     for _ in range(3):
         start = now()
-        seeded(0)(*places)
+        compute(0)
         taken.append(now() - start)
     return max(float(np.median(taken)), 1e-9)
 

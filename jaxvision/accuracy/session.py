@@ -88,10 +88,11 @@ class Session:
         before = list(self.points.values())
         if not before:
             return 0.0
-        compiling = max(before[-1].first - before[-1].seconds, 0.0)
-        if len(before) == 1:  # the first call of all also loads what is needed
-            compiling /= 2
-        return compiling + calls * self._warm(setting, before)
+        compiling = max(point.first - point.seconds for point in before)
+        settings = {**self.problem.settings, self.knob.name: setting}
+        if self.problem.compiled is not None and self.problem.compiled(settings):
+            compiling = 0.0
+        return max(compiling, 0.0) + calls * self._warm(setting, before)
 
     def _warm(self, setting: Any, before: list[Point]) -> float:
         last = before[-1]
