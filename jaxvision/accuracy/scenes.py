@@ -27,6 +27,7 @@ from .session import Clock
 PROBE = 64  # pixels along each side, of those that are computed
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
 FEW = 16  # samples of a problem whose other knobs are turned
+_HEADROOM = 2.0  # of the quantile below, up to which radiance counts
 _QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
 
 
@@ -100,7 +101,8 @@ def scene_problem(
     """A scene file as a problem.
 
     What is computed is a grid of the picture's own pixels (light tracing: a smaller picture); its
-    time is scaled to the whole by two calls of each, with the cheapest settings.
+    time is scaled to the whole by two calls of each, with the cheapest settings. Radiance above
+    twice its 95 % quantile counts as that much: a lamp in view would outweigh all that it lights.
 
     Args:
         source: the scene and its view.
@@ -127,6 +129,7 @@ def scene_problem(
     places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
 
     compiled: dict[str, Callable[[int], Callable[..., np.ndarray]]] = {}
+    brightest = np.inf
 
     def program(entry: RenderEntry) -> RenderEntry:
         return entry.model_copy(update={"samples": _at_once(entry)})
@@ -139,7 +142,8 @@ def scene_problem(
         scene, view = as_dtype((source.scene, source.view), entry.dtype)
         given = replace(source, scene=scene, view=view)
         if own.integrator == "light":
-            return _by_passes(given, entry, (len(rows), len(columns)), expand)
+            small = _by_passes(given, entry, (len(rows), len(columns)), expand)
+            return lambda seed: np.minimum(small(seed), brightest)
         few = program(entry)
         if few.model_dump_json() not in compiled:
             compiled[few.model_dump_json()] = seeded_pixels_of(given, few)
@@ -149,10 +153,12 @@ def scene_problem(
         def compute(seed: int) -> np.ndarray:
             pixels = seeded(seed)
             total = sum(pixels(*places, first).astype(np.float64) for first in firsts)
-            return _in_all_bands(np.asarray(total) / len(firsts), expand)
+            return np.minimum(_in_all_bands(np.asarray(total) / len(firsts), expand), brightest)
 
         return compute
 
+    cheap = {**base, **({"samples": 1} if "samples" in base else {})}
+    brightest = _brightest(prepare(cheap)(0))
     bands = source.bands if expand is None else len(expand)
     to_rgb = linear_srgb(bands, source.wavelengths)
     problem = Problem(
@@ -168,7 +174,6 @@ def scene_problem(
     pixels = height * width / len(places[0])
     if own.integrator == "light" or pixels == 1:
         return replace(problem, whole=pixels)
-    cheap = {**base, **({"samples": 1} if "samples" in base else {})}
     part = _seconds_of(prepare(cheap), clock)
     seeded = seeded_pixels_of(source, entry_of(own, cheap))
     tile = _seconds_of(lambda seed: seeded(seed)(*everything), clock)
@@ -217,6 +222,12 @@ def _seconds_of(compute: Compute, clock: Clock | None) -> float:
         compute(0)
         taken.append(now() - start)
     return max(float(np.median(taken)), 1e-9)
+
+
+def _brightest(picture: np.ndarray) -> float:
+    """What radiance counts as at most; infinity where hardly a pixel is lit."""
+    quantile = float(np.quantile(picture.max(axis=1), _QUANTILE)) if picture.size else 0.0
+    return _HEADROOM * quantile if quantile > 0 else np.inf
 
 
 def _developed(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
