@@ -23,7 +23,7 @@ _OF_SCENES = (
     ),
     Knob(
         "depth",
-        "pieces",
+        "segments",
         "longest path that is followed, or most rays of a tree",
         (2, 3, 4, 6, 8, 12),
         (16, 24, 32),

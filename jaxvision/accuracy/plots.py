@@ -93,9 +93,19 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
 def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
     """Logarithmic axes with their labels, and what to say where no error is known."""
+    from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter
+
     axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
     if errors:
         axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(numticks=6))
+            axis.set_major_formatter("{x:g}")
+            low, high = axis.get_view_interval()
+            wide = high > 10 * low  # decades say enough
+            axis.set_minor_formatter(
+                NullFormatter() if wide else LogFormatter(minor_thresholds=(np.inf, 0.5))
+            )
     else:
         axes.set(xticks=[], yticks=[])
         words = "no error is known: allow more time"

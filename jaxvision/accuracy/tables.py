@@ -79,9 +79,13 @@ def in_seconds(seconds: float) -> str:
         seconds: s.
 
     Returns:
-        Text in s or ms.
+        Text in ms, s, min or h.
     """
-    return f"{1e3 * seconds:.2g} ms" if seconds < 0.1 else f"{seconds:.3g} s"
+    if seconds < 0.1:
+        return f"{1e3 * seconds:.2g} ms"
+    if seconds < 600:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"
 
 
 def notes(curves: Sequence[Curve]) -> list[str]:
