@@ -74,7 +74,15 @@ def share_lowering_context() -> None:
     if make is None:  # another JAX: it makes its own
         return
     contexts = (context for _ in itertools.count() for context in itertools.repeat(make(), 256))
-    mlir.make_ir_context = lambda: next(contexts)
+
+    def shared() -> object:
+        try:
+            inside = mlir.ir.Context.current is not None  # a program compiled while one is lowered
+        except ValueError:
+            inside = False
+        return make() if inside else next(contexts)
+
+    mlir.make_ir_context = shared
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
