@@ -277,12 +277,6 @@ def check_fields(record: Any, **ranges: Range) -> None:
             check_range(f"{kind}.{name}", value, **allowed._asdict())
 
 
-def check_not_zero(name: str, vector: Any) -> None:
-    """Raises `ValueError` for a vector of length 0, which has no direction. Tracers pass."""
-    if is_known(vector) and not np.any(np.asarray(vector)):
-        raise ValueError(f"{name} must have a direction, got {np.asarray(vector).tolist()}.")
-
-
 @cache
 def _annotated(
     record: type,

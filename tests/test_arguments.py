@@ -113,10 +113,6 @@ SENTENCES = {
         "Phong.exponent must be at least 0, got -3.0",
     ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
-    "a plane without a normal": (
-        lambda: jv.Plane(UP, [0, 0, 0]),
-        "Plane.normal must have a direction",
-    ),
 }
 
 

@@ -81,7 +81,8 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise ValueError(f"value_range must be finite with low < high, got ({low}, {high}).")
     if levels is None and value_range is None and is_known(image):
-        largest = np.max(np.asarray(image), initial=0)
+        values = np.asarray(image)
+        largest = np.max(values, initial=0, where=np.isfinite(values))
         if largest > CODES_ABOVE:
             raise ValueError(
                 f"floating images are counted in [0, 1], got values up to {largest:.6g}; divide "

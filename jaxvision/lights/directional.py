@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import normalize
-from .._types import AMOUNT, Colour, as_float, check_fields, check_not_zero
+from .._types import AMOUNT, Colour, as_float, check_fields
 from .._vector import Vector
 from ..scene import Light
 from ._registry import Incident, register
@@ -25,7 +25,6 @@ class DirectionalLight(Light):
 
     def __check_init__(self) -> None:
         check_fields(self, irradiance=AMOUNT)
-        check_not_zero("DirectionalLight.direction", self.direction)
 
 
 @takes_numbers

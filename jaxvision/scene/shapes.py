@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_fields, check_not_zero
+from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_fields
 
 
 class Sphere(eqx.Module):
@@ -37,7 +37,6 @@ class Plane(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self)
-        check_not_zero("Plane.normal", self.normal)
 
 
 class Disc(eqx.Module):
@@ -55,7 +54,6 @@ class Disc(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self, radius=AMOUNT)
-        check_not_zero("Disc.normal", self.normal)
 
 
 class Quad(eqx.Module):

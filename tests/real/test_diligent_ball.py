@@ -68,7 +68,7 @@ def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
         assert specular.standard_error > 0.05 * specular.value
         assert find(section.estimates, "diffuse", group=channel).standard_error > 5
     words = " ".join(section.findings)
-    assert "The highlight is coloured" in words
+    assert "highlight is coloured" in words
     assert "outline of the object" in words
     assert "Attached shadows are not black" in words
 
