@@ -100,7 +100,7 @@ def cross_dissolve(
         Between two still pictures the fractions are the caller's.
 
         >>> fractions = jnp.linspace(0.0, 1.0, 3)[:, None, None, None]
-        >>> jv.point_ops.blend(jnp.ones((2, 2, 3)), jnp.zeros((2, 2, 3)), fractions).shape
+        >>> jv.point_ops.blend(jnp.ones((1, 2, 2, 3)), jnp.zeros((1, 2, 2, 3)), fractions).shape
         (3, 2, 2, 3)
     """
     first, second = as_relative(first), as_relative(second)
