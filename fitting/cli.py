@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import typer
 
 from jaxvision.errors import InputError
+from jaxvision.memory import keep_memory
 
 from .commands import (
     CHECKPOINT,
@@ -291,4 +292,5 @@ def main() -> None:
     """Entry point. Calibration needs double precision, so it is asked for here, never on import of
     the package, and by the environment, since JAX itself is imported only where it is needed."""
     os.environ["JAX_ENABLE_X64"] = "1"
+    keep_memory()
     app()

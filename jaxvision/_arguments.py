@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from ._types import is_known
-from .errors import InputError
+from ._types import axes_of, check_shape, is_known
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -38,7 +37,7 @@ class _Wanted(NamedTuple):
         keeps_integers: whether whole numbers stay so: there may be codes.
     """
 
-    shapes: tuple[tuple[str, ...], ...]
+    shapes: tuple[tuple[int | str, ...], ...]
     is_direction: bool
     is_wavelength: bool
     keeps_integers: bool
@@ -48,7 +47,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
 
     They become arrays of the floating dtype that is beside them. A shape that the annotation
-    excludes, and a direction that is not unit, raise `InputError`.
+    excludes, and a direction that is not unit, raise `ValueError`.
 
     Args:
         function: whose annotations say which of its parameters are arrays.
@@ -90,8 +89,8 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 
 @cache
 def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
-    """What each parameter holds, in their order; None where that is not an array of floating
-    numbers, or not only one."""
+    """What each parameter holds, in their order; None where that is no array of numbers, or may be
+    something else but a record."""
     hints = get_type_hints(function)
     return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
 
@@ -105,9 +104,10 @@ def _of_hint(name: str, hint: Any) -> _Wanted | None:
     if not all(_dtypes(part) in (_dtypes(Float), _dtypes(Shaped)) for part in arrays):
         return None
     floating = all(_dtypes(part) == _dtypes(Float) for part in arrays)
-    shapes = tuple(tuple(part.dim_str.split()) for part in arrays)
+    shapes = tuple(axes_of(part) for part in arrays)
     is_picture = any("h" in shape for shape in shapes)
-    is_one_point = not any(axis == "..." or axis[0] == "*" for shape in shapes for axis in shape)
+    words = [axis for shape in shapes for axis in shape if isinstance(axis, str)]
+    is_one_point = not any(word == "..." or word[0] == "*" for word in words)
     return _Wanted(
         shapes if is_one_point and not is_picture else (),
         is_direction=getattr(hint, "__name__", "") == "Direction",
@@ -141,39 +141,30 @@ def _as_array(
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{_place(function, name)} must be numbers, got {value!r}.") from error
+        raise ValueError(f"{_place(function, name)} must be numbers, got {value!r}.") from error
     given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"
     whole = array.dtype.kind != "f" and want.keeps_integers
     return array if given or whole else array.astype(dtype)
 
 
 def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted) -> None:
-    if want.shapes and not any(_fits(value.shape, shape) for shape in want.shapes):
-        allowed = " or ".join(f"({', '.join(s)}{',' * (len(s) == 1)})" for s in want.shapes)
+    if want.shapes:
         several = value.ndim > max(map(len, want.shapes))
-        many = "; for many at once take jax.vmap of the function" if several else ""
-        raise InputError(
-            f"{_place(function, name)} must have shape {allowed}, got {value.shape}{many}."
-        )
+        advice = "; for many at once take jax.vmap of the function" if several else ""
+        check_shape(_place(function, name), value, *want.shapes, advice=advice)
     if want.is_direction and is_known(value):
         length = float(np.linalg.norm(np.asarray(value, np.float64)))
         if length != 0 and abs(length - 1) > UNIT_WITHIN:
-            raise InputError(
+            raise ValueError(
                 f"{_place(function, name)} must be a unit vector, got one of length {length:.6g}; "
                 "divide it by its length (jaxvision.normalize)."
             )
     if want.is_wavelength and is_known(value):
         longest = np.max(np.asarray(value), initial=0)
         if longest > LONGEST_WAVE:
-            raise InputError(
+            raise ValueError(
                 f"{_place(function, name)} is in metres, got {longest:.6g}; 550 nm are 550e-9."
             )
-
-
-def _fits(shape: tuple[int, ...], wanted: tuple[str, ...]) -> bool:
-    return len(shape) == len(wanted) and all(
-        not axis.isdigit() or int(axis) == size for axis, size in zip(wanted, shape, strict=True)
-    )
 
 
 def _place(function: Callable[..., Any], name: str) -> str:

@@ -124,8 +124,14 @@ def as_dtype(record: Record, dtype: Any) -> Record:
     )
 
 
-def check_shape(name: str, x: Any, *expected: tuple[int | str, ...]) -> None:
+def axes_of(alias: Any) -> tuple[int | str, ...]:
+    """The axes of an alias of arrays: a number for a fixed length, else a word."""
+    return tuple(int(axis) if axis.isdigit() else axis for axis in alias.dim_str.split())
+
+
+def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
     """Raises `ValueError` unless `x` has one of the expected shapes; a word stands for any length.
+    `advice` ends the sentence.
 
     None, an absent effect, has no shape to check.
     """
@@ -135,7 +141,7 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...]) -> None:
     if any(_fits(shape, wanted) for wanted in expected):
         return
     allowed = " or ".join(f"({', '.join(map(str, e))}{',' * (len(e) == 1)})" for e in expected)
-    raise ValueError(f"{name} must have shape {allowed}, got {shape}.")
+    raise ValueError(f"{name} must have shape {allowed}, got {shape}{advice}.")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
@@ -228,10 +234,11 @@ def check_range(
         inside |= np.isnan(numbers)
     if not inside.all():
         wrong = numbers[~inside].flat[0]
-        least = "above" if above else "at least"
-        most = "" if high == np.inf else f" and at most {high:g}"
-        kind = "finite, " if finite else ""
-        raise ValueError(f"{name} must be {kind}{least} {low:g}{most}, got {wrong}.")
+        least = "" if low == -np.inf else f"{'above' if above else 'at least'} {low:g}"
+        most = "" if high == np.inf else f"at most {high:g}"
+        ends = " and ".join(filter(None, (least, most)))
+        wanted = ", ".join(filter(None, ("finite" if finite else "", ends)))
+        raise ValueError(f"{name} must be {wanted}, got {wrong}.")
 
 
 class Range(NamedTuple):
@@ -286,8 +293,7 @@ def _annotated(
     for field in fields(record):
         hint = hints[field.name]
         parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        arrays = [part.dim_str.split() for part in parts if hasattr(part, "dim_str")]
-        shapes = tuple(tuple(int(a) if a.isdigit() else a for a in axes) for axes in arrays)
+        shapes = tuple(axes_of(part) for part in parts if hasattr(part, "dim_str"))
         kinds = tuple(p for p in parts if isinstance(p, type) and issubclass(p, eqx.Module))
         if shapes or kinds:
             found[field.name] = shapes, kinds

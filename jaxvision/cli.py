@@ -15,6 +15,7 @@ import typer
 
 from .command_line import command_app, failures_as_sentences
 from .errors import InputError
+from .memory import keep_memory
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
@@ -381,6 +382,7 @@ def _use_double_precision() -> None:
 
 def main() -> None:
     """Entry point."""
+    keep_memory()
     app()
 
 

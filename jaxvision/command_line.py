@@ -11,7 +11,6 @@ import typer
 
 from . import __version__
 from .errors import InputError
-from .memory import keep_memory
 
 
 def command_app(about: str) -> typer.Typer:
@@ -32,7 +31,6 @@ def command_app(about: str) -> typer.Typer:
 
     def options(version: Annotated[bool, flag] = False) -> None:
         del version  # printed by the callback
-        keep_memory()
 
     app.callback()(options)
     return app

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
-from ._numerics import dot, gauss_legendre, norm, normalize, safe_sqrt, sine_cosine
+from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
+from ._quadrature import gauss_legendre
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_array, as_vec, where
 

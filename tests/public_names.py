@@ -90,7 +90,7 @@ STATIC |= {f"jaxvision.{room}._registry.register" for room in ("brdf", "lights")
 STATIC |= {"jaxvision.brdf._registry.register_delta"}
 STATIC |= {"jaxvision.lights._registry.register_extended"}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
-STATIC |= {"jaxvision._numerics.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
+STATIC |= {"jaxvision._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
 STATIC |= {  # which rule each light has
     f"jaxvision.lights._samples.{name}"
     for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")

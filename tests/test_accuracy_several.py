@@ -9,6 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from commands import called
+from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
 from jaxvision.accuracy.scene_settings import checked_error
@@ -133,36 +134,11 @@ def test_the_page_stands_alone_and_follows_the_reader():
     assert faces.get_markerfacecolor() == "none"
 
 
-SCENE = """
-[camera]
-kind = "pinhole"
-position = [0, -4, 0.5]
-target = [0, 0, 0]
-resolution = [6, 8]
-field_of_view = 50
-
-[material.grey]
-family = "lambert"
-albedo = [0.2, 0.2, 0.2]
-
-[[surface]]
-shape = "sphere"
-centre = [0, 0, 0]
-radius = 1
-material = "grey"
-
-[[light]]
-kind = "point"
-position = [1, -2, 3]
-intensity = [10, 10, 10]
-"""
-
-
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     file = tmp_path / "ball.toml"
-    file.write_text(SCENE)
+    file.write_text(BALL)
     return file
 
 
@@ -185,22 +161,22 @@ def test_the_command_measures_a_scene(scene, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["accuracy", "SCENE", "--knob", "depth"], "knob 'depth' changes nothing here"),
-        (["accuracy", "SCENE", "--seconds", "0"], "give a time above 0"),
-        (["accuracy", "SCENE", "--out", "SCENE"], "is a file"),
-        (["render", "SCENE", "--out", "x.exr", "--accuracy", "1DN"], "a share of the picture"),
+        (["accuracy", "BALL", "--knob", "depth"], "knob 'depth' changes nothing here"),
+        (["accuracy", "BALL", "--seconds", "0"], "give a time above 0"),
+        (["accuracy", "BALL", "--out", "BALL"], "is a file"),
+        (["render", "BALL", "--out", "x.exr", "--accuracy", "1DN"], "a share of the picture"),
         (
-            ["render", "SCENE", "--out", "x.exr", "--accuracy", "1%", "--samples", "4"],
+            ["render", "BALL", "--out", "x.exr", "--accuracy", "1%", "--samples", "4"],
             "--samples and a choice of settings exclude each other",
         ),
         (
-            ["render", "SCENE", "--out", "x.exr", "--accuracy", "1%", "--seconds", "4"],
+            ["render", "BALL", "--out", "x.exr", "--accuracy", "1%", "--seconds", "4"],
             "--seconds and a choice of settings exclude each other",
         ),
     ],
 )
 def test_wrong_commands_are_sentences(scene, arguments, sentence):
-    status, _, error = run(*(str(scene) if word == "SCENE" else word for word in arguments))
+    status, _, error = run(*(str(scene) if word == "BALL" else word for word in arguments))
     assert status == 2
     assert sentence in error
 

@@ -19,7 +19,7 @@ FLOORS = [
     {"errors", "memory", "_types", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
-    {"_numerics", "_chebyshev"},
+    {"_numerics", "_chebyshev", "_quadrature"},
     {"spectra", "hemisphere", "padding", "_powers"},
     {"geometry", "colour_data"},
     {"lights", "brdf", "filters"},

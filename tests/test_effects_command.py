@@ -7,38 +7,18 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from commands import called
+from scene_texts import BALL
 
 from jaxvision.cli import app
 from jaxvision.io import read_image
 
-SCENE = """
-[camera]
-kind = "pinhole"
-position = [0, -4, 0.5]
-target = [0, 0, 0]
-resolution = [12, 16]
-field_of_view = 50
-
-[material.grey]
-family = "lambert"
-albedo = [0.2, 0.2, 0.2]
-
-[[surface]]
-shape = "sphere"
-centre = [0, 0, 0]
-radius = 1
-material = "grey"
-
-[[light]]
-kind = "point"
-position = [1, -2, 3]
-intensity = [10, 10, 10]
-
+FAR_LAMP = """
 [[light]]
 kind = "point"
 position = [0, -900, 0]
 intensity = [1, 1, 1]
 """
+SCENE = BALL.replace("[6, 8]", "[12, 16]") + FAR_LAMP
 
 
 run = partial(called, app)

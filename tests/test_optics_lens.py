@@ -244,7 +244,7 @@ def test_irradiance_is_the_integral_over_the_lens_at_the_image_distance():
         ("pixel_pitch", 0.0, "above 0"),
         ("f_number", -2.0, "above 0"),
         ("focus_distance", 0.05, "above 0.05"),
-        ("position", [0.0, np.nan, 0.0], "at least -inf"),
+        ("position", [0.0, np.nan, 0.0], "finite"),
         ("rotation", np.zeros((3, 3)), "a rotation, .*"),
         ("rotation", 2 * EYE, "a rotation, .*"),
         ("rotation", np.diag([1.0, 1.0, -1.0]), "a rotation, .*"),
@@ -275,7 +275,7 @@ def test_bad_records_are_refused():
         ValueError, match=r"Distortion\.tangential must have shape \(2,\), got \(1,\)"
     ):
         s.Distortion([0.1], [0.1])
-    with pytest.raises(ValueError, match=r"Distortion\.radial must be finite, .* got nan"):
+    with pytest.raises(ValueError, match=r"Distortion\.radial must be finite, got nan"):
         s.Distortion([0.1, np.nan])
     with pytest.raises(ValueError, match=r"resolution must be a whole number of at least 1, got 0"):
         s.Pinhole([0, 0, 0], EYE, 0.01, 1e-5, resolution=(0, 2))

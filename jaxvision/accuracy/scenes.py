@@ -157,8 +157,7 @@ def scene_problem(
 
         return compute
 
-    cheap = {**base, **({"samples": 1} if "samples" in base else {})}
-    brightest = _brightest(prepare(cheap)(0))
+    brightest = _brightest(prepare(base)(0))
     bands = source.bands if expand is None else len(expand)
     to_rgb = linear_srgb(bands, source.wavelengths)
     problem = Problem(
@@ -174,6 +173,7 @@ def scene_problem(
     pixels = height * width / len(places[0])
     if own.integrator == "light" or pixels == 1:
         return replace(problem, whole=pixels)
+    cheap = {**base, **({"samples": 1} if "samples" in base else {})}
     part = _seconds_of(prepare(cheap), clock)
     seeded = seeded_pixels_of(source, entry_of(own, cheap))
     tile = _seconds_of(lambda seed: seeded(seed)(*everything), clock)

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 from .._numerics import (
     arctan2,
     divide,
-    gauss_legendre,
     reciprocal,
     safe_log,
     safe_sqrt,
     smallest_divisor,
 )
+from .._quadrature import gauss_legendre
 from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Direction, Vec, Vector, as_vec, where
 from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world

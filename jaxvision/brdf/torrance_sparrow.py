@@ -24,13 +24,13 @@ from .._numerics import (
     arctan2,
     divide,
     dot,
-    gauss_legendre,
     norm,
     normalize,
     or_one,
     safe_sqrt,
     smallest_divisor,
 )
+from .._quadrature import gauss_legendre
 from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Direction, Vec, as_vec
 from ..scene import Material

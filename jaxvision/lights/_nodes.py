@@ -8,7 +8,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import gauss_legendre
+from .._quadrature import gauss_legendre
 from .._types import Key
 
 # Steps of the two-dimensional Kronecker sequence: powers of the inverse of the plastic number,
