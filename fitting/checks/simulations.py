@@ -10,6 +10,7 @@ from scipy.stats import t
 from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
+from jaxvision.io import replaced_on_success
 
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior
@@ -51,7 +52,8 @@ def simulated(
             rows = np.vstack([rows, row])
             progress(len(rows), count)
             if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
-                np.save(kept, rows)
+                with replaced_on_success(kept) as partial, partial.open("wb") as stream:
+                    np.save(stream, rows)
     return rows
 
 
