@@ -22,6 +22,7 @@ from .commands import (
     app,
     command,
     existing,
+    failures,
     read_rig,
     refuse_mcmc,
     run,
@@ -286,6 +287,38 @@ def check(
         ], {}
 
     run("Check", Path(kind), options, run_check)
+
+
+@app.command()
+@failures()
+def accuracy(
+    rig: RigPath,
+    knob: Annotated[
+        list[str] | None,
+        typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Time to measure each fit, s.")] = 60.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
+    a hundredth and a thousandth of a standard error. An interrupt keeps what was measured."""
+    from jaxvision.accuracy.console import check_request, show
+
+    from .accuracy import measured, problems
+    from .rig import load_rig
+
+    check_request(seconds, out)
+    found = problems(load_rig(rig))
+    words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
+    command = " ".join([*words, f"--seconds {seconds:g}"])
+    for fit, (problem, known) in found.items():
+        curves = measured(problem, known, names=tuple(knob or ()) or None, seconds=seconds)
+        folder = out / fit if out is not None and len(found) > 1 else out
+        show(problem, curves, command=command, out=folder, as_json=as_json)
 
 
 def main() -> None:

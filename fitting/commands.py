@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 COMMAND = "jaxvision-fit"
 CHECKPOINT = "checkpoint"
-_failures = partial(
+failures = partial(
     failures_as_sentences,
     COMMAND,
     interrupted="interrupted; with --out the same command resumes a chain or a check.",
@@ -131,7 +131,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
 def run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
     """Calibrates, writes what was asked for, prints the result."""
-    with _failures(), reporting() as reporter:
+    with failures(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):

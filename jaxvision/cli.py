@@ -229,15 +229,11 @@ def accuracy(
     """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
     0.1 %. An interrupt keeps what was measured."""
     _use_double_precision()
-    from .accuracy import measured, write_page
-    from .accuracy.scene_settings import machine
-    from .accuracy.tables import as_dict, notes, rows
+    from .accuracy import measured
+    from .accuracy.console import check_request, show
     from .scene_files import read_scene
 
-    if not seconds > 0:
-        raise InputError(f"--seconds {seconds:g}: give a time above 0.")
-    if out is not None and out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; give --out a folder.")
+    check_request(seconds, out)
     source = read_scene(scene)
     norms = ("rms", "p99", "max", "delta_e")
     problem, curves = measured(
@@ -245,25 +241,7 @@ def accuracy(
     )
     command = " ".join(["jaxvision accuracy", scene, *(f"--knob {k!r}" for k in knob or ())])
     command += f" --seconds {seconds:g}"
-    written = write_page(out, problem, curves, command=command) if out is not None else ()
-    if as_json:
-        sheet = as_dict(problem, curves, machine=machine(), command=command)
-        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))
-        return
-    print(f"{problem.name}; {machine()}")
-    print(_in_columns(rows(problem, curves)))
-    print("\n".join(notes(curves)))
-    for path in written:
-        print(f"Written: {path}")
-
-
-def _in_columns(rows: list[tuple[str, ...]]) -> str:
-    """Rows of cells as lines, columns below each other."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
+    show(problem, curves, command=command, out=out, as_json=as_json)
 
 
 def _share(text: str) -> float:

@@ -47,7 +47,7 @@ FITTING_FLOORS = [
     {"observation", "report"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
-    {"demo", "joint", "checks"},
+    {"accuracy", "demo", "joint", "checks"},
     {"commands"},
     {"cli"},
 ]

@@ -31,9 +31,16 @@ from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
-from jaxvision.rendering import PixelSamples
+from jaxvision.rendering import PixelSamples, photograph
 from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface
-from jaxvision.transport import Paths, path_radiance, path_sample, path_traced, path_traced_pixels
+from jaxvision.transport import (
+    Paths,
+    path_along,
+    path_radiance,
+    path_sample,
+    path_traced,
+    path_traced_pixels,
+)
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
 
 KEY = jax.random.key(4)
@@ -280,6 +287,22 @@ def test_samples_in_parts_are_the_samples():
         return np.asarray(jax.jit(traced)(KEY, scene, VIEW, *at).radiance)
 
     np.testing.assert_allclose((part(3, 0) + part(3, 3)) / 2, part(6, 0), rtol=1e-13)
+
+
+def test_a_traced_depth_is_the_depth():
+    """Between a floor and a ceiling that shines, where each piece adds light."""
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2]))
+    ceiling = Surface(Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), Lambert([0.2]), [1.0])
+    scene, one = Scene([floor, ceiling], []), Paths(1, 4)
+    view = Pinhole([0.0, 0, 0.5], np.diag([1.0, -1, -1]), 1.0, 0.2, resolution=(2, 2))
+    seen = jax.jit(
+        lambda depth: (
+            photograph(path_along(scene, one, depth=depth), view, PixelSamples(KEY, 1)).radiance
+        )
+    )
+    fixed = jax.jit(partial(path_traced, method=one))(KEY, scene, view).radiance
+    np.testing.assert_allclose(seen(jnp.uint32(4)), fixed, rtol=1e-12)
+    assert np.sum(seen(jnp.uint32(2))) < 0.99 * np.sum(fixed)
 
 
 def test_mean_and_error_are_numpys_of_the_same_paths():

@@ -85,7 +85,8 @@ def minimise(
     Returns:
         The end of the search.
     """
-    return _minimise(objective, start, args, derivatives, jnp.asarray(max_steps), tolerance)
+    most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
+    return _minimise(objective, start, args, derivatives, most, enough)
 
 
 @eqx.filter_jit
@@ -95,7 +96,7 @@ def _minimise(
     args: Any,
     derivatives: Derivatives | None,
     max_steps: Array,
-    tolerance: float,
+    tolerance: Array,
 ) -> NewtonSolution:
     local = derivatives or partial(_twice, objective)
 

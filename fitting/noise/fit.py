@@ -181,11 +181,26 @@ def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
     near_black = mean < NEAR_BLACK * deviation
     clipped = bool(near_black[dark].any())
     fine = bool(variance[dark].min() < FINE_READ_NOISE**2 + QUANTISATION_VARIANCE)
-    if not fine and not clipped:
-        return None
+    return window_of(measurement, usable) if fine or clipped else None
+
+
+def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
+    """The exact moments of the darks, and of the levels that clipping or rounding may affect.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The window.
+    """
+    data = noise_data(measurement, usable)
+    mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
+    deviation, dark = np.sqrt(variance), lit == 0
+    near_black = mean < NEAR_BLACK * deviation
     affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
     # Clipping hides up to half of a deviation.
-    widest = (2 if clipped else 1.2) * float(deviation[affected].max())
+    widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
     read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
     levels = np.flatnonzero(affected)
     return window_for(levels, mean[levels], deviation=widest, read_noise=read_noise)

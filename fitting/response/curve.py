@@ -32,7 +32,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 
-from .code_bins import CodeBins, code_bins
+from .code_bins import MAX_BINS, CodeBins, code_bins
 from .code_pairs import PairStatistics, pair_statistics, total
 from .pilot import fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
@@ -122,6 +122,8 @@ def fit_response_curve(
     clip: float | None = None,
     layout: Layout | None = None,
     least_error: float = STEADIEST,
+    most_bins: int = MAX_BINS,
+    rounds: int = 3,
 ) -> ResponseCurve:
     """The response curve of one channel.
 
@@ -134,6 +136,8 @@ def fit_response_curve(
         layout: where the pixels lie; None for pixels that have no neighbours, which then count as
             independent.
         least_error: lowest error of ln t that is believed of the shutter.
+        most_bins: at most so many intervals of codes.
+        rounds: how often the curve is solved for, smoothness and shutter errors between.
 
     Returns:
         The curve.
@@ -143,7 +147,8 @@ def fit_response_curve(
             when the exposures fall into sets that share no such pixel.
     """
     clip = 2.0**bits - 1 if clip is None else clip
-    bins, coarse = code_bins(bits, black, clip), code_bins(bits, black, clip, count=PILOT_BINS)
+    bins = code_bins(bits, black, clip, count=most_bins)
+    coarse = code_bins(bits, black, clip, count=PILOT_BINS)
     linked = _well_exposed(codes, bins)
     if linked.sum() < max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1]):
         raise InputError(
@@ -166,7 +171,7 @@ def fit_response_curve(
             for tile in _tiles(codes, bins, layout)
         ]
         start = pilot.solution.suggested
-        found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=3)
+        found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
         left_out = over_exposures(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
         tau = _shutter_error(found, log_t, least_error)

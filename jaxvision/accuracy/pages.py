@@ -47,6 +47,7 @@ def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
         figures=[(about, Markup(svg)) for about, svg in drawn],
         machine=machine(),
         command=command,
+        about=problem.about,
         version=version("jaxvision"),
     )
 

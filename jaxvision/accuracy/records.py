@@ -61,6 +61,8 @@ class Problem:
         whole: seconds of the whole over seconds of a call, for a problem that is a part of another.
         compiled: whether the settings of all knobs take no new program, so that their first call
             takes no longer than others; None: every setting takes its own.
+        about: what errors and times are of, in sentences.
+        compiling: s that one more program is expected to take, before any was seen to.
     """
 
     name: str
@@ -71,6 +73,8 @@ class Problem:
     developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     whole: float = 1.0
     compiled: Callable[[Mapping[str, Any]], bool] | None = None
+    compiling: float = 0.0
+    about: str = "Errors are root mean squares over the result, relative to that of the result."
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def measured(
             raise InputError(f"{source.path}: knob {name!r} changes nothing here; use {words}.")
     now = clock or time.perf_counter
     until, found = now() + seconds, []
-    problem = scene_problem(source, settings=settings, expand=expand, clock=clock)
+    problem = scene_problem(source, settings=settings, expand=expand, seconds=seconds, clock=clock)
     chosen = names or known
     for number, name in enumerate(chosen):
         share = max(until - now(), 1e-3) / (len(chosen) - number)
@@ -175,7 +175,7 @@ def _pruned(source: SceneFile, own: RenderEntry, tolerance: float | None) -> Pru
     try:
         if tolerance is None:
             return pruned_for(source, deep, "0")
-        problem = scene_problem(source, settings=own, scaled=False)
+        problem = scene_problem(source, settings=own, seconds=0.0)
         picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
         level = float(np.sqrt(np.mean(picture**2)))
         return pruned_for(source, deep, f"{PROVED * tolerance:.6e}", level=level)
@@ -200,7 +200,8 @@ def _found(
         raise KeyboardInterrupt
     gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
     compiling = max(
-        max(t.first_seconds - t.seconds / problem.whole, 0) for c in curves for t in c.trials
+        problem.compiling,
+        *(t.first_seconds - t.seconds / problem.whole for c in curves for t in c.trials),
     )
     wanted = None if tolerance is None else tolerance - gone
     allowed = None if render_seconds is None else max(render_seconds - compiling, 1e-3)
@@ -259,7 +260,13 @@ def checked_error(
             setting = max(fine[one.knob.name], 4 * best.settings[one.knob.name])
             fine[one.knob.name] = setting
             each *= setting / best.settings[one.knob.name]
-    if DRAWS * each + FRESH * best.seconds / problem.whole > seconds:
+    turned = {**problem.settings, **best.settings}
+    compiling = sum(
+        problem.compiling
+        for one in ({**problem.settings, **fine}, turned)
+        if problem.compiled is None or not problem.compiled(one)
+    )
+    if compiling + DRAWS * each + FRESH * best.seconds / problem.whole > seconds:
         return None
     random = any(one.knob.random for one in curves)
     compute = problem.prepare({**problem.settings, **fine})
@@ -269,7 +276,7 @@ def checked_error(
     own = 0.0
     if random:
         own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
-    chosen = problem.prepare({**problem.settings, **best.settings})
+    chosen = problem.prepare(turned)
     errors = [
         float(np.sqrt(np.mean((np.asarray(chosen(FIRST_SEED // 2 + n)) - reference) ** 2))) / level
         for n in range(FRESH)

@@ -26,7 +26,12 @@ from .session import Clock
 
 PROBE = 64  # pixels along each side, of those that are computed
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
+SCALING = 0.05  # of the time for everything, that one more program may take to scale times
 FEW = 16  # samples of a problem whose other knobs are turned
+_ABOUT = (
+    "Times are those of the whole picture, errors root mean squares over its pixels relative to "
+    "that of the picture."
+)
 _HEADROOM = 2.0  # of the quantile below, up to which radiance counts
 _QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
 
@@ -95,14 +100,15 @@ def scene_problem(
     settings: RenderEntry | None = None,
     expand: np.ndarray | None = None,
     probe: int = PROBE,
-    scaled: bool = True,
+    seconds: float = np.inf,
     clock: Clock | None = None,
 ) -> Problem:
     """A scene file as a problem.
 
     What is computed is a grid of the picture's own pixels (light tracing: a smaller picture); its
-    time is scaled to the whole by two calls of each, with the cheapest settings. Radiance above
-    twice its 95 % quantile counts as that much: a lamp in view would outweigh all that it lights.
+    time is scaled to the whole by calls of both with the cheapest settings, or by their numbers of
+    pixels where one more program would take too long. Radiance above twice its 95 % quantile counts
+    as that much: a lamp in view would outweigh all that it lights.
 
     Args:
         source: the scene and its view.
@@ -110,7 +116,7 @@ def scene_problem(
         expand: (all bands, bands) of a scene with fewer bands than were asked for, as in
             `effects.Pruned`, or None.
         probe: pixels along each side of the grid.
-        scaled: whether times are those of the whole picture; else those of the grid.
+        seconds: s, that everything may take, of which little is for the scale of the times.
         clock: seconds as a function; None: the machine's.
 
     Returns:
@@ -132,7 +138,8 @@ def scene_problem(
     brightest = np.inf
 
     def program(entry: RenderEntry) -> RenderEntry:
-        return entry.model_copy(update={"samples": _at_once(entry)})
+        more = {"depth": 2} if entry.integrator == "path" and entry.depth > 2 else {}
+        return entry.model_copy(update={"samples": _at_once(entry), **more})
 
     def known(turned: Mapping[str, Any]) -> bool:
         return program(entry_of(own, turned)).model_dump_json() in compiled
@@ -152,12 +159,15 @@ def scene_problem(
 
         def compute(seed: int) -> np.ndarray:
             pixels = seeded(seed)
-            total = sum(pixels(*places, first).astype(np.float64) for first in firsts)
+            total = sum(pixels(*places, first, entry.depth).astype(np.float64) for first in firsts)
             return np.minimum(_in_all_bands(np.asarray(total) / len(firsts), expand), brightest)
 
         return compute
 
+    now = clock or time.perf_counter
+    begun = now()
     brightest = _brightest(prepare(base)(0))
+    compiling = now() - begun
     bands = source.bands if expand is None else len(expand)
     to_rgb = linear_srgb(bands, source.wavelengths)
     problem = Problem(
@@ -166,12 +176,12 @@ def scene_problem(
         settings=base,
         developed=lambda radiance, exposed: _developed(radiance, exposed, to_rgb),
         compiled=None if own.integrator == "light" else known,
+        compiling=compiling,
+        about=_ABOUT,
     )
-    if not scaled:
-        return problem
     everything = np.divmod(np.arange(min(own.tile, height * width)), width)
     pixels = height * width / len(places[0])
-    if own.integrator == "light" or pixels == 1:
+    if own.integrator == "light" or pixels == 1 or compiling > SCALING * seconds:
         return replace(problem, whole=pixels)
     cheap = {**base, **({"samples": 1} if "samples" in base else {})}
     part = _seconds_of(prepare(cheap), clock)

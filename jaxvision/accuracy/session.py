@@ -88,11 +88,11 @@ class Session:
         before = list(self.points.values())
         if not before:
             return 0.0
-        compiling = max(point.first - point.seconds for point in before)
+        compiling = max(self.problem.compiling, *(p.first - p.seconds for p in before))
         settings = {**self.problem.settings, self.knob.name: setting}
         if self.problem.compiled is not None and self.problem.compiled(settings):
             compiling = 0.0
-        return max(compiling, 0.0) + calls * self._warm(setting, before)
+        return compiling + calls * self._warm(setting, before)
 
     def _warm(self, setting: Any, before: list[Point]) -> float:
         last = before[-1]

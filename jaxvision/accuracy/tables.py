@@ -29,7 +29,9 @@ def reached(curve: Curve) -> list[Trial | None]:
 
 
 def all_together(problem: Problem, curves: Sequence[Curve]) -> list[Combination | None]:
-    """The cheapest combination for each of `TOLERANCES`, or None."""
+    """The cheapest combination for each of `TOLERANCES`, or None: of the knobs that stand at a
+    setting of the problem while others are turned."""
+    curves = [curve for curve in curves if curve.knob.name in problem.settings]
     found: list[Combination | None] = []
     for tolerance in TOLERANCES:
         try:
@@ -53,7 +55,7 @@ def rows(problem: Problem, curves: Sequence[Curve]) -> list[tuple[str, ...]]:
     for curve in curves:
         order = "-" if curve.order is None else str(curve.order)
         found.append((curve.knob.name, order, *(_cell(trial) for trial in reached(curve))))
-    if len(curves) > 1:
+    if sum(curve.knob.name in problem.settings for curve in curves) > 1:
         found.append(("all together", "", *(_all(c) for c in all_together(problem, curves))))
     return found
 

@@ -38,7 +38,7 @@ BY_PIXEL = ("direct", "rays", "path", "radiosity")
 Numbers = Int[Array, " pixels"]
 Computed = Callable[..., np.ndarray]
 Solve = Callable[[Key], Solution | None]
-RaysOf = Callable[[Scene, Key, Solution | None], Along]
+RaysOf = Callable[[Scene, Key, Solution | None, Array], Along]
 Pixels = Float[Array, "pixels bands"]
 
 
@@ -53,7 +53,8 @@ def pixels_of(
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int], Computed]:
     """From a seed, by what comes before the first pixel, to the function of rows, columns and,
-    where there are several samples, the number of the first of them.
+    where there are several samples, the number of the first of them; of paths also another depth,
+    at least 2, for which nothing is compiled.
 
     Args:
         source: the scene and its view.
@@ -75,21 +76,26 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int]
         rows: Numbers,
         columns: Numbers,
         first: Array,
+        depth: Array,
     ) -> Pixels:
         samples = PixelSamples(jax.random.fold_in(key, 1), settings.samples)
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
-        rays, pixels = along(scene, key, ready), (rows, columns)
+        rays, pixels = along(scene, key, ready, depth), (rows, columns)
         return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
 
     def seeded(seed: int) -> Computed:
         key = jax.random.key(seed)
         ready = solved(key)
 
-        def compute(rows: np.ndarray, columns: np.ndarray, first: int = 0) -> np.ndarray:
-            places = rows.astype(np.int32), columns.astype(np.int32), np.uint32(first)
+        def compute(
+            rows: np.ndarray, columns: np.ndarray, first: int = 0, depth: int = settings.depth
+        ) -> np.ndarray:
+            places = rows.astype(np.int32), columns.astype(np.int32)
+            numbers = np.uint32(first), np.uint32(depth)
             with _in_words_of(source):
-                radiance = np.asarray(tile(source.scene, source.view, key, ready, *places))
+                found = tile(source.scene, source.view, key, ready, *places, *numbers)
+            radiance = np.asarray(found)
             return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
 
         return compute
@@ -163,15 +169,15 @@ def _along(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
 
     match settings.integrator:
         case "direct":
-            return nothing, lambda scene, key, _: direct_along(scene, _rule(settings, key))
+            return nothing, lambda scene, key, *_: direct_along(scene, _rule(settings, key))
         case "path":
             method = Paths(settings.samples, settings.depth)
-            return nothing, lambda scene, key, _: path_along(scene, method)
+            if settings.depth == 1:
+                return nothing, lambda scene, *_: path_along(scene, method)
+            return nothing, lambda scene, key, _, depth: path_along(scene, method, depth=depth)
         case "rays":
             rule = _fixed(settings)
-            return nothing, lambda scene, key, _: ray_tree_along(
-                scene, rays=settings.depth, rule=rule
-            )
+            return nothing, lambda scene, *_: ray_tree_along(scene, rays=settings.depth, rule=rule)
         case _:
             return _solved(source, settings)
 
@@ -191,7 +197,7 @@ def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
             _check_balance(scene, plan, table)
             return exchanged(scene, table=table, rule=_rule(settings, key))
 
-    def along(scene: Scene, key: Key, solution: Solution | None) -> Along:
+    def along(scene: Scene, key: Key, solution: Solution | None, depth: Array) -> Along:
         assert solution is not None
         gather = None
         if settings.gather > 0:

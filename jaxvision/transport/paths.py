@@ -123,7 +123,9 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
     return jnp.stack(_walk(world_of(scene), ray, stream, method))
 
 
-def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
+def _walk(
+    world: World, ray: Ray, stream: Stream, method: Paths, depth: Array | None = None
+) -> Bands:
     # a per-path zero: otherwise `vmap` traces the loop body twice to discover that it is batched
     method = _simplest(world, method)
     zero = (0 * stream.pixel).astype(ray.origin.x.dtype)
@@ -139,8 +141,12 @@ def _walk(world: World, ray: Ray, stream: Stream, method: Paths) -> Bands:
     def step(path: _Path, k: Array) -> _Path:
         return _bounce(world, path, stream, k, method)
 
-    pieces = method.depth - 1
-    if method.roulette is None:
+    pieces = method.depth - 1 if depth is None else depth.astype(jnp.uint32) - 1
+    if depth is not None and method.roulette is None:
+        path = jax.lax.fori_loop(
+            jnp.zeros((), jnp.uint32), pieces, lambda k, path: step(path, k), path
+        )
+    elif method.roulette is None:
         if method.depth > _KEPT:
             keep = jax.checkpoint_policies.save_only_these_names(SEARCHED)
             step = jax.checkpoint(step, policy=keep)
@@ -267,18 +273,20 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
     return Traced(jnp.stack(radiance), jnp.stack(error))
 
 
-def path_along(scene: Scene, method: Paths) -> Along:
+def path_along(scene: Scene, method: Paths, *, depth: Array | None = None) -> Along:
     """One path for each ray of `photograph`.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
         method: how finely light is followed; `samples` plays no part.
+        depth: (), in place of the method's, a whole number of pieces >= 2 that may be traced, so
+            that one program serves any; without reverse-mode gradients.
 
     Returns:
         From a block of rays to the radiance of their paths, W m^-2 sr^-1.
     """
     world = world_of(scene)
-    return each(lambda ray, stream: _walk(world, ray, stream, method))
+    return each(lambda ray, stream: _walk(world, ray, stream, method, depth))
 
 
 @takes_numbers

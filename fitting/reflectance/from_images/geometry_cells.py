@@ -35,6 +35,8 @@ def group(
     light: Int[np.ndarray, " samples"],
     cosine: Float[np.ndarray, " samples"],
     mirror_angle: Float[np.ndarray, " samples"],
+    *,
+    width: float = 1.0,
 ) -> Grouping:
     """Cells of (light, n.l, mirror angle), finest where a highlight may be.
 
@@ -42,12 +44,14 @@ def group(
         light: (samples,) indices.
         cosine: (samples,) n.l.
         mirror_angle: (samples,) rad.
+        width: of a cell, relative to the usual ones.
 
     Returns:
         The cells.
     """
-    row = np.floor(cosine / COSINE_STEP).astype(np.int64)
-    column = np.floor(np.log1p(mirror_angle / FINE_ANGLE) / np.log(ANGLE_RATIO)).astype(np.int64)
+    row = np.floor(cosine / (width * COSINE_STEP)).astype(np.int64)
+    angle = np.log1p(mirror_angle / FINE_ANGLE) / (width * np.log(ANGLE_RATIO))
+    column = np.floor(angle).astype(np.int64)
     row, column = row - row.min(), column - column.min()
     key = (light * (row.max() + 1) + row) * (column.max() + 1) + column
     _, cell = np.unique(key, return_inverse=True)

@@ -1,0 +1,109 @@
+"""The knobs of reflectance from images: how many pixels, or cells instead of them, to which
+tolerance, and how the posterior is drawn. Results are parameters in their standard errors, of the
+first channel in which Phong's model leaves nothing open."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxvision.accuracy.records import Compute
+from jaxvision.errors import InputError
+
+from ..inference.newton import minimise
+from ..reflectance.from_images.calibration import ReflectanceCalibration, calibrate
+from ..reflectance.from_images.fit import ChannelFit
+from ..reflectance.from_images.geometry_cells import Grouping, average, group
+from ..reflectance.from_images.model import Samples, negative_log_likelihood
+from ..reflectance.from_images.posterior import composite, composite_log_density
+from ..reflectance.from_images.read import read_reflectance_observation
+from ..rig import Rig
+from .chains import Density, Turn, chain_knobs
+
+AWAY = 0.3  # of a logarithm: how far from the mode a search begins
+
+
+def brdf_knobs(rig: Rig) -> Mapping[str, Turn]:
+    """The knobs of a rig's reflectance.
+
+    Args:
+        rig: with `[[light]]` and `[geometry]`.
+
+    Returns:
+        By the knob's name, from a setting to a function of a seed that gives parameters in their
+        standard errors.
+
+    Raises:
+        InputError: for a rig that cannot be calibrated, and where every channel leaves something
+            open.
+    """
+    calibration = calibrate(read_reflectance_observation(rig), model="phong")
+    fit = next((f for f in calibration.reported if f.channel in calibration.posteriors), None)
+    if fit is None or fit.robustness is None:
+        raise InputError(
+            f"{rig.folder}: the images leave a parameter open in every channel; see what "
+            "jaxvision-fit brdf says of them."
+        )
+    errors = np.sqrt(np.diagonal(fit.robustness.covariance))
+    start = jnp.asarray(fit.vector - AWAY, fit.samples.dn.dtype)
+
+    def searched(samples: Samples, tolerance: float = 1e-7) -> np.ndarray:
+        found = minimise(negative_log_likelihood, start, samples, tolerance=tolerance)
+        return np.asarray(found.vector) / errors
+
+    def pixels(share: float) -> Compute:
+        count = fit.samples.dn.size
+        wanted = max(int(share * count), 1)
+
+        def compute(seed: int) -> np.ndarray:
+            rng = np.random.default_rng(seed)
+            return searched(_part(fit.samples, rng.permutation(count)[:wanted]))
+
+        return compute
+
+    def cells(width: float | str) -> Compute:
+        if isinstance(width, str):
+            return lambda seed: searched(fit.samples)
+        grouping = _grouping(calibration, width)
+        return lambda seed: searched(average(fit.samples, grouping))
+
+    turns = {
+        "pixels": pixels,
+        "cells": cells,
+        "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
+    }
+    return {**turns, **chain_knobs(_density(fit, _grouping(calibration, 1.0)))}
+
+
+def _part(samples: Samples, chosen: np.ndarray) -> Samples:
+    """Some of the samples."""
+    size = samples.dn.size
+
+    def of(leaf: Array) -> Array:
+        return leaf[chosen] if leaf.shape[:1] == (size,) else leaf
+
+    return replace(
+        samples,
+        **{
+            name: jax.tree.map(of, getattr(samples, name))
+            for name in ("cosine", "geometry", "irradiance", "dn", "deviation", "saturated")
+        },
+        offset=jax.tree.map(of, samples.offset),
+    )
+
+
+def _grouping(calibration: ReflectanceCalibration, width: float) -> Grouping:
+    light, pixel = calibration.fitted.light, calibration.fitted.pixel
+    observation = calibration.observation
+    angles = observation.cosine[light, pixel], observation.mirror_angle[light, pixel]
+    return group(light, *angles, width=width)
+
+
+def _density(fit: ChannelFit, grouping: Grouping) -> Density:
+    assert fit.robustness is not None
+    data = composite(fit, grouping)
+    covariance = fit.robustness.gaussian_covariance
+    return Density(composite_log_density, fit.space, data.mode, covariance, data)

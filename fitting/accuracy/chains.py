@@ -1,0 +1,104 @@
+"""Posteriors of one density by Laplace, emcee and NUTS, and what their lengths cost."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.accuracy.records import Compute
+
+from ..inference.emcee_run import SamplingOptions
+from ..inference.nuts import NutsOptions, nuts
+from ..inference.parameters import ParameterSpace, to_unconstrained
+from ..inference.posterior import LogDensity, Posterior, laplace, sample
+
+ENDS = (0.025, 0.16, 0.5, 0.84, 0.975)  # of the 95 and 68 % intervals, and the middle
+BLOCK = 100  # steps
+Turn = Callable[[Any], Compute]
+
+
+@dataclass(frozen=True)
+class Density:
+    """A log density about its mode.
+
+    Attributes:
+        log_density: module-level function of (vector, args), up to a constant.
+        space: the P parameters.
+        mode: (P,) unconstrained.
+        covariance: (P, P) of the Gaussian about it.
+        args: its data.
+    """
+
+    log_density: LogDensity
+    space: ParameterSpace
+    mode: Any
+    covariance: Float[np.ndarray, "parameters parameters"]
+    args: Any
+
+    @property
+    def errors(self) -> Float[np.ndarray, " parameters"]:
+        """Standard errors, unconstrained."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
+def interval_ends(posterior: Posterior, density: Density) -> Float[np.ndarray, "ends parameters"]:
+    """Quantiles of a posterior's draws.
+
+    Args:
+        posterior: of the density.
+        density: whose mode and errors are zero and unit.
+
+    Returns:
+        Of the 95 and 68 % intervals and the middle, in standard errors from the mode.
+    """
+    ends = np.quantile(posterior.samples, ENDS, axis=0)
+    vectors = np.asarray(to_unconstrained(density.space, jnp.asarray(ends)))
+    return (vectors - np.asarray(density.mode)) / density.errors
+
+
+def chain_knobs(density: Density) -> Mapping[str, Turn]:
+    """The knobs of a posterior.
+
+    Args:
+        density: to draw from.
+
+    Returns:
+        By the knob's name, from a setting to a function of a seed that gives ends of intervals in
+        standard errors.
+    """
+    about = (density.log_density, density.space, density.mode, density.covariance, density.args)
+
+    def drawn(options: SamplingOptions | NutsOptions | None) -> Compute:
+        def compute(seed: int) -> np.ndarray:
+            if isinstance(options, NutsOptions):
+                found = nuts(*about, options=options, seed=seed)
+            else:
+                found = sample(*about, options=options, seed=seed)
+            return interval_ends(found, density)
+
+        return compute
+
+    def gaussian(draws: int) -> Compute:
+        return lambda seed: interval_ends(
+            laplace(
+                density.log_density,
+                density.space,
+                density.mode,
+                density.args,
+                covariance=density.covariance,
+                draws=draws,
+                seed=seed,
+            ),
+            density,
+        )
+
+    ways = {"laplace": gaussian(100_000), "nuts": drawn(NutsOptions()), "emcee": drawn(None)}
+    return {
+        "posterior": ways.__getitem__,
+        "chain length": lambda steps: drawn(SamplingOptions(steps=steps, block=min(BLOCK, steps))),
+        "NUTS draws": lambda draws: drawn(NutsOptions(draws=draws)),
+        "Laplace draws": gaussian,
+    }

@@ -1,0 +1,110 @@
+"""Every approximation of `fitting` by name, as `jaxvision.accuracy.KNOBS` has those of light."""
+
+from collections.abc import Mapping
+
+from jaxvision.accuracy import Knob
+
+_OF_RIGS = (
+    Knob(
+        "solver tolerance",
+        "fall in cost",
+        "where a search for the mode ends",
+        (1.0, 1e-1, 1e-2, 1e-3, 1e-5),
+        (1e-9, 1e-11),
+        sets=("*.minimise*.tolerance", "*.minimise_residuals.?tol", "*.max_steps"),
+    ),
+    Knob(
+        "pixels",
+        "of all",
+        "a random part of the pixels instead of all",
+        (0.03, 0.1, 0.3),
+        (1.0,),
+        random=True,
+    ),
+    Knob(
+        "cells",
+        "of the usual width",
+        "cells of like pixels instead of pixels",
+        (8.0, 4.0, 2.0, 1.0, 0.5),
+        ("pixels",),
+        sets=("*.group.width", "*.make_grid.width"),
+    ),
+    Knob(
+        "likelihood",
+        "",
+        "of means and variances: regressions, Gaussian, or exact for codes that are rounded",
+        ("moments", "gaussian", "exact"),
+        ("exact",),
+        sets=("*.noise_data.window", "*.NoiseData.window", "*.SensorCounts.reach"),
+    ),
+    Knob(
+        "posterior",
+        "",
+        "Gaussian about the mode, or draws by NUTS or emcee",
+        ("laplace", "nuts", "emcee"),
+        (),
+        random=True,
+        sets=("*.sampling", "*.fit.posterior"),
+    ),
+    Knob(
+        "chain length",
+        "steps",
+        "of emcee's ensemble of 64 walkers, at most",
+        (50, 100, 200, 400, 800),
+        (1600, 3200),
+        order=-0.5,
+        random=True,
+        sets=("*Options.steps", "*Options.walkers"),
+    ),
+    Knob(
+        "NUTS draws",
+        "of each of 4 chains",
+        "length of the chains of NUTS",
+        (25, 100, 400),
+        (1600,),
+        order=-0.5,
+        random=True,
+        sets=("*.NutsOptions.draws", "*.NutsOptions.chains", "*.NutsOptions.acceptance"),
+    ),
+    Knob(
+        "code bins",
+        "bins",
+        "intervals of codes at which a response curve is known",
+        (16, 32, 64, 128),
+        (256, 512),
+        sets=("*.code_bins.count", "*.fit_response_curve.most_bins"),
+    ),
+    Knob(
+        "curve rounds",
+        "rounds",
+        "how often smoothness and shutter errors of a response curve are found anew",
+        (1, 2, 3, 5),
+        (8, 12),
+        sets=("*.solve.rounds", "*.fit_response_curve.rounds"),
+    ),
+)
+_APART = (
+    Knob(
+        "Laplace draws",
+        "draws",
+        "of the Gaussian about the mode",
+        (100, 400, 1600, 6400),
+        (25_600, 102_400),
+        order=-0.5,
+        random=True,
+        whole=True,
+        sets=("*.laplace.draws",),
+    ),
+    Knob(
+        "starts",
+        "searches",
+        "starts over bounds and priors, of which the best is kept",
+        (1, 2, 4, 8, 16),
+        (32, 64),
+        random=True,
+        sets=("*.fit.starts", "*.spread_starts.count", "*.search.starts"),
+    ),
+)
+
+KNOBS: Mapping[str, Knob] = {knob.name: knob for knob in (*_OF_RIGS, *_APART)}
+RIG_KNOBS = tuple(knob.name for knob in _OF_RIGS)

@@ -1,0 +1,138 @@
+"""The knobs of photon transfer: how many pixels, by which likelihood, to which tolerance, and how
+the posterior is drawn. Results are figures of the sheet in their standard errors."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.accuracy.records import Compute
+from jaxvision.io import read_image
+
+from ..inference.newton import minimise
+from ..noise.calibration import BY_NAME, LIKELIHOOD, NoiseCalibration, calibrate
+from ..noise.emva1288 import evaluate, ranges
+from ..noise.fit import (
+    base_space,
+    fit_space,
+    likelihood_sheet,
+    needed_window,
+    noise_data,
+    start_vector,
+    window_of,
+)
+from ..noise.levels import PhotonTransfer, linear_levels
+from ..noise.model import cost, log_density
+from ..noise.read import check, reduce_rig
+from ..rig import Rig
+from .chains import Density, Turn, chain_knobs
+
+FEWEST = 16  # pixels along a side of a part of an image
+
+
+def noise_knobs(rig: Rig) -> Mapping[str, Turn]:
+    """The knobs of a rig's photon transfer.
+
+    Args:
+        rig: with `[[flat]]` and `[[dark]]`.
+
+    Returns:
+        By the knob's name, from a setting to a function of a seed that gives figures in their
+        standard errors.
+
+    Raises:
+        InputError: for a rig that cannot be calibrated.
+    """
+    measurement = reduce_rig(rig)
+    check(Path(rig.folder), measurement)
+    calibration = calibrate(measurement)
+    units = {
+        found.name: found.standard_error
+        for found in calibration.sheet
+        if found.method == LIKELIHOOD and found.standard_error and found.name in BY_NAME
+    }
+    names = [name for name in units if name in calibration.standard.values]
+    errors = np.array([units[name] for name in names])
+
+    def of_sheet(sheet: Mapping[str, object]) -> np.ndarray:
+        return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
+
+    def fitted(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
+        """The sheet of a linear camera, by moments that are exact, usual, or what is called for."""
+        usable, within = linear_levels(measured), ranges(measured)
+        window = None if exact is False else needed_window(measured, usable)
+        if exact and window is None:
+            window = window_of(measured, usable)
+        data = noise_data(measured, usable, window=window)
+        standard = eqx.filter_jit(evaluate)(measured, within).values
+        space = base_space(measured, within)
+        vector = fit_space(space, data, standard).vector
+        linearity = jnp.zeros(data.mean.size, bool)
+        args = (space, data, linearity)
+        return of_sheet(eqx.filter_jit(likelihood_sheet)(vector, within.saturation, args))
+
+    def likelihood(setting: str) -> Compute:
+        if setting == "moments":
+            sheet = eqx.filter_jit(evaluate)
+            return lambda seed: of_sheet(sheet(measurement, ranges(measurement)).values)
+        return lambda seed: fitted(measurement, exact=setting == "exact")
+
+    def pixels(share: float) -> Compute:
+        def compute(seed: int) -> np.ndarray:
+            rng = np.random.default_rng(seed)
+            places: dict[tuple[int, ...], tuple[slice, slice]] = {}
+
+            def part(path: Path) -> np.ndarray:
+                image = read_image(path)
+                size = image.shape[:2]
+                if size not in places:
+                    places[size] = _window(size, share, rng)
+                return image[places[size]]
+
+            return fitted(reduce_rig(rig, load=part))
+
+        return compute
+
+    return {
+        "pixels": pixels,
+        "likelihood": likelihood,
+        "solver tolerance": _tolerance(calibration),
+        **_of_posterior(calibration),
+    }
+
+
+def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tuple[slice, slice]:
+    """A part of an image of the same shape, where chance has it, beginning at even pixels, as the
+    sites of a mosaic ask for."""
+    found = []
+    for length in size:
+        wanted = max(round(length * np.sqrt(share) / 2) * 2, min(FEWEST, length))
+        first = 2 * int(rng.integers((length - wanted) // 2 + 1))
+        found.append(slice(first, first + wanted))
+    return found[0], found[1]
+
+
+def _tolerance(calibration: NoiseCalibration) -> Turn:
+    """The chosen model's search, begun at the standard's figures."""
+    fit = calibration.chosen
+    start = start_vector(fit.space, calibration.standard.values, fit.data)
+    errors = np.sqrt(np.diagonal(fit.covariance))
+
+    def turned(tolerance: float) -> Compute:
+        def compute(seed: int) -> np.ndarray:
+            found = minimise(cost, start, (fit.space, fit.data), tolerance=tolerance)
+            return np.asarray(found.vector) / errors
+
+        return compute
+
+    return turned
+
+
+def _of_posterior(calibration: NoiseCalibration) -> Mapping[str, Turn]:
+    fit = calibration.chosen
+    args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
+    posterior = calibration.posterior
+    mode = jnp.asarray(posterior.unconstrained_mode)
+    return chain_knobs(Density(log_density, fit.space, mode, posterior.covariance, args))

@@ -1,0 +1,77 @@
+"""The knobs of a response curve: how many pixels, bins of codes and rounds. Results are log
+exposures of codes in their standard errors, of the first channel that can be calibrated."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxvision.accuracy.records import Compute
+
+from ..response.calibration import calibrate
+from ..response.curve import ResponseCurve, fit_response_curve
+from ..response.places import Layout, layout_of
+from ..response.read import read_exposure_stack
+from ..response.solve import STEADIEST
+from ..rig import Rig
+from .chains import Turn
+
+PLACES = 64  # codes at which curves are compared
+
+
+def response_knobs(rig: Rig) -> Mapping[str, Turn]:
+    """The knobs of a rig's response.
+
+    Args:
+        rig: with `[[exposure]]`.
+
+    Returns:
+        By the knob's name, from a setting to a function of a seed that gives log exposures in
+        their standard errors.
+
+    Raises:
+        InputError: for a rig that cannot be calibrated.
+    """
+    stack = read_exposure_stack(rig)
+    channel = calibrate(stack).channels[0]
+    plane, whole = channel.plane, channel.curve
+    seen = whole.codes[whole.seen]
+    codes = np.linspace(seen[0], seen[-1], PLACES + 2)[1:-1]
+    errors = np.interp(codes, whole.codes, whole.standard_error)
+    every = plane.codes[:, plane.mask]
+    layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
+
+    def fitted(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:
+        curve = fit_response_curve(
+            every[:, chosen],
+            plane.exposures,
+            bits=stack.bits,
+            black=plane.black,
+            clip=plane.clip,
+            layout=Layout(layout.steepness[chosen], layout.rows[chosen], layout.columns[chosen]),
+            least_error=max(STEADIEST, plane.exposure_sd),
+            **more,
+        )
+        return _at(curve, codes) / errors
+
+    def pixels(share: float) -> Compute:
+        wanted = max(int(share * every.shape[1]), 1)
+
+        def compute(seed: int) -> np.ndarray:
+            rng = np.random.default_rng(seed)
+            return fitted(np.sort(rng.permutation(every.shape[1])[:wanted]))
+
+        return compute
+
+    everywhere = slice(None)
+    return {
+        "pixels": pixels,
+        "code bins": lambda bins: lambda seed: fitted(everywhere, most_bins=bins),
+        "curve rounds": lambda rounds: lambda seed: fitted(everywhere, rounds=rounds),
+    }
+
+
+def _at(curve: ResponseCurve, codes: np.ndarray) -> np.ndarray:
+    """Log exposure of codes, 0 at the middle one of them, linear in ln code between bins."""
+    g = np.interp(np.log(codes), np.log(curve.codes), curve.log_exposure)
+    return g - g[len(codes) // 2]

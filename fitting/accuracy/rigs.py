@@ -1,0 +1,137 @@
+"""Which fits a rig holds, as problems whose knobs can be turned."""
+
+import time
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from importlib.util import find_spec
+
+from jaxvision.accuracy import Curve, Problem, curve
+from jaxvision.accuracy.session import Clock
+from jaxvision.errors import InputError
+
+from ..rig import NEEDED, Purpose, Rig, require_images
+from .chains import Turn
+from .knobs import KNOBS, RIG_KNOBS
+
+ABOUT = (
+    "Errors are root mean squares over the results in units of their standard errors: 10 % is a "
+    "tenth of a standard error."
+)
+FITS: Mapping[str, Purpose] = {
+    "noise": "photon transfer",
+    "response": "a response calibration",
+    "brdf": "a reflectance calibration",
+}
+
+
+def fits_of(rig: Rig) -> tuple[str, ...]:
+    """The fits that a rig names all entries of.
+
+    Args:
+        rig: from `load_rig`.
+
+    Returns:
+        Of "noise", "response" and "brdf"; no unit.
+
+    Raises:
+        InputError: for none.
+    """
+    found = tuple(
+        fit
+        for fit, purpose in FITS.items()
+        if all(getattr(rig, section) for section in NEEDED[purpose])
+    )
+    if not found:
+        raise InputError(
+            f"{rig.folder}: the rig has nothing to fit; give it flats and darks, exposures, or "
+            "lights and a geometry."
+        )
+    for fit in found:
+        require_images(rig, FITS[fit])
+    return found
+
+
+def problems(rig: Rig) -> dict[str, tuple[Problem, tuple[str, ...]]]:
+    """The fits of a rig as problems.
+
+    Args:
+        rig: from `load_rig`.
+
+    Returns:
+        By the name of the fit, its problem and the knobs that turn it. Results are in standard
+        errors.
+
+    Raises:
+        InputError: for a rig that holds no fit, or one that cannot be calibrated.
+    """
+    found = {}
+    for fit in fits_of(rig):
+        make: Callable[[Rig], Mapping[str, Turn]] = getattr(
+            import_module(f"{__package__}.{fit}"), f"{fit}_knobs"
+        )
+        found[fit] = _problem(f"{rig.folder.name}, {fit}", make(rig))
+    return found
+
+
+def _problem(name: str, turns: Mapping[str, Turn]) -> tuple[Problem, tuple[str, ...]]:
+    def prepare(settings: Mapping[str, object]) -> Callable[[int], object]:
+        ((knob, setting),) = settings.items()
+        return turns[knob](setting)
+
+    known = tuple(
+        n
+        for n in KNOBS
+        if n in turns and n in RIG_KNOBS and (n != "NUTS draws" or find_spec("blackjax"))
+    )
+    return Problem(name, prepare, level=1.0, about=ABOUT), known
+
+
+def measured(
+    problem: Problem,
+    known: tuple[str, ...],
+    *,
+    names: tuple[str, ...] | None = None,
+    seconds: float = 60.0,
+    clock: Clock | None = None,
+) -> tuple[Curve, ...]:
+    """The curves of a fit's knobs, the time shared equally.
+
+    Args:
+        problem: from `problems`.
+        known: its knobs.
+        names: of those to turn; None: all.
+        seconds: s, for all.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The curves; errors in standard errors.
+
+    Raises:
+        InputError: for a knob that the fit has not.
+    """
+    for name in names or ():
+        if name not in known:
+            words = ", ".join(repr(one) for one in known)
+            raise InputError(f"{problem.name}: knob {name!r} changes nothing here; use {words}.")
+    now = clock or time.perf_counter
+    until, chosen = now() + seconds, names or known
+    found: list[Curve] = []
+    for number, name in enumerate(chosen):
+        whole = problem.prepare({"pixels": 1.0})(0) if name == "pixels" else None
+        share = max(until - now(), 1e-3) / (len(chosen) - number)
+        settings = KNOBS[name].settings
+        if name == "posterior" and not find_spec("blackjax"):
+            settings = tuple(setting for setting in settings if setting != "nuts")
+        found.append(
+            curve(
+                problem,
+                KNOBS[name],
+                settings=settings,
+                reference=whole,
+                seconds=share,
+                clock=clock,
+            )
+        )
+        if found[-1].stopped == "interrupted":
+            break
+    return tuple(found)

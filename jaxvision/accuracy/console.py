@@ -1,0 +1,72 @@
+"""What was measured, on the terminal and in a folder."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import InputError
+from .pages import write_page
+from .records import Curve, Problem
+from .scene_settings import machine
+from .tables import as_dict, notes, rows
+
+
+def check_request(seconds: float, out: Path | None) -> None:
+    """What every command that measures is asked.
+
+    Args:
+        seconds: s, to measure in.
+        out: folder of the page, or None.
+
+    Raises:
+        InputError: for no time, and a file where a folder is to be.
+    """
+    if not seconds > 0:
+        raise InputError(f"--seconds {seconds:g}: give a time above 0.")
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; give --out a folder.")
+
+
+def show(
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    command: str,
+    out: Path | None = None,
+    as_json: bool = False,
+) -> None:
+    """Prints the table, or JSON, and writes the page.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs, error against time in s.
+        command: by which it can be repeated.
+        out: folder of the page, or None.
+        as_json: whether to print JSON instead of the table.
+    """
+    written = write_page(out, problem, curves, command=command) if out is not None else ()
+    if as_json:
+        sheet = as_dict(problem, curves, machine=machine(), command=command)
+        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    print(f"{problem.name}; {machine()}")
+    print(in_columns(rows(problem, curves)))
+    print("\n".join(notes(curves)))
+    for path in written:
+        print(f"Written: {path}")
+
+
+def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
+    """Rows of cells as lines, columns below each other.
+
+    Args:
+        rows: of text, equally long.
+
+    Returns:
+        Lines; no unit.
+    """
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )

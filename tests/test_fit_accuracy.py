@@ -1,0 +1,163 @@
+"""Every approximation of a fit has its knob, and every knob turns something."""
+
+import dataclasses
+import inspect
+import json
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import called
+from public_names import functions, records
+from scipy.stats import norm
+
+import fitting
+from fitting.accuracy import KNOBS, measured, problems
+from fitting.accuracy.chains import ENDS, Density, chain_knobs
+from fitting.accuracy.examples import EXAMPLES, example
+from fitting.accuracy.knobs import RIG_KNOBS
+from fitting.accuracy.rigs import fits_of
+from fitting.cli import app
+from fitting.inference.parameters import Parameter, scalars
+from fitting.rig import load_rig
+from jaxvision.accuracy import Problem, curve
+from jaxvision.errors import InputError
+
+
+def words(text):
+    return text.split()
+
+
+# A public argument or field of one of these names trades error for time, and needs a knob ...
+WORDS = words("""
+tolerance rtol atol max_steps starts draws steps walkers chains acceptance coarse rounds count width
+reach window sampling posterior most_bins simulations repeats
+""")
+# ... unless it is one of these, where the word means something else: a result, a number of things
+# or of data, repeats that are simulated, or what several fits share.
+OTHER = words("""
+*.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
+*.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
+*.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior
+*.about_search.posterior *.about_posterior.posterior *.estimates.posterior
+*.laplace_faults.posterior
+*.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
+*.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
+*.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
+*.calibrate_lab.draws *.minimise_in_box.*
+""")
+
+
+def approximations():
+    """The dotted names, below `fitting`, of public arguments and fields with such a word."""
+    found = []
+    for name, function in functions(fitting).items():
+        found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
+    for name, record in records(fitting).items():
+        if dataclasses.is_dataclass(record):
+            found += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    apart = ("fitting.accuracy.",)
+    return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
+
+
+def matches(name, patterns):
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def test_every_approximation_has_a_knob():
+    """A new argument or field of such a name fails here until a knob names it."""
+    known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
+    found = approximations()
+    assert len(found) > 40
+    missing = [name for name in found if not matches(name, known) and not matches(name, OTHER)]
+    assert not missing
+
+
+def test_every_pattern_names_something_that_is_there():
+    every = approximations()
+    patterns = [pattern for knob in KNOBS.values() for pattern in knob.sets] + OTHER
+    assert not [p for p in patterns if not matches_any(p, every)]
+
+
+def matches_any(pattern, names):
+    return any(fnmatchcase(name, pattern) for name in names)
+
+
+def test_every_knob_turns_something():
+    assert set(KNOBS) == set(RIG_KNOBS) | set(EXAMPLES)
+    assert not set(RIG_KNOBS) & set(EXAMPLES)
+    with pytest.raises(InputError, match="has no example of its own"):
+        example("pixels")
+
+
+def gaussian(vector, args):
+    return -jnp.sum(vector**2) / 2
+
+
+def test_ends_of_intervals_are_those_of_a_gaussian_to_one_over_the_root_of_the_draws():
+    """Of two standard normal numbers, whose quantiles are known."""
+    space = tuple(n for name in "ab" for n in scalars(Parameter(name=name), ()))
+    density = Density(gaussian, space, jnp.zeros(2), np.eye(2), None)
+    turned = chain_knobs(density)["Laplace draws"]
+    exact = np.repeat(norm.ppf(ENDS)[:, None], 2, axis=1)
+    problem = Problem("two", lambda s: turned(s["Laplace draws"]), exact=exact, level=1.0)
+    found = curve(problem, KNOBS["Laplace draws"], seconds=1e5, seeds=32)
+    assert found.order is not None
+    np.testing.assert_allclose(found.order.exponent, -0.5, atol=0.1)
+    # Var of a quantile: p (1 - p) / (n density^2).
+    p = np.array(ENDS)
+    of_one = np.sqrt(np.mean(p * (1 - p) / norm.pdf(norm.ppf(p)) ** 2))
+    for trial in found.trials:
+        np.testing.assert_allclose(trial.error, of_one * trial.setting**-0.5, rtol=0.3)
+
+
+def test_a_rig_without_anything_to_fit_is_a_sentence(tmp_path):
+    (tmp_path / "rig.toml").write_text("[camera]\nbits = 8\n")
+    with pytest.raises(InputError, match="nothing to fit"):
+        fits_of(load_rig(tmp_path))
+    status, _, error = called(app, "accuracy", tmp_path, "--seconds", 0)
+    assert status == 2
+    assert "give a time above 0" in error
+
+
+def test_the_command_measures_a_rig(lab, tmp_path):
+    folder = lab[0] / "response"
+    asked = ("accuracy", folder, "--knob", "curve rounds", "--seconds", 1, "--out", tmp_path / "p")
+    status, said, _ = called(app, *asked)
+    assert status == 0
+    assert "curve rounds" in said
+    sheet = json.loads((tmp_path / "p" / "accuracy.json").read_text())
+    assert sheet["knobs"][0]["name"] == "curve rounds"
+    assert "standard error" in (tmp_path / "p" / "accuracy.html").read_text()
+    status, _, error = called(app, "accuracy", folder, "--knob", "cells")
+    assert status == 2
+    assert "knob 'cells' changes nothing here; use 'pixels'" in error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fit", ["noise", "response", "brdf"])
+def test_the_knobs_of_a_fit_reach_their_references(lab, fit):
+    """The finest setting of each is within half a standard error of the reference, but for a third
+    of the pixels; what no seed turns is exact at the reference."""
+    problem, known = problems(load_rig(lab[0] / fit))[fit]
+    assert len(known) >= 3
+    for name in known:
+        knob = KNOBS[name]
+        few = replace(knob, settings=(knob.settings[0], knob.settings[-1]))
+        whole = problem.prepare({"pixels": 1.0})(0) if name == "pixels" else None
+        found = curve(problem, few, reference=whole, seconds=1e5, seeds=3)
+        assert not found.not_run
+        assert found.trials[-1].error < (3.0 if name == "pixels" else 0.9), name
+        if name == "likelihood":
+            assert found.trials[-1].error == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_the_error_of_an_example_is_known_and_falls(name):
+    knob = KNOBS[name]
+    found = measured(example(name), (name,), seconds=1e5)[0]
+    assert found.trials[-1].error <= found.trials[0].error
+    assert knob.random
