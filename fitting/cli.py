@@ -286,7 +286,7 @@ def check(
             simulated(kind, simulations, options.out and options.out / CHECKPOINT, reporter)
         ], {}
 
-    run("Check", Path(kind), options, run_check)
+    run("Check", Path(kind), options, run_check, repeats=True)
 
 
 @app.command()

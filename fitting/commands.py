@@ -17,6 +17,7 @@ import typer
 from jaxvision.command_line import command_app, failures_as_sentences, leave
 from jaxvision.errors import InputError
 
+from .programs import compile_quickly, keep_programs
 from .report.progress import Progress, Reporter, reporting
 
 if TYPE_CHECKING:
@@ -129,8 +130,14 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     return function
 
 
-def run(title: str, path: Path, options: Options, calibrate: Calibrate) -> None:
-    """Calibrates, writes what was asked for, prints the result."""
+def run(
+    title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
+) -> None:
+    """Calibrates, writes what was asked for, prints the result. What `repeats` its fits is
+    compiled with optimisation, the rest quickly."""
+    if not repeats:
+        compile_quickly()
+    keep_programs()
     with failures(), reporting() as reporter:
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")

@@ -43,7 +43,7 @@ FLOORS = [
 PHYSICS = set.union(*FLOORS[2:16])
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
-    {"rig", "inference"},
+    {"rig", "inference", "programs"},
     {"observation", "report"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},

@@ -13,6 +13,7 @@ reflect alike at all angles, as a metal nearly does.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -199,6 +200,7 @@ def unit_shading(
     return _over_pairs(shading, model, shape, wi, wo, index)
 
 
+@eqx.filter_jit
 def _over_pairs(
     of_pair: Callable[[Material, Vec, Vec], Array],
     model: Model,

@@ -1,7 +1,7 @@
 """Pictures of a response calibration: curves, departures from gamma, exposure offsets, the merged
 map and its coverage."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -166,7 +166,7 @@ def tone_mapped(radiance: np.ndarray) -> np.ndarray:
     sRGB; values in 0..1, a NaN drawn black."""
     positive = np.maximum(np.nan_to_num(radiance.astype(np.float64)), 1e-12)
     relative = 0.36 * positive / np.exp(np.nanmean(np.log(np.maximum(radiance, 1e-12))))
-    return np.asarray(srgb_encode(jnp.asarray(relative / (1 + relative))))
+    return np.asarray(jax.jit(srgb_encode)(relative / (1 + relative)))
 
 
 def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.ndarray, float]:

@@ -353,7 +353,7 @@ def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
 
 def _srgb(curve: ResponseCurve) -> np.ndarray:
     encoded = (curve.codes - curve.bins.black) / (curve.bins.full_scale - curve.bins.black)
-    return np.log(np.asarray(srgb_decode(jnp.asarray(encoded))))
+    return np.log(np.asarray(jax.jit(srgb_decode)(encoded)))
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:

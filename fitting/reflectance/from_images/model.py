@@ -119,6 +119,7 @@ class Samples(eqx.Module):
     offset: Float[Array, " samples"] | None = None
 
 
+@eqx.filter_jit
 def lobe(
     form: Form, geometry: Float[Array, " samples"] | Invariants, shape: Float[Array, ""]
 ) -> Float[Array, " samples"]:
@@ -159,6 +160,7 @@ def _directions(model: Model, seen: Invariants) -> tuple[Vec, Vec]:
     return wi, Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
 
 
+@eqx.filter_jit
 def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Array:
     """X, as a linear camera would give it.
 
@@ -199,6 +201,7 @@ def encoding_gamma(vector: Float[Array, " parameters"], samples: Samples) -> Arr
     return jnp.exp(vector[-1]) if samples.form.free_gamma else samples.gamma
 
 
+@eqx.filter_jit
 def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array:
     """Digital numbers before clipping.
 

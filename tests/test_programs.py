@@ -1,0 +1,90 @@
+"""How the commands compile: what the user set stands, entries of a killed run do no harm."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fitting import programs
+
+OURS = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+
+
+@pytest.fixture
+def untouched(monkeypatch, tmp_path):
+    """An environment that says nothing, and an empty cache folder."""
+    for name in (*OURS, "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"):
+        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path
+
+
+def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouched, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    programs.compile_quickly()
+    assert os.environ["XLA_FLAGS"] == ""
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setattr(programs, "version", lambda name: "0.11.0")
+    programs.compile_quickly()
+    assert "XLA_FLAGS" not in os.environ
+    monkeypatch.setattr(programs, "version", lambda name: "0.10.9")
+    programs.compile_quickly()
+    assert "optimization_level=0" in os.environ["XLA_FLAGS"]
+
+
+def test_programs_are_kept_where_they_may_be(untouched, monkeypatch):
+    programs.keep_programs()
+    folder = os.environ.pop("JAX_COMPILATION_CACHE_DIR")
+    assert folder.startswith(str(untouched / "jaxvision"))
+    assert os.path.isdir(folder)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
+    programs.keep_programs()
+    assert os.environ.pop("JAX_COMPILATION_CACHE_DIR") == ""
+    (untouched / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(untouched / "file"))
+    programs.keep_programs()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
+
+
+def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
+    other = untouched / "jaxvision" / "0.1-ab"
+    other.mkdir(parents=True)
+    for age in range(10):
+        (other / f"{age}").write_bytes(b"x" * 100)
+        os.utime(other / f"{age}", (2e9 - age, 2e9 - age))
+    monkeypatch.setattr(programs, "_MOST_BYTES", 1000)
+    programs.keep_programs()
+    assert len(list(other.iterdir())) == 10
+    monkeypatch.setattr(programs, "_MOST_BYTES", 999)
+    programs.keep_programs()
+    del os.environ["JAX_COMPILATION_CACHE_DIR"]
+    programs.keep_programs()
+    assert sorted(path.name for path in other.iterdir()) == ["0", "1", "2", "3", "4"]
+
+
+PROGRAM = """
+from fitting.programs import compile_quickly, keep_programs
+compile_quickly()
+keep_programs()
+import jax.numpy as jnp
+print(float(jnp.linspace(0, 1, 7).sum()))
+"""
+
+
+def test_half_written_programs_are_compiled_anew(untouched):
+    def run():
+        environment = dict(os.environ)
+        return subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True
+        )
+
+    first = run()
+    kept = list(untouched.rglob("*-cache"))
+    assert len(kept) == 2
+    for entry in kept:
+        entry.write_bytes(entry.read_bytes()[:20])
+    again = run()
+    assert (first.stdout, first.stderr) == ("3.5\n", "")
+    assert (again.stdout, again.stderr) == ("3.5\n", "")
