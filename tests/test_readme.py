@@ -25,7 +25,8 @@ README = (Path(__file__).parents[1] / "README.md").read_text()
 COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
 INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"} | {
-    "check brdf": "check brdf --simulations 4"
+    "check brdf": "check brdf --simulations 4",
+    "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 1",
 }
 
 
@@ -106,8 +107,8 @@ def workplace(tmp_path, monkeypatch, lab):
     write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
     for kind in ("noise", "response", "brdf"):
         (tmp_path / kind).symlink_to(lab[0] / kind)
-    for kind in ("joint", "plan"):
-        (tmp_path / kind).symlink_to(lab[0] / "brdf")
+    for kind, of in (("joint", "brdf"), ("plan", "brdf"), ("accuracy", "response")):
+        (tmp_path / kind).symlink_to(lab[0] / of)
     return tmp_path
 
 

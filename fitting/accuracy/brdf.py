@@ -14,23 +14,25 @@ from jaxvision.accuracy.records import Compute
 from jaxvision.errors import InputError
 
 from ..inference.newton import minimise
-from ..reflectance.from_images.calibration import ReflectanceCalibration, calibrate
-from ..reflectance.from_images.fit import ChannelFit
+from ..observation import Load
+from ..reflectance.from_images.fit import ChannelFit, fit_channel
 from ..reflectance.from_images.geometry_cells import Grouping, average, group
-from ..reflectance.from_images.model import Samples, negative_log_likelihood
+from ..reflectance.from_images.model import Form, Samples, negative_log_likelihood
 from ..reflectance.from_images.posterior import composite, composite_log_density
-from ..reflectance.from_images.read import read_reflectance_observation
+from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
+from ..reflectance.from_images.samples import Selection, select
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
 AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 
-def brdf_knobs(rig: Rig) -> Mapping[str, Turn]:
+def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     """The knobs of a rig's reflectance.
 
     Args:
         rig: with `[[light]]` and `[geometry]`.
+        load: how an image is had by its path.
 
     Returns:
         By the knob's name, from a setting to a function of a seed that gives parameters in their
@@ -40,8 +42,13 @@ def brdf_knobs(rig: Rig) -> Mapping[str, Turn]:
         InputError: for a rig that cannot be calibrated, and where every channel leaves something
             open.
     """
-    calibration = calibrate(read_reflectance_observation(rig), model="phong")
-    fit = next((f for f in calibration.reported if f.channel in calibration.posteriors), None)
+    observation = read_reflectance_observation(rig, load=load)
+    form = Form("phong")
+    chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
+    usual = _grouping(observation, chosen, 1.0)
+    every = range(len(observation.channels))
+    fits = (fit_channel(observation, channel, form, chosen, usual) for channel in every)
+    fit = next((one for one in fits if one.robustness is not None), None)
     if fit is None or fit.robustness is None:
         raise InputError(
             f"{rig.folder}: the images leave a parameter open in every channel; see what "
@@ -67,7 +74,7 @@ def brdf_knobs(rig: Rig) -> Mapping[str, Turn]:
     def cells(width: float | str) -> Compute:
         if isinstance(width, str):
             return lambda seed: searched(fit.samples)
-        grouping = _grouping(calibration, width)
+        grouping = _grouping(observation, chosen, width)
         return lambda seed: searched(average(fit.samples, grouping))
 
     turns = {
@@ -75,7 +82,7 @@ def brdf_knobs(rig: Rig) -> Mapping[str, Turn]:
         "cells": cells,
         "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
     }
-    return {**turns, **chain_knobs(_density(fit, _grouping(calibration, 1.0)))}
+    return {**turns, **chain_knobs(_density(fit, usual))}
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
@@ -95,9 +102,8 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
     )
 
 
-def _grouping(calibration: ReflectanceCalibration, width: float) -> Grouping:
-    light, pixel = calibration.fitted.light, calibration.fitted.pixel
-    observation = calibration.observation
+def _grouping(observation: ReflectanceObservation, chosen: Selection, width: float) -> Grouping:
+    light, pixel = chosen.light, chosen.pixel
     angles = observation.cosine[light, pixel], observation.mirror_angle[light, pixel]
     return group(light, *angles, width=width)
 

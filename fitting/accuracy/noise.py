@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxvision.accuracy.records import Compute
-from jaxvision.io import read_image
 
 from ..inference.newton import minimise
 from ..noise.calibration import BY_NAME, LIKELIHOOD, NoiseCalibration, calibrate
@@ -26,17 +25,19 @@ from ..noise.fit import (
 from ..noise.levels import PhotonTransfer, linear_levels
 from ..noise.model import cost, log_density
 from ..noise.read import check, reduce_rig
+from ..observation import Load
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
 FEWEST = 16  # pixels along a side of a part of an image
 
 
-def noise_knobs(rig: Rig) -> Mapping[str, Turn]:
+def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     """The knobs of a rig's photon transfer.
 
     Args:
         rig: with `[[flat]]` and `[[dark]]`.
+        load: how an image is had by its path.
 
     Returns:
         By the knob's name, from a setting to a function of a seed that gives figures in their
@@ -45,7 +46,7 @@ def noise_knobs(rig: Rig) -> Mapping[str, Turn]:
     Raises:
         InputError: for a rig that cannot be calibrated.
     """
-    measurement = reduce_rig(rig)
+    measurement = reduce_rig(rig, load=load)
     check(Path(rig.folder), measurement)
     calibration = calibrate(measurement)
     units = {
@@ -85,7 +86,7 @@ def noise_knobs(rig: Rig) -> Mapping[str, Turn]:
             places: dict[tuple[int, ...], tuple[slice, slice]] = {}
 
             def part(path: Path) -> np.ndarray:
-                image = read_image(path)
+                image = load(path)
                 size = image.shape[:2]
                 if size not in places:
                     places[size] = _window(size, share, rng)

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxvision.accuracy.records import Compute
 
+from ..observation import Load
 from ..response.calibration import calibrate
 from ..response.curve import ResponseCurve, fit_response_curve
 from ..response.places import Layout, layout_of
@@ -19,11 +20,12 @@ from .chains import Turn
 PLACES = 64  # codes at which curves are compared
 
 
-def response_knobs(rig: Rig) -> Mapping[str, Turn]:
+def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     """The knobs of a rig's response.
 
     Args:
         rig: with `[[exposure]]`.
+        load: how an image is had by its path.
 
     Returns:
         By the knob's name, from a setting to a function of a seed that gives log exposures in
@@ -32,7 +34,7 @@ def response_knobs(rig: Rig) -> Mapping[str, Turn]:
     Raises:
         InputError: for a rig that cannot be calibrated.
     """
-    stack = read_exposure_stack(rig)
+    stack = read_exposure_stack(rig, load=load)
     channel = calibrate(stack).channels[0]
     plane, whole = channel.plane, channel.curve
     seen = whole.codes[whole.seen]

@@ -8,7 +8,9 @@ from importlib.util import find_spec
 from jaxvision.accuracy import Curve, Problem, curve
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
+from jaxvision.io import read_image
 
+from ..observation import Load
 from ..rig import NEEDED, Purpose, Rig, require_images
 from .chains import Turn
 from .knobs import KNOBS, RIG_KNOBS
@@ -46,16 +48,15 @@ def fits_of(rig: Rig) -> tuple[str, ...]:
             f"{rig.folder}: the rig has nothing to fit; give it flats and darks, exposures, or "
             "lights and a geometry."
         )
-    for fit in found:
-        require_images(rig, FITS[fit])
     return found
 
 
-def problems(rig: Rig) -> dict[str, tuple[Problem, tuple[str, ...]]]:
+def problems(rig: Rig, *, load: Load = read_image) -> dict[str, tuple[Problem, tuple[str, ...]]]:
     """The fits of a rig as problems.
 
     Args:
         rig: from `load_rig`.
+        load: how an image is had by its path, for images in memory.
 
     Returns:
         By the name of the fit, its problem and the knobs that turn it. Results are in standard
@@ -66,10 +67,12 @@ def problems(rig: Rig) -> dict[str, tuple[Problem, tuple[str, ...]]]:
     """
     found = {}
     for fit in fits_of(rig):
-        make: Callable[[Rig], Mapping[str, Turn]] = getattr(
+        if load is read_image:
+            require_images(rig, FITS[fit])
+        make: Callable[[Rig, Load], Mapping[str, Turn]] = getattr(
             import_module(f"{__package__}.{fit}"), f"{fit}_knobs"
         )
-        found[fit] = _problem(f"{rig.folder.name}, {fit}", make(rig))
+        found[fit] = _problem(f"{rig.folder.name}, {fit}", make(rig, load))
     return found
 
 

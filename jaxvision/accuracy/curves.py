@@ -137,6 +137,8 @@ def _told(
     own = reference.error
     if session.knob.random and reference.how == "other seeds":
         own = max(own, _gap(points[-1], some, own))
+    if len(turned := session.knob.settings) > 1 and session.points.keys() == {reference.setting}:
+        own = np.inf if reference.setting == turned[0] else own  # what all share does not show
     relative = replace(reference, error=own / level)
     trials = [_trial(problem, session.knob, p, exact, level, relative.error, names) for p in points]
     return Curve(

@@ -1,0 +1,266 @@
+"""The atlas of accuracy against time: every knob's curve on shipped scenes, on the examples of
+`jaxvision.accuracy` and `fitting.accuracy` and on the rigs of a simulated afternoon, with the
+points of peers that do the same job, as pages for `docs/`.
+
+    python tests/benchmarks/atlas.py [--seconds 30] [--kept DIR] [--out docs/atlas] [--only WORD]
+
+Each knob takes `--seconds`, its compilation included; at 30 s the whole takes about half an hour on
+two cores. Killed, it goes on where it was: curves and compiled programs are kept in `--kept`.
+Peers that are not installed (OpenCV, Mitsuba; Mitsuba needs `DRJIT_LIBLLVM_PATH`) are left out.
+"""
+
+import argparse
+import io
+import os
+import pickle
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("JAX_ENABLE_X64", "1")
+
+import jax
+import matplotlib
+from atlas_peers import PEERS, Peer, sine_problem, stack_problem
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from fitting.accuracy import KNOBS as FIT_KNOBS
+from fitting.accuracy import measured as fit_measured
+from fitting.accuracy import problems
+from fitting.accuracy.examples import EXAMPLES as FIT_EXAMPLES
+from fitting.accuracy.examples import example as fit_example
+from fitting.demo.lab import simulate_lab
+from fitting.rig import load_rig
+from jaxvision.accuracy import KNOBS, Curve, Problem, curve, knobs_of, measured, plot
+from jaxvision.accuracy.examples import cameras, example, examples, light, pictures
+from jaxvision.accuracy.scene_settings import machine
+from jaxvision.accuracy.tables import rows
+from jaxvision.render_command import with_resolution
+from jaxvision.scene_files import read_scene
+
+STYLE = (
+    "<style>svg{color:#1b1f24;background:#fff}@media (prefers-color-scheme:dark)"
+    "{svg{color:#e6edf3;background:#0d1117}}</style>"
+)
+INK, PEER = "#010203", "#8250df"
+SCENES = (  # name, integrator, pixels a side
+    ("cornell_box", "path", 128),
+    ("cornell_box", "direct", 256),
+    ("cornell_box", "radiosity", 128),
+    ("glass_and_mirror", "rays", 128),
+)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One knob measured.
+
+    Attributes:
+        page: title of the page.
+        problem: its name.
+        rows: cells of the table, without the heads.
+        curve: error against time.
+        peers: points of others.
+    """
+
+    page: str
+    problem: str
+    rows: tuple[tuple[str, ...], ...]
+    curve: Curve
+    peers: tuple[Peer, ...]
+
+
+Job = Callable[[float], tuple[Problem, Curve]]
+
+
+def jobs(kept: Path) -> dict[str, tuple[str, Job]]:
+    """Page and measurement of every knob, by a name that files can have."""
+    found: dict[str, tuple[str, Job]] = {}
+    for page, room in (("Pictures", pictures), ("Cameras", cameras), ("Light", light)):
+        for knob in room.EXAMPLES:
+            found[f"example {knob}"] = page, _of_example(example, KNOBS, knob)
+    assert {f"example {knob}" for knob in examples()} <= found.keys()
+    for knob in FIT_EXAMPLES:
+        found[f"fit {knob}"] = "Fits", _of_example(fit_example, FIT_KNOBS, knob)
+    for name, made in (("stack pixels", stack_problem), ("sine chain length", sine_problem)):
+        found[name] = "Fits", _of_peers(made)
+    for fit in ("noise", "response", "brdf"):
+        for knob in _OF_FITS[fit]:
+            found[f"{fit} {knob}"] = "Fits", _of_rig(kept / "lab", fit, knob)
+    for name, integrator, side in SCENES:
+        source = _replaced(read_scene(name), integrator, side)
+        for knob in knobs_of(source, source.render):
+            found[f"{name} {integrator} {knob}"] = "Scenes", _of_scene(source, knob)
+    return found
+
+
+_CHAINS = ("solver tolerance", "pixels", "posterior", "chain length", "NUTS draws")
+_OF_FITS = {
+    "noise": ("likelihood", *_CHAINS),
+    "response": ("pixels", "code bins", "curve rounds"),
+    "brdf": ("cells", *_CHAINS),
+}
+
+
+def _replaced(source, integrator, side):
+    settings = source.render.model_copy(update={"integrator": integrator})
+    return replace(source, render=settings, view=with_resolution(source.view, (side, side)))
+
+
+def _of_scene(source, knob: str) -> Job:
+    def job(seconds: float) -> tuple[Problem, Curve]:
+        problem, (found,) = measured(source, source.render, names=(knob,), seconds=seconds)
+        return problem, found
+
+    return job
+
+
+def _of_example(make, knobs, knob: str) -> Job:
+    def job(seconds: float) -> tuple[Problem, Curve]:
+        problem = make(knob)
+        return problem, curve(problem, knobs[knob], seconds=seconds)
+
+    return job
+
+
+_KNOWN: dict[Path, dict] = {}
+
+
+def _of_rig(lab: Path, fit: str, knob: str) -> Job:
+    def job(seconds: float) -> tuple[Problem, Curve]:
+        if not (lab / "brdf" / "rig.toml").exists():
+            simulate_lab(lab)
+        if lab / fit not in _KNOWN:
+            _KNOWN[lab / fit] = problems(load_rig(lab / fit))
+        problem, known = _KNOWN[lab / fit][fit]
+        (found,) = fit_measured(problem, known, names=(knob,), seconds=seconds)
+        return problem, found
+
+    return job
+
+
+def _of_peers(made) -> Job:
+    def job(seconds: float) -> tuple[Problem, Curve]:
+        problem, knob = made()
+        return problem, curve(problem, knob, seconds=seconds)
+
+    return job
+
+
+def measure(name: str, page: str, job: Job, kept: Path, seconds: float) -> Sheet:
+    """A knob's sheet, from the folder where it was kept."""
+    file = kept / f"{slug(name)}.pickle"
+    if file.exists():
+        return pickle.loads(file.read_bytes())
+    problem, found = job(seconds)
+    peers = tuple(PEERS[name](problem, found)) if name in PEERS else ()
+    sheet = Sheet(page, problem.name, tuple(rows(problem, [found])[1:]), found, peers)
+    part = file.with_suffix(".part")
+    part.write_bytes(pickle.dumps(sheet))
+    part.rename(file)
+    print(f"{name}: {found.taken:.0f} s", *sheet.rows[0], flush=True)
+    return sheet
+
+
+def slug(name: str) -> str:
+    return re.sub(r"\W+", "_", name)
+
+
+def _few(value: float, _: int) -> str:
+    """Labels of 2 and 5 between decades."""
+    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
+
+
+def drawn(sheet: Sheet) -> str:
+    """The curve with its peers as SVG that is dark where its reader is."""
+    inked = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
+    style = dict.fromkeys(inked.split(), INK)
+    with matplotlib.rc_context(
+        {**style, "svg.fonttype": "none", "font.size": 9, "svg.hashsalt": "jaxvision"}
+    ):
+        figure = Figure(figsize=(3.6, 2.8), layout="constrained")
+        axes = figure.add_subplot()
+        axes.patch.set_alpha(0)
+        figure.patch.set_alpha(0)
+        plot(sheet.curve, axes=axes)
+        for peer in sheet.peers:
+            axes.plot(peer.seconds, 100 * peer.error, "^", color=PEER, ms=5)
+            place = (peer.seconds, 100 * peer.error)
+            axes.annotate(peer.name, place, (5, -9), textcoords="offset points", color=PEER)
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
+            axis.set_minor_formatter(_few if high < 20 * low else NullFormatter())
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    head, rest = svg.split(">", 1)
+    shorter = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\.\d\d)\d+", r"\1", d[0]), rest)
+    return head + ">" + STYLE + shorter
+
+
+def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path, seconds: float) -> None:
+    """Pages and plots; what is not measured yet is named."""
+    out.mkdir(parents=True, exist_ok=True)
+    pages: dict[str, list[str]] = {}
+    for name, sheet in sheets.items():
+        (out / f"{slug(name)}.svg").write_text(drawn(sheet), encoding="utf-8")
+        pages.setdefault(sheet.page, []).append(name)
+    lines = [
+        "# What accuracy costs: an atlas",
+        "",
+        f"Measured on {machine()}, at most {seconds:g} s a knob, by",
+        "`python tests/benchmarks/atlas.py`.",
+        "Times are warm, those of scenes of the whole picture. Errors are relative root mean",
+        "squares, of fits in standard errors. Labels are settings; hollow points lie within three",
+        "times the error of the reference (dashed); triangles are peers. `not reached` also stands",
+        "where the time of a knob was too short for finer settings.",
+        "",
+    ]
+    for page, names in pages.items():
+        lines += [f"## {page}", "", "| problem | knob | order | 10 % | 1 % | 0.1 % |"]
+        lines.append("| --- | --- | --- | --- | --- | --- |")
+        for name in names:
+            sheet = sheets[name]
+            lines += [f"| {sheet.problem} | {' | '.join(row)} |" for row in sheet.rows]
+            told = ", ".join(
+                f"{p.name} {100 * p.error:.2g} % in {1e3 * p.seconds:.3g} ms" for p in sheet.peers
+            )
+            if told:
+                lines.append(f"| | peers of {sheet.curve.knob.name} | {told} | | | |")
+        lines.append("")
+        lines += [f'<img src="atlas/{slug(n)}.svg" width="32%" alt="{n}">' for n in names]
+        lines.append("")
+    if missing:
+        lines += [f"Not measured yet: {', '.join(missing)}.", ""]
+    (out.parent / f"{out.name}.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--kept", type=Path, default=Path(".atlas"))
+    parser.add_argument("--out", type=Path, default=Path("docs/atlas"))
+    parser.add_argument("--only", default="")
+    parser.add_argument("--write", action="store_true", help="pages of what is kept already")
+    asked = parser.parse_args(arguments)
+    asked.kept.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_compilation_cache_dir", str(asked.kept / "compiled"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    every = jobs(asked.kept)
+    sheets = {
+        name: measure(name, page, job, asked.kept, asked.seconds)
+        for name, (page, job) in every.items()
+        if asked.only in name
+        and (not asked.write or (asked.kept / f"{slug(name)}.pickle").exists())
+    }
+    if asked.write or not asked.only:
+        missing = [name for name in every if name not in sheets]
+        written(sheets, missing, asked.out, asked.seconds)
+
+
+if __name__ == "__main__":
+    main()
