@@ -191,10 +191,9 @@ def test_intervals_under_errors_of_light_hold():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["clean", "hand-held JPEG"])
+@pytest.mark.parametrize("case", ["clean", "JPEG", "hand-held JPEG"])
 def test_bands_of_a_response_hold(case):
-    """Never fewer than they say; bands that rest on few tiles and exposures hold more."""
     stack = response.CASES[case]
     places = simulated(lambda seed: response.places(stack, seed), 60, parameters=5)
     for one in coverage(places, response.NAMES):
-        assert one.held[-1] >= one.band[-1][0], one
+        assert not one.faults, one

@@ -9,7 +9,8 @@ from fitting.response.code_bins import code_bins
 from fitting.response.code_pairs import pair_statistics
 from fitting.response.curve import fit_response_curve
 from fitting.response.pixel_noise import NoiseModel
-from fitting.response.solve import roughness, shutter_basis
+from fitting.response.places import clear_of_clipping
+from fitting.response.solve import Hyperparameters, roughness, shutter_basis, solve
 from fitting.response.weights import hat_rule, noise_rule, observe
 from jaxvision.errors import InputError
 
@@ -232,3 +233,32 @@ def test_measured_curves_are_recovered(data_folder):
         errors.append(log_rms(curve.log_exposure[judged], truth[judged]))
     assert np.median(errors) < 0.01
     assert max(errors) < 0.05
+
+
+def test_neighbours_of_clipped_codes_count_as_clipped():
+    """Against a loop over the pixels."""
+    codes = np.random.default_rng(0).integers(0, 254, (2, 30, 40)).astype(np.uint16)
+    codes[0, 3, 5] = codes[0, 29, 39] = codes[1, 15, 0] = 254
+    found = clear_of_clipping(codes, 253.5)
+    for (frame, row, column), code in np.ndenumerate(codes):
+        near = codes[frame, max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5]
+        assert found[frame, row, column] == (254 if (near == 254).any() else code)
+    assert found.dtype == codes.dtype
+
+
+def test_smoothness_settles_from_either_side():
+    """What a fit suggests is what it used; a pure gamma is as smooth as counts."""
+    _, codes = exposure_stack(CURVES["s-shaped"], TIMES, np.random.default_rng(3), pixels=1500)
+    bins = code_bins(8, 0.0, 255.0, count=60)
+    means = 2.2 * np.log(bins.centres)
+    means -= means[bins.middle]
+    one = np.zeros(codes.shape[1], int)
+    found = pair_statistics(codes, one, np.log(TIMES), bins, hat_rule(bins), means)
+    ends = [
+        solve([found], np.log(TIMES), bins, Hyperparameters(start, 1e-3), rounds=30)
+        for start in (40.0, 1e5)
+    ]
+    low, high = (end.used.smoothness for end in ends)
+    assert low == pytest.approx(high, rel=0.2)
+    for end in ends:
+        assert end.suggested.smoothness == pytest.approx(end.used.smoothness, rel=0.1)

@@ -11,7 +11,7 @@ from jaxvision.errors import InputError
 from ..inference.emcee_run import SamplingOptions, for_group
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
-from .places import layout_of
+from .places import clear_of_clipping, layout_of
 from .radiance_map import RadianceMap, merge
 from .read import ExposureStack, Plane
 from .solve import STEADIEST
@@ -86,8 +86,9 @@ def calibrate(
 def _calibrate(
     plane: Plane, stack: ExposureStack, sampling: SamplingOptions | None, seed: int
 ) -> ChannelResponse:
+    codes = clear_of_clipping(plane.codes, plane.clip)
     curve = fit_response_curve(
-        plane.codes[:, plane.mask],
+        codes[:, plane.mask],
         plane.exposures,
         bits=stack.bits,
         black=plane.black,

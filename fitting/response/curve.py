@@ -11,8 +11,10 @@ A pure least-squares fit would shrink the curve, because g multiplies noisy code
 what its gradient amounts to at the true curve (the corrected score of Nakamura, Biometrika 77,
 1990). Errors of all shutters in common, delta ~ 1 or delta ~ ln t, are indistinguishable from
 another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
-sum (ln t - mean)^2, is added to the posterior. So is, code by code, an error as large as the terms
-of second order that logarithms of noisy codes leave out, the variance of ln X itself.
+sum (ln t - mean)^2, is added to the posterior. So are, code by code, a tenth of the variance of
+ln X itself, what the score leaves of the bias of noisy logarithms; and of the slope, half of that
+variance which does not fall with the light: misregistration and compression, which are no noise of
+a code alone, so that it is open how much of them the score should take for one.
 
 Of a photograph, no more is believed than repeats: where tiles of the picture or exposures of the
 stack differ by more than this posterior allows, their jackknife (`repeats.py`) sets the error.
@@ -37,14 +39,16 @@ from .code_pairs import PairStatistics, pair_statistics, total
 from .pilot import fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import Layout, steepness_classes, tiles_of
-from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
-from .solve import SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
-from .weights import hat_rule, noise_rule
+from .repeats import HeldOut, Repeats, Shutter, over_exposures, over_tiles, widened
+from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
+from .weights import WeightRule, cells_of, hat_rule, noise_rule
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
 PILOT_BINS = 140
 FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed twice: fewer may all be hot pixels
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
+UNCORRECTED = 0.1  # of the variance of ln X, the bias that the score may leave
+DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,19 @@ class ResponseCurve:
         return bool((step > -3 * np.sqrt(np.maximum(variance, 0))).all())
 
 
+def slope_error(noise: NoiseModel) -> float:
+    """Relative error of the slope of a curve, and of gamma, that correcting for a relative variance
+    may be.
+
+    Args:
+        noise: of the pixels.
+
+    Returns:
+        Its standard deviation.
+    """
+    return DOUBTFUL * noise.relative
+
+
 def fit_response_curve(
     codes: Integer[np.ndarray, "exposures pixels"],
     exposures: Float[np.ndarray, " exposures"],
@@ -123,7 +140,7 @@ def fit_response_curve(
     layout: Layout | None = None,
     least_error: float = STEADIEST,
     most_bins: int = MAX_BINS,
-    rounds: int = 3,
+    rounds: int = MOST_ROUNDS,
 ) -> ResponseCurve:
     """The response curve of one channel.
 
@@ -137,7 +154,7 @@ def fit_response_curve(
             independent.
         least_error: lowest error of ln t that is believed of the shutter.
         most_bins: at most so many intervals of codes.
-        rounds: how often the curve is solved for, smoothness and shutter errors between.
+        rounds: how often the curve is solved for at most, smoothness and shutter errors between.
 
     Returns:
         The curve.
@@ -181,7 +198,8 @@ def fit_response_curve(
                 "times and the black level."
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
-        return _curve(found, total(tiles), bins, noise, exposures[in_use], tau, left_out)
+        seen = _expected(rule, found.means)
+        return _curve(found, total(tiles), bins, noise, exposures[in_use], tau, left_out, seen)
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
@@ -240,6 +258,13 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
     return found.suggested.shutter_error if shaky else None
 
 
+def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
+    """Bins whose own exposure is observed in some class; others hold the tails of noise alone."""
+    assert rule.weight is not None
+    cells = cells_of(rule, means, np.zeros(len(means), int))
+    return np.any(rule.weight[:, cells] > 0, axis=0, keepdims=True)[0]
+
+
 def _curve(
     found: Solution,
     statistics: PairStatistics,
@@ -247,13 +272,17 @@ def _curve(
     noise: NoiseModel,
     exposures: np.ndarray,
     tau: float | None,
-    left_out: tuple[Repeats, HeldOut] | tuple[None, None],
+    left_out: tuple[Repeats | None, HeldOut | None],
+    expected: np.ndarray,
 ) -> ResponseCurve:
     middle, size = bins.middle, len(found.means)
     g = at_centres(found.means, middle)
     covariance = at_centres(found.covariance[:size, :size], middle)
-    covariance = at_centres(covariance.T, middle).T + np.diag(noise_variance(noise, g) ** 2)
-    shutter = np.zeros(size) if tau is None else g**2 * tau**2 / spread_of_times(exposures)
+    covariance = at_centres(covariance.T, middle).T
+    covariance += np.diag((UNCORRECTED * noise_variance(noise, g)) ** 2 * (g != 0))
+    covariance += np.outer(g, g) * slope_error(noise) ** 2
+    likely = found.suggested.shutter_error if len(found.free) else 0.0
+    shutter = Shutter(g**2 * likely**2 / spread_of_times(exposures), len(found.free))
     by_exposures, held_out = left_out
     covariance, freedom = widened(covariance, shutter, over_tiles(found, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
@@ -262,7 +291,7 @@ def _curve(
         log_exposure=g,
         covariance=covariance,
         freedom=freedom,
-        seen=np.diagonal(statistics.matrix)[:size] > 0,
+        seen=(np.diagonal(statistics.matrix)[:size] > 0) & expected,
         bin_means=found.means,
         exposures=exposures,
         shutter_offsets=found.delta,

@@ -207,9 +207,15 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             "The exposure times agree with the images within pixel noise; no shutter error is seen."
         )
     if few:
+        count = len(few[0].curve.exposures)
+        rests = (
+            "the intervals rest on that one figure (Student's t with one degree of freedom)"
+            if count > 2
+            else "the intervals of gamma rest on the assumption of about 1 % (within a factor of "
+            "4.5), and the bands take the times for exact"
+        )
         found.append(
-            f"{len(few[0].curve.exposures)} exposures show next to nothing of the shutter's error: "
-            "the intervals of gamma rest on the assumption of about 1 % (a factor of 4.5 either "
-            "way); take more exposures."
+            f"{count} exposures show {'one error' if count > 2 else 'nothing'} of the shutter: "
+            f"{rests}; take more exposures."
         )
     return found

@@ -16,7 +16,7 @@ integrated out, and the interval integrates over ln tau: Student's t when the im
 prior on tau when they are few.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -39,10 +39,11 @@ from ..inference.parameters import (
 )
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from ..inference.priors import LogNormal
-from .curve import ResponseCurve
+from .curve import ResponseCurve, slope_error
 from .solve import shutter_basis, spread_of_times
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
+SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
@@ -53,6 +54,12 @@ SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="", transform="log", prior=SHUTTER_PRIOR
 )
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
+
+
+def space_of(free: int) -> ParameterSpace:
+    """Gamma and the shutter error, by how many of its errors are visible."""
+    shown = SHUTTER_SHOWN if free else SHUTTER_PRIOR
+    return GAMMA, replace(SHUTTER_ERROR, prior=shown)
 
 
 class GammaSums(eqx.Module):
@@ -69,7 +76,7 @@ class GammaSums(eqx.Module):
         score_d: (free,) of d.
         spread: sum of squares of the log exposure times about their mean.
         known: tau that is known beforehand, in quadrature beneath the fitted one.
-        added: variance of gamma from elsewhere: of black, and between weightings.
+        added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
     """
 
     cc: Float[Array, ""]
@@ -152,11 +159,12 @@ def fit_gamma(
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
     start = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
-    mode = _mode(to_unconstrained(SPACE, start), sums)
-    found = laplace(log_density, SPACE, mode, sums, seed=seed)
+    space = space_of(sums.td.size)
+    mode = _mode(to_unconstrained(space, start), sums)
+    found = laplace(log_density, space, mode, sums, seed=seed)
     if sampling is not None:
         found = sample(
-            log_density, SPACE, mode, found.covariance, sums, options=sampling, seed=seed
+            log_density, space, mode, found.covariance, sums, options=sampling, seed=seed
         )
         gamma, tau = estimates(found, group=label)
     else:
@@ -171,7 +179,7 @@ def fit_gamma(
         departure=_departure(curve, gamma.value * np.log(curve.codes - curve.bins.black)),
         srgb_departure=_departure(curve, _srgb(curve)),
         dispersion=dispersion,
-        findings=identifiability(SPACE, information).sentences,
+        findings=identifiability(space, information).sentences,
     )
 
 
@@ -237,7 +245,7 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
         - jnp.log(given.variance) / 2
         + given.log_evidence
         + vector[0]
-        + log_prior(SPACE, vector)
+        + log_prior(space_of(sums.td.size), vector)
     )
 
 
@@ -266,15 +274,17 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
 def _from_elsewhere(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Variance of gamma that the pixels' weighted fit does not know: of the black level, and what
-    another weighting changes beyond that one's own error (Hausman, Econometrica 46, 1978)."""
+    """Variance of gamma that the pixels' weighted fit does not know: of the black level, of the
+    correction for errors that are no noise, and what another weighting changes beyond that one's
+    own error (Hausman, Econometrica 46, 1978)."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)
     moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion, 0.0), tau).mean)
     of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
     excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
-    return jnp.asarray(of_black + max([0.0, *excess]), float)
+    of_slope = (mean * slope_error(curve.noise)) ** 2
+    return jnp.asarray(of_black + of_slope + max([0.0, *excess]), float)
 
 
 def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
@@ -326,7 +336,8 @@ def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter
     low, high = TABULATED
     log_tau = np.linspace(np.log(low), np.log(high), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
-    prior = -(((log_tau - np.log(SHUTTER_PRIOR.median)) / SHUTTER_PRIOR.log_sd) ** 2) / 2
+    known = space_of(sums.td.size)[1].prior
+    prior = -(((log_tau - np.log(known.median)) / known.log_sd) ** 2) / 2
     log_weight = np.asarray(given.log_evidence) + prior
     weights = np.exp(log_weight - log_weight.max())
     return log_tau, weights / weights.sum(), given

@@ -1,6 +1,6 @@
 """A first curve, the noise models and the hyperparameters, from few pixels and bins."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
@@ -12,15 +12,16 @@ from jaxvision.errors import InputError
 from .code_bins import CodeBins, interval_variance
 from .code_pairs import pair_statistics
 from .pixel_noise import NoiseModel
-from .solve import STEADIEST, Hyperparameters, Solution, solve
+from .solve import MOST_ROUNDS, STEADIEST, Hyperparameters, Solution, solve
 from .weights import Observations, WeightRule, hat_rule, noise_rule, observe
 
 PASSES = 4
 KEPT = 0.3  # share of a class's pixels that its noise model must leave
 FIRST_SMOOTHNESS = 300.0  # the median of the 201 measured curves
 FIRST_ERROR = 0.01  # of the shutter
-NOISE_CELLS = 48
-FEWEST_IN_CELL = 10
+MOST_CELLS, FEWEST_CELLS = 48, 6  # of predicted exposure, for a noise model
+REWEIGHTED = 4  # times that a noise model is fitted
+IN_CELL, FEWEST_IN_CELL = 40, 10  # observations wanted and needed
 WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal's median
 
 
@@ -75,7 +76,13 @@ def fit_pilot(
     hyper, offset_t, found = Hyperparameters(FIRST_SMOOTHNESS, STEADIEST), log_t, None
     for turn in range(PASSES):
         statistics = pair_statistics(codes, classes, offset_t, bins, rule, means)
-        found = solve([statistics], log_t, bins, hyper, least_error=least_error)
+        free = float(statistics.observations.sum() - statistics.pixels)
+        misfit = (
+            max(1.0, statistics.chi_square / free) if turn else 1.0
+        )  # of noise models and curve
+        hyper = replace(hyper, design_effect=misfit)
+        rounds = MOST_ROUNDS if turn == PASSES - 1 else 1
+        found = solve([statistics], log_t, bins, hyper, least_error=least_error, rounds=rounds)
         means = rising(found.means, bins)
         offset_t = log_t + found.delta
         hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
@@ -150,24 +157,29 @@ def fit_noise(
     used = (seen.weights > 0) & of_class
     predicted = (seen.log_irradiance + log_t[:, None])[used]
     free = (1 - seen.weights / seen.total)[used]
-    edges = np.linspace(predicted.min(), predicted.max() + 1e-9, NOISE_CELLS + 1)
+    count_of_cells = int(np.clip(len(predicted) // IN_CELL, FEWEST_CELLS, MOST_CELLS))
+    edges = np.linspace(predicted.min(), predicted.max() + 1e-9, count_of_cells + 1)
     cells = np.digitize(predicted, edges) - 1
-    count = np.bincount(cells, free, NOISE_CELLS)
+    count = np.bincount(cells, free, count_of_cells)
     filled = count > FEWEST_IN_CELL
     square = seen.residuals[used] ** 2 / np.maximum(free, 1e-3)
-    limit = _cell_medians(cells, square)
+    limit = _cell_medians(cells, square, count_of_cells)
     square = np.minimum(square, WINSOR * limit[cells])
-    measured = np.bincount(cells, square * free, NOISE_CELLS)[filled] / count[filled]
+    measured = np.bincount(cells, square * free, count_of_cells)[filled] / count[filled]
     centre = ((edges[1:] + edges[:-1]) / 2)[filled]
     interval = np.interp(centre, means, interval_variance(means))
     terms = np.exp(-centre[:, None] * np.arange(3))
-    # Relative errors count: a few cells full of misfit must not set the noise of all others.
-    precision = np.sqrt(count[filled]) / np.maximum(measured, 1e-12)
-    found, _ = nnls(terms * precision[:, None], (measured - interval) * precision)
+    # Relative errors count: a few cells full of misfit must not set the noise of all others. They
+    # are errors relative to the model: relative to what was measured, small values would win.
+    expected, found = measured, np.zeros(terms.shape[1])
+    for _ in range(REWEIGHTED):
+        precision = np.sqrt(count[filled]) / np.maximum(expected, 1e-12)
+        found = nnls(terms * precision[:, None], (measured - interval) * precision)[0]
+        expected = terms @ found + interval
     return NoiseModel(*(float(x) for x in found))
 
 
-def _cell_medians(cells: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _cell_medians(cells: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     order = np.argsort(cells, kind="stable")
-    parts = np.split(values[order], np.cumsum(np.bincount(cells, minlength=NOISE_CELLS))[:-1])
+    parts = np.split(values[order], np.cumsum(np.bincount(cells, minlength=count))[:-1])
     return np.array([np.median(part) if len(part) else 0.0 for part in parts])

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, Integer
+from scipy.special import chdtri
 
 from .code_bins import CodeBins
 from .code_pairs import pair_statistics
@@ -23,7 +24,9 @@ from .solve import Hyperparameters, Solution, at_centres, inverse, solve
 from .weights import cells_of, weighted_mean
 
 MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
-FEWEST_EXPOSURES = 3  # leaving one out must leave two
+FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
+FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, what is left holds another part of the curve
+CHANCE = 0.05  # of a variance between parts that is no more than their pixels'
 FEWEST_PREDICTED = 30  # pixels of a left-out exposure that judge its prediction
 
 
@@ -69,10 +72,27 @@ class Repeats:
     def variance(self) -> Float[np.ndarray, " bins"]:
         return np.sum(self.departures**2, axis=0)
 
-    @property
-    def excess(self) -> Float[np.ndarray, " bins"]:
-        """Variance beyond what the pixels explain."""
-        return np.maximum(self.variance - self.pixels, 0)
+    def beyond(
+        self, explained: Float[np.ndarray, " bins"], lost: int
+    ) -> tuple[Float[np.ndarray, " bins"], int]:
+        """Variance beyond what is explained, where that is more than chance, and its degrees of
+        freedom: the fits less those that are lost."""
+        freedom = len(self.departures) - lost
+        likely = chdtri(freedom, CHANCE) / freedom * explained
+        return np.where(self.variance > likely, self.variance - explained, 0), freedom
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """What a common exponent of the shutter does to a curve.
+
+    Attributes:
+        variance: (bins,) of g.
+        freedom: visible shutter errors, that tell its size.
+    """
+
+    variance: Float[np.ndarray, " bins"]
+    freedom: int
 
 
 def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
@@ -107,7 +127,7 @@ def over_exposures(
     hyper: Hyperparameters,
     bins: CodeBins,
     fraction: float,
-) -> tuple[Repeats, HeldOut] | tuple[None, None]:
+) -> tuple[Repeats | None, HeldOut | None]:
     """The jackknife over exposures, and how well each is predicted without it.
 
     Args:
@@ -121,9 +141,10 @@ def over_exposures(
         fraction: of all pixels that the sample is.
 
     Returns:
-        Both, the jackknife over the bins of the whole fit; None with fewer than three exposures.
+        Both, the jackknife over the bins of the whole fit; None for the jackknife with fewer than
+        five exposures, for both with fewer than three.
     """
-    if len(log_t) < FEWEST_EXPOSURES:
+    if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
     def without(j: int | None) -> Solution:
@@ -133,52 +154,53 @@ def over_exposures(
         part = replace(part, matrix=part.matrix / fraction, score=part.score / fraction)
         return solve([part], log_t[kept], coarse, hyper)
 
-    whole = without(None)
     fits = [without(j) for j in range(len(log_t))]
+    rms = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
+    held_out = HeldOut(np.array(rms), np.exp(log_t))
+    if len(log_t) < FEWEST_EXPOSURES:
+        return None, held_out
+    whole = without(None)
     departures = _jackknife([at_centres(fit.means, coarse.middle) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
-    explained = _pixel_variance(whole, matrix, coarse)
-    rms = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
+    explained = 2 * _pixel_variance(whole, matrix, coarse)  # a pair goes with either exposure
     fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
     on_fine = Repeats(
         np.stack([np.interp(fine, x, row) for row in departures]), np.interp(fine, x, explained)
     )
-    return on_fine, HeldOut(np.array(rms), np.exp(log_t))
+    return on_fine, held_out
 
 
 def widened(
     covariance: Float[np.ndarray, "bins bins"],
-    shutter: Float[np.ndarray, " bins"],
+    shutter: Shutter,
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
     """A covariance widened to what repeats, and what its variances rest on.
 
-    The variance that tiles show beyond their pixels is added, and of shutter errors and exposures
-    the larger; correlations stay. Degrees of freedom are Satterthwaite's: one less than tiles, two
-    less than exposures (a factor and an exponent are lost), none counted for what pixels explain.
+    The shutter's variance is added, what tiles show beyond their pixels, and what exposures show
+    beyond pixels and shutter; correlations stay. Degrees of freedom are Satterthwaite's: one less
+    than tiles, two less than exposures (a factor and an exponent are lost), none counted for what
+    pixels explain.
 
     Args:
         covariance: (bins, bins) that pixels and prior give.
-        shutter: (bins,) variance of a common exponent of the shutter.
+        shutter: its common exponent.
         tiles: their jackknife; None for one tile.
-        exposures: theirs; None for fewer than three.
+        exposures: theirs; None for too few.
 
     Returns:
         Covariance and (bins,) degrees of freedom.
     """
-    none = np.zeros(len(covariance))
-    of_tiles = none if tiles is None else tiles.excess
-    of_exposures = none if exposures is None else exposures.excess
-    own = np.diagonal(covariance)
-    variance = own + of_tiles + np.maximum(of_exposures, shutter)
-    some = np.where(variance > 0, variance, 1)  # none at mid-scale, where g = 0 by definition
-    share = np.zeros(len(covariance))
+    parts = [(shutter.variance, shutter.freedom)]
     if tiles is not None:
-        share += (of_tiles / some) ** 2 / (len(tiles.departures) - 1)
+        parts.append(tiles.beyond(tiles.pixels, 1))
     if exposures is not None:
-        free = len(exposures.departures) - 2
-        share += (np.where(of_exposures > shutter, of_exposures, 0) / some) ** 2 / free
+        parts.append(exposures.beyond(exposures.pixels + shutter.variance, 2))
+    own = np.diagonal(covariance)
+    variance = own + sum(part for part, _ in parts)
+    some = np.where(variance > 0, variance, 1)  # none at mid-scale, where g = 0 by definition
+    share = sum((part / some) ** 2 / max(freedom, 1) for part, freedom in parts)
     scale = np.sqrt(variance / np.where(own > 0, own, 1))
     return covariance * np.outer(scale, scale), 1 / np.maximum(share, MOST_FREE**-1)
 

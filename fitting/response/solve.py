@@ -13,7 +13,7 @@ is the factor (the design effect of survey sampling) by which A overstates what 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -24,8 +24,10 @@ from jaxvision.errors import InputError
 from .code_bins import CodeBins
 from .code_pairs import PairStatistics
 
-SMOOTHEST = 1e4  # precision beyond which the exponent is constant for every purpose
+SMOOTHEST = 1e8  # precision at which the exponent is constant to a few parts in 10,000
 ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves: what is rougher is misfit
+MOST_ROUNDS = 30  # of the hyperparameters
+SETTLED = 0.05  # step of the logarithm of the smoothness at which it has settled
 STEADIEST, SHAKIEST = 1e-6, 0.2  # shutter errors between no and no usable time
 BELIEVED = 0.02  # shutter error beyond which a bow of the offsets is rather a misfit of the curve
 
@@ -148,7 +150,7 @@ def solve(
         bins: of codes.
         start: hyperparameters of the first round.
         least_error: lowest tau, what is known of the shutter.
-        rounds: how often it is solved.
+        rounds: how often it is solved at most; fewer where the smoothness settles.
 
     Returns:
         The last round's solution.
@@ -174,12 +176,19 @@ def solve(
         smoothness = max(determined / (g @ rough @ g + determined / SMOOTHEST), ROUGHEST)
         tau = float(np.clip(np.sqrt(d @ d / known), least_error, max(SHAKIEST, least_error)))
         suggested = Hyperparameters(
-            smoothness, tau, _design_effect(equations, matrix, mean, covariance)
+            smoothness,
+            tau,
+            _design_effect(equations, matrix, mean, covariance, hyper.design_effect),
         )
         rounds -= 1
-        if rounds == 0:
+        pace = smoothness / hyper.smoothness
+        if rounds <= 0:
             return Solution(g, d, covariance, basis, hyper, suggested, equations, prior)
-        hyper = suggested
+        # The fixed point nears its end from one side, by a share of the way: two steps at once.
+        ahead = float(np.clip(smoothness * pace, ROUGHEST, SMOOTHEST))
+        hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested
+        if abs(np.log(pace)) < SETTLED:
+            rounds = 1
 
 
 def inverse(
@@ -225,10 +234,14 @@ def _equations(statistics: PairStatistics, log_t: np.ndarray, basis: np.ndarray)
 
 
 def _design_effect(
-    tiles: Sequence[Equations], matrix: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+    tiles: Sequence[Equations],
+    matrix: np.ndarray,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    known: float,
 ) -> float:
     if len(tiles) < 2:
-        return 1.0
+        return known
     pulls = np.stack([tile.matrix @ mean - tile.right for tile in tiles])
     pulls -= pulls.mean(axis=0)
     spread = np.einsum("ki,ij,kj->", pulls, covariance, pulls) * len(tiles) / (len(tiles) - 1)

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from .code_bins import CodeBins, interval_variance
 from .pixel_noise import NoiseModel, noise_variance
 
-LOOSEST = 0.3  # log standard deviation up to which noise is near enough Gaussian
+LOOSEST = 0.2  # log standard deviation up to which terms of second order are a few percent
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out

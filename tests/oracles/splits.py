@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fitting.response.curve import ResponseCurve, fit_response_curve
-from fitting.response.places import layout_of
+from fitting.response.places import clear_of_clipping, layout_of
 
 Parts = tuple[np.ndarray, np.ndarray]
 
@@ -26,6 +26,7 @@ def fitted(
 ) -> ResponseCurve:
     """The curve of 8-bit codes (exposures, h, w) under a mask."""
     layout = layout_of(codes, mask, black=black, clip=clip)
+    codes = clear_of_clipping(codes, clip)
     return fit_response_curve(codes[:, mask], times, bits=8, black=black, clip=clip, layout=layout)
 
 
