@@ -14,9 +14,11 @@ from typer.testing import CliRunner
 
 from fitting.cli import app
 from fitting.demo.lab import sphere_lights
+from fitting.inference.importance import TOLERATED
 from fitting.inference.parameters import names, to_unconstrained
 from fitting.joint import calibrate, from_photographs, marginal, read_joint_measurement
 from fitting.joint.fit import fit_channel
+from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.start import parameters, scatter_scales
 from fitting.rig import Camera, SphereGeometry, load_rig
@@ -284,8 +286,8 @@ def test_images_in_memory_are_those_of_files(tmp_path):
     theirs = read_joint_measurement(load_rig(rig_folder(tmp_path, images, lights, flat, dark)))
     np.testing.assert_array_equal(ours.observation.dn, theirs.observation.dn)
     np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
-    for name, sizes in theirs.uncertain.items():
-        np.testing.assert_array_equal(ours.uncertain[name], sizes)
+    for name, sizes in theirs.observation.uncertain.items():
+        np.testing.assert_array_equal(ours.observation.uncertain[name], sizes)
     assert ours.levels is not None
     assert theirs.levels is not None
     (mine,), (other,) = ours.levels, theirs.levels
@@ -368,11 +370,15 @@ def test_a_width_that_few_lights_tell_has_their_degrees_of_freedom():
     the scale of the errors has; what the lights' strengths do not reach has many."""
     images, lights = photographs(np.random.default_rng(3))
     found = calibrate(from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=0.01))
-    posterior = found.posteriors["grey"]
-    assert posterior.freedom is not None
-    freedom = dict(zip(names(posterior.space), posterior.freedom.tolist(), strict=True))
+    (fit,), posterior = found.fits, found.posteriors["grey"]
+    assert posterior.method == "importance sampling"  # which Laplace's Gaussian would not show
+    covariance = np.linalg.inv(fit.information)
+    degrees = degrees_of_freedom(fit, covariance)
+    assert degrees is not None
+    freedom = dict(zip(names(posterior.space), degrees.tolist(), strict=True))
     scale = names(posterior.space).index("light_scatter")
-    of_scale = 1 / (2 * posterior.covariance[scale, scale])
+    assert laplace_miss(fit, covariance)[scale] > TOLERATED
+    of_scale = 1 / (2 * covariance[scale, scale])
     assert of_scale < freedom["diffuse"] < 2 * of_scale
     assert 4 < of_scale < 12  # six lights, and the prior
     assert freedom["exponent"] > 100

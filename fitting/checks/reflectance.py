@@ -32,6 +32,8 @@ class Sphere:
         lights: how many.
         truth: k_d, k_s, n.
         light_sd: relative error of each light's intensity.
+        black_sd: DN, error of the black level, which the fit is told.
+        stated: whether the fit is told of `light_sd`.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
@@ -41,6 +43,8 @@ class Sphere:
     lights: int = 12
     truth: tuple[float, float, float] = (0.4, 0.45, 40.0)
     light_sd: float = 0.0
+    black_sd: float = 0.0
+    stated: bool = False
     prnu: float = 0.0
     clip: float = 2.0**BITS - 1
     read_noise: float = 6.0
@@ -72,7 +76,13 @@ class Sphere:
             sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
             intensities=np.full(self.lights, WHITE),
         )
-        observation = replace(observation, held_out=np.zeros(self.lights, bool))
+        told = {"intensity_sd": np.full(self.lights, self.light_sd)} if self.stated else {}
+        observation = replace(
+            observation,
+            held_out=np.zeros(self.lights, bool),
+            uncertain=told,
+            black_sd=self.black_sd,
+        )
         chosen = select(observation, held_out=False, form=Form("phong"))
         at = chosen.light, chosen.pixel
         cells = group(chosen.light, observation.cosine[at], observation.mirror_angle[at])
@@ -95,6 +105,9 @@ CASES = {
     "6 lights off by 1 %": Sphere(lights=6, light_sd=0.01),
     "24 lights": Sphere(lights=24),
     "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
+    "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=True),
+    "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=True),
+    "black off by 3 DN, as stated": Sphere(black_sd=3.0),
 }
 
 
@@ -113,7 +126,8 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
     electrons = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
     noisy = electrons + sphere.read_noise * rng.standard_normal(electrons.shape)
-    return np.clip(np.round(sphere.black + GAIN * noisy), 0, sphere.clip)
+    black = sphere.black + sphere.black_sd * rng.standard_normal()
+    return np.clip(np.round(black + GAIN * noisy), 0, sphere.clip)
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:

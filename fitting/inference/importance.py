@@ -40,6 +40,7 @@ def laplace_where_it_holds(
     seed: int,
     freedom: Float[np.ndarray, " parameters"] | None = None,
     wider: Float[np.ndarray, "parameters parameters"] | None = None,
+    missed: Float[np.ndarray, " parameters"] | None = None,
 ) -> Posterior:
     """Laplace's posterior if the density is as Gaussian as that says, else draws by importance
     sampling, else, where proposals do not settle, by emcee.
@@ -54,6 +55,7 @@ def laplace_where_it_holds(
         freedom: (P,) degrees of freedom of the variances; None where they are known.
         wider: (P, P), the covariance that `log_density` has where `freedom` is given; None for
             `covariance`.
+        missed: (P,), as `gaussian_miss` gives it, where the caller knows more; None for that.
 
     Returns:
         The posterior.
@@ -65,7 +67,8 @@ def laplace_where_it_holds(
         log_density, space, mode, args, covariance=covariance, freedom=freedom, seed=seed
     )
     spread = covariance if wider is None else wider
-    missed = gaussian_miss(log_density, mode, spread, args)
+    if missed is None:
+        missed = gaussian_miss(log_density, mode, spread, args)
     if np.max(missed) <= TOLERATED:
         return drawn
     found = _importance(log_density, mode, spread, args, seed)

@@ -8,11 +8,12 @@ import numpy as np
 from jaxvision.errors import InputError
 
 from ..inference.emcee_run import SamplingOptions, for_group
-from ..inference.posterior import Posterior, laplace_or_emcee
+from ..inference.importance import laplace_where_it_holds
+from ..inference.posterior import Posterior, sample
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from .fit import JointFit, fit_channel
-from .freedom import degrees_of_freedom
+from .freedom import degrees_of_freedom, laplace_miss
 from .model import Form, log_posterior
 from .read import JointMeasurement
 
@@ -83,14 +84,13 @@ def is_determined(fit: JointFit) -> bool:
 
 
 def _posterior(fit: JointFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
-    covariance = np.linalg.inv(fit.information)
-    return laplace_or_emcee(
-        log_posterior,
-        fit.space,
-        jnp.asarray(fit.vector),
-        covariance,
-        fit.data,
-        sampling=for_group(sampling, fit.channel),
+    covariance, mode = np.linalg.inv(fit.information), jnp.asarray(fit.vector)
+    if sampling is not None:
+        own = for_group(sampling, fit.channel)
+        return sample(log_posterior, fit.space, mode, covariance, fit.data, options=own, seed=seed)
+    return laplace_where_it_holds(
+        *(log_posterior, fit.space, mode, covariance, fit.data),
         seed=seed,
-        freedom=degrees_of_freedom(fit, covariance) if sampling is None else None,
+        freedom=degrees_of_freedom(fit, covariance),
+        missed=laplace_miss(fit, covariance),
     )

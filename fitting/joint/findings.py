@@ -1,10 +1,6 @@
 """What a reader of a joint calibration must be told, in sentences and as tables."""
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from ..inference.diagnostics import listed
 from ..inference.parameters import names, prior_gaussian
@@ -13,12 +9,9 @@ from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
 from .left_out import TOLERANCE
-from .model import JointData, log_posterior
 from .prediction import Score
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
-REACH = 2.0  # standard deviations at which the Gaussian is checked
-SKEWED = 0.5  # fall of the log density there, off what a Gaussian has, worth a word
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 
@@ -58,8 +51,6 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
         return [f"{name}{sentence}" for sentence in found]
     found += _prior_alone(posterior)
     found += _image_findings(calibration, fit)
-    if not posterior.sampled:
-        found += laplace_faults(fit, posterior)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
 
@@ -90,37 +81,6 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
         f"{files[worst]} is {abs(relative[worst]):.1%} {word} than its intensity says, "
         f"{abs(mean[worst]):.1f} times the usual error of a light."
     ]
-
-
-def laplace_faults(fit: JointFit, posterior: Posterior) -> list[str]:
-    """Where Laplace's Gaussian misjudges a parameter: the log density two standard deviations
-    either way along the direction in which the others follow it.
-
-    Args:
-        fit: of one channel.
-        posterior: its Laplace approximation.
-
-    Returns:
-        One sentence, or none.
-    """
-    covariance = posterior.covariance
-    directions = covariance / np.sqrt(np.diagonal(covariance))[None]
-    ends = np.concatenate([directions.T, -directions.T]) * REACH + fit.vector
-    density = _log_posteriors(jnp.asarray(np.vstack([fit.vector, ends])), fit.data)
-    fall = np.asarray(density[0] - density[1:]).reshape(2, -1)
-    off = np.max(np.abs(fall - REACH**2 / 2), axis=0)
-    told = [name for name, x in zip(names(fit.space), off, strict=True) if not x < SKEWED]
-    if not told:
-        return []
-    return [
-        f"The posterior of {listed(told)} is skewed or heavy-tailed, which Laplace's intervals "
-        "do not show: --mcmc draws from the posterior itself."
-    ]
-
-
-@eqx.filter_jit
-def _log_posteriors(vectors: Array, data: JointData) -> Array:
-    return jax.lax.map(lambda vector: log_posterior(vector, data), vectors)
 
 
 def left_out_table(calibration: JointCalibration) -> Table:

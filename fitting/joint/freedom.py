@@ -16,12 +16,13 @@ Source:
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from ..inference.importance import FAR, gaussian_miss
 from ..inference.newton import minimise
 from ..inference.parameters import names
 from .fit import JointFit
-from .model import cost
+from .model import cost, log_posterior
 from .start import SCATTERS
 
 STEP = 0.1  # of ln s, over which the variances' slopes are taken
@@ -52,10 +53,45 @@ def degrees_of_freedom(
     return 1 / np.maximum(inverse, 1e-12)
 
 
+def laplace_miss(
+    fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
+) -> Float[np.ndarray, " parameters"]:
+    """How far each parameter's posterior is from Laplace's Gaussian at two standard deviations.
+
+    The density along a line is what `gaussian_miss` sees. The scale of an error that images share
+    has another density once the others are integrated out: their volume grows with it.
+
+    Args:
+        fit: of one channel.
+        covariance: (P, P) of its parameters on the unconstrained scale.
+
+    Returns:
+        (P,) of the fall of the log density.
+    """
+    mode = jnp.asarray(fit.vector)
+    missed = gaussian_miss(log_posterior, mode, covariance, fit.data)
+    labels = names(fit.space)
+    for i in (labels.index(name) for name in labels if name in SCATTERS):
+        others = np.delete(np.arange(len(labels)), i)
+        step = FAR * covariance[i] / np.sqrt(covariance[i, i])
+        volumes = [
+            np.linalg.slogdet(_information(fit, fit.vector + side * step, others))[1] / 2
+            for side in (-1, 0, 1)
+        ]
+        missed[i] += np.max(np.abs(np.array(volumes) - volumes[1]))
+    return missed
+
+
+def _information(
+    fit: JointFit, vector: Float[np.ndarray, " parameters"], kept: Int[np.ndarray, " kept"]
+) -> Float[np.ndarray, "kept kept"]:
+    """Information of some parameters, the others held, anywhere."""
+    there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
+    return np.asarray(there.information, np.float64)[np.ix_(kept, kept)]
+
+
 def _variances(fit: JointFit, scale: int, step: float, others: np.ndarray) -> np.ndarray:
     """Of the other parameters, with all scales held and one of them moved."""
     vector = fit.vector.copy()
     vector[scale] += step
-    there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
-    information = np.asarray(there.information, np.float64)
-    return np.diagonal(np.linalg.inv(information[np.ix_(others, others)]))
+    return np.diagonal(np.linalg.inv(_information(fit, vector, others)))

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from ..observation import in_memory, require_as_many
 from ..photographs import rig_entries
+from ..reflectance.from_images.read import OF_LIGHTS
 from ..rig import Camera, SphereGeometry
-from .read import OF_LIGHTS, JointMeasurement, read_joint_measurement
+from .read import JointMeasurement, read_joint_measurement
 
 
 def from_photographs(

@@ -13,8 +13,6 @@ from ..observation import Load, read_stack
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
 from ..rig import Camera, Rig
 
-OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
-
 
 @dataclass(frozen=True)
 class UniformLevels:
@@ -42,14 +40,12 @@ class JointMeasurement:
     Attributes:
         observation: of the object.
         camera: of the rig.
-        uncertain: (lights,) standard deviations by their key in the rig, 0 where exact.
         levels: of each channel; None without flats and darks.
         findings: what was assumed, in sentences.
     """
 
     observation: ReflectanceObservation
     camera: Camera
-    uncertain: dict[str, Float[np.ndarray, " lights"]]
     levels: tuple[UniformLevels, ...] | None
     findings: tuple[str, ...]
 
@@ -78,10 +74,6 @@ def read_joint_measurement(rig: Rig, *, load: Load = read_image) -> JointMeasure
     return JointMeasurement(
         observation=observation,
         camera=rig.camera,
-        uncertain={
-            name: np.array([getattr(light, name) or 0.0 for light in rig.light])
-            for name in OF_LIGHTS
-        },
         levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
         findings=tuple(findings),
     )

@@ -49,12 +49,11 @@ def scatter_scales(
         By name the stated size, and of each light its own relative to that. Strength of a light
         and exposure of its image change the same, so they count as one.
     """
+    known = measurement.observation.uncertain
     stated = {
-        "light_scatter": np.hypot(
-            measurement.uncertain["intensity_sd"], measurement.uncertain["exposure_sd"]
-        ),
-        "direction_scatter": measurement.uncertain["direction_sd"],
-        "stray_scatter": measurement.uncertain["stray_sd"],
+        "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
+        "direction_scatter": known["direction_sd"],
+        "stray_scatter": known["stray_sd"],
     }
     found = {}
     for name, sizes in stated.items():

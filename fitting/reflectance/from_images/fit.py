@@ -50,6 +50,7 @@ from .spread import (
     sensor_spread,
     variance,
 )
+from .stated import StatedErrors, stated_errors, with_stated_errors
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
@@ -70,6 +71,7 @@ class ChannelFit:
         information: (P, P) on that scale, as if all samples were independent.
         robustness: covariance that does not assume so; None where the data leave a direction open.
         identifiability: of the information.
+        stated: what the rig calls uncertain.
         spread: of the residuals of plain squares.
         chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
@@ -85,6 +87,7 @@ class ChannelFit:
     vector: Float[np.ndarray, " parameters"]
     information: Float[np.ndarray, "parameters parameters"]
     robustness: Robustness | None
+    stated: StatedErrors
     identifiability: Identifiability
     spread: Spread
     chi_square: float
@@ -145,9 +148,10 @@ def fit_channel(
     information = np.asarray(information, np.float64)
     judged = identifiability(space, information)
     robustness = None
+    stated = stated_errors(observation, channel, vector, samples, selection)
     if judged.determined:
         robustness = robust_covariance(
-            vector, samples, selection, information, np.arange(len(space))
+            vector, samples, selection, information, np.arange(len(space)), stated
         )
     residual, signal, slope = _residual_signal_slope(vector, samples)
     likeliest = _weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
@@ -161,6 +165,7 @@ def fit_channel(
         vector=np.asarray(vector, np.float64),
         information=information,
         robustness=robustness,
+        stated=stated,
         identifiability=judged,
         spread=spread,
         chi_square=chi_square_per_dof(residual, signal, slope, weights, dof),
@@ -178,6 +183,7 @@ def robust_covariance(
     selection: Selection,
     information: Float[np.ndarray, "parameters parameters"],
     known: Int[np.ndarray, " known"],
+    stated: StatedErrors,
 ) -> Robustness:
     """Covariance of some parameters, the others held at their best values.
 
@@ -187,15 +193,17 @@ def robust_covariance(
         selection: of the samples.
         information: (parameters, parameters), as if all samples were independent.
         known: (known,) indices of the parameters.
+        stated: what the rig calls uncertain, of the same fit.
 
     Returns:
-        What lights and pixels share allowed for.
+        What lights and pixels share, and what the rig states, allowed for.
     """
     gradients, slopes = (
         np.asarray(x, np.float64)[known] for x in scores_and_slopes(vector, samples)
     )
     among = information[np.ix_(known, known)]
-    return cluster_robust(gradients, among, selection.light, selection.pixel, slopes=slopes)
+    found = cluster_robust(gradients, among, selection.light, selection.pixel, slopes=slopes)
+    return with_stated_errors(found, stated, among, known)
 
 
 def predicted_image(

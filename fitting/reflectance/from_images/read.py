@@ -5,7 +5,7 @@ The view is orthographic along +z (x right, y up, z toward the camera), so that 
 direction is the same everywhere. Angles are radians, digital numbers as stored.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
@@ -25,6 +25,7 @@ PURPOSE: Purpose = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
+OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
 
 
@@ -57,6 +58,9 @@ class ReflectanceObservation:
         gain: DN per electron; None where unknown.
         read_noise: e- rms; None where unknown.
         findings: what was assumed, in sentences.
+        uncertain: (lights,) standard deviations by their key in the rig, 0 where exact.
+        black_sd: DN, of the black level; 0 where exact.
+        gamma_sd: of the encoding exponent; 0 where exact.
     """
 
     channels: tuple[str, ...]
@@ -80,6 +84,9 @@ class ReflectanceObservation:
     gain: float | None
     read_noise: float | None
     findings: tuple[str, ...]
+    uncertain: dict[str, Float[np.ndarray, " lights"]] = field(default_factory=dict)
+    black_sd: float = 0.0
+    gamma_sd: float = 0.0
 
     @property
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
@@ -139,6 +146,12 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
         gain=rig.camera.gain,
         read_noise=rig.camera.read_noise,
         findings=(*how, *_assumptions(rig)),
+        uncertain={
+            name: np.array([getattr(light, name) or 0.0 for light in rig.light])
+            for name in OF_LIGHTS
+        },
+        black_sd=rig.camera.black_sd or 0.0,
+        gamma_sd=rig.camera.gamma_sd or 0.0,
     )
     _refuse_unusable(rig, observation)
     return observation

@@ -85,7 +85,9 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
     errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)
     if known:
         vector, chosen = jnp.asarray(fit.vector), np.asarray(known)
-        robust = robust_covariance(vector, fit.samples, fit.selection, fit.information, chosen)
+        robust = robust_covariance(
+            vector, fit.samples, fit.selection, fit.information, chosen, fit.stated
+        )
         errors[known] = np.sqrt(np.diagonal(robust.covariance))
         freedom[known] = robust.freedom
     rows = [

@@ -1,0 +1,172 @@
+"""What the rig calls uncertain, carried through a fit.
+
+An error e moves the prediction of each sample by s e. The best parameters follow it, to first
+order, by
+
+    d theta = I^-1 p e,    p = sum slope * s / deviation,
+
+slope being the gradient of the prediction in standard deviations and I the information. Errors of
+a light (`intensity_sd`, `direction_sd`, `exposure_sd`, `stray_sd`) shift the samples of its image
+alone. The residuals show them too, so the covariance of few lights gives way to what the rig
+states, unless the residuals show more. Errors of all images at once (`black_sd`, `gamma_sd`) are
+like another surface; no residual shows them, and their covariance is added. The gain only weighs
+the samples: its `gain_sd` moves no parameter to first order.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.special import chdtri
+
+from ...inference.clustering import Robustness
+from .model import (
+    Samples,
+    encoding_gamma,
+    encoding_slope,
+    linear_signal,
+    predicted_dn,
+    scores_and_slopes,
+)
+from .read import ReflectanceObservation, angles
+from .samples import Selection, make_samples
+
+CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
+
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """Pulls p e of the errors that a rig states, each of one standard deviation.
+
+    Attributes:
+        of_lights: (errors, P), each of one image.
+        common: (errors, P), each of all images.
+    """
+
+    of_lights: Float[np.ndarray, "errors parameters"]
+    common: Float[np.ndarray, "more parameters"]
+
+
+def stated_errors(
+    observation: ReflectanceObservation,
+    channel: int,
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+) -> StatedErrors:
+    """The pulls of all that a rig calls uncertain.
+
+    Args:
+        observation: with its standard deviations.
+        channel: index.
+        vector: (P,) of the fit, unconstrained.
+        samples: of the fit.
+        selection: of the samples.
+
+    Returns:
+        The pulls; without rows where all is exact.
+    """
+    sizes, light = observation.uncertain, selection.light
+    own = _shifts_of_lights(observation, channel, vector, samples, selection)
+    shared = []
+    if observation.black_sd:
+        shared.append(np.full(len(light), observation.black_sd))
+    if observation.gamma_sd and samples.gamma is not None:
+        steps = observation.gamma_sd, -observation.gamma_sd
+        up, down = (
+            predicted_dn(vector, replace(samples, gamma=samples.gamma + step)) for step in steps
+        )
+        shared.append(np.asarray(up - down, np.float64) / 2)
+    count = len(vector)
+    if not own and not shared:
+        return StatedErrors(np.empty((0, count)), np.empty((0, count)))
+    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
+    slopes = slopes / np.asarray(samples.deviation, np.float64)
+    lights = len(next(iter(sizes.values()), ()))
+    by_light = [
+        np.stack([np.bincount(light, row * shift, lights) for row in slopes], axis=1)
+        for shift in own
+    ]
+    return StatedErrors(
+        np.concatenate(by_light) if by_light else np.empty((0, count)),
+        np.array([slopes @ shift for shift in shared]).reshape(-1, count),
+    )
+
+
+def _shifts_of_lights(
+    observation: ReflectanceObservation,
+    channel: int,
+    vector: Array,
+    samples: Samples,
+    selection: Selection,
+) -> list[np.ndarray]:
+    """(samples,) DN that each kind of error of the lights moves a prediction by."""
+    light, found = selection.light, []
+    known = {name: sd[light] for name, sd in observation.uncertain.items() if np.any(sd)}
+    signal = linear_signal(vector, samples)
+    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    strength = [known[name] for name in ("intensity_sd", "exposure_sd") if name in known]
+    if strength:
+        found.append(np.asarray(slope * signal, np.float64) * np.linalg.norm(strength, axis=0))
+    if "stray_sd" in known:
+        found.append(np.asarray(slope * samples.irradiance, np.float64) * known["stray_sd"])
+    if "direction_sd" in known:
+        here = predicted_dn(vector, samples)
+        for turned in _turned(observation):
+            moved = make_samples(turned, channel, samples.form, selection)
+            there = predicted_dn(vector, replace(moved, gamma=samples.gamma))
+            found.append(np.asarray(there - here, np.float64))
+    return found
+
+
+def _turned(observation: ReflectanceObservation) -> list[ReflectanceObservation]:
+    """The lights turned by one standard deviation about either axis across them."""
+    wi, sd = observation.wi, observation.uncertain["direction_sd"]
+    middle = wi.mean(axis=1)
+    aside = np.eye(3)[np.argmin(np.abs(middle), axis=1)]
+    first = np.cross(middle, aside)
+    axes = [first, np.cross(middle, first)]
+    observations = []
+    for axis in axes:
+        unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        turned = wi + (sd[:, None] * unit)[:, None]
+        turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+        cosine, log_cos, mirror = angles(observation.normals, turned)
+        observations.append(
+            replace(
+                observation, wi=turned, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror
+            )
+        )
+    return observations
+
+
+def with_stated_errors(
+    robust: Robustness,
+    stated: StatedErrors,
+    information: Float[np.ndarray, "parameters parameters"],
+    known: Int[np.ndarray, " known"],
+) -> Robustness:
+    """A covariance that allows for what the rig states.
+
+    Args:
+        robust: of the residuals, (known, known).
+        stated: of the same fit.
+        information: (known, known), as if all samples were independent.
+        known: (known,) indices of the parameters among all.
+
+    Returns:
+        Covariance and degrees of freedom; unchanged where the rig states nothing.
+    """
+    inverse = np.linalg.inv(information)
+    covariance, freedom = robust.covariance, robust.freedom
+    if len(stated.of_lights):
+        moved = stated.of_lights[:, known] @ inverse
+        model = inverse + moved.T @ moved
+        least = np.maximum(freedom, 1)
+        likely = np.where(np.isfinite(freedom), chdtri(least, CHANCE / len(known)) / least, 1.0)
+        if np.all(np.diagonal(covariance) <= likely * np.diagonal(model)):
+            covariance, freedom = model, np.full(len(known), np.inf)
+    moved = stated.common[:, known] @ inverse
+    total = covariance + moved.T @ moved
+    share = np.diagonal(covariance) / np.diagonal(total)
+    return replace(robust, covariance=total, freedom=freedom / share**2)

@@ -1,0 +1,100 @@
+"""What a rig calls uncertain widens a fit of reflectance by as much as refits move."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.checks import reflectance
+from fitting.checks.coverage import coverage
+from fitting.checks.reflectance import Sphere
+from fitting.checks.simulations import simulated
+from fitting.inference.clustering import Robustness
+from fitting.reflectance.from_images.fit import fit_channel
+from fitting.reflectance.from_images.model import Form
+from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
+
+SPHERE = Sphere(lights=5, read_noise=1.0)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    observation, chosen, cells = SPHERE.observed
+
+    def fit(**changed):
+        return fit_channel(replace(observation, **changed), 0, Form("phong"), chosen, cells)
+
+    return observation, fit
+
+
+def test_each_error_pulls_as_a_refit_moves(fitted):
+    """Refits with one light 1 % brighter, and with the black level 2 DN higher."""
+    observation, fit = fitted
+    sizes = {"intensity_sd": np.full(5, 0.01)}
+    plain = fit(uncertain=sizes, black_sd=2.0)
+    inverse = np.linalg.inv(plain.information)
+    brighter = observation.intensity.copy()
+    brighter[0, 1] *= 1.01
+    moved = fit(intensity=brighter).vector - plain.vector
+    error = np.sqrt(np.diagonal(inverse))
+    np.testing.assert_allclose(
+        -plain.stated.of_lights[1] @ inverse / error, moved / error, atol=0.2
+    )
+    assert np.abs(moved / error).max() > 1
+    moved = fit(black=observation.black + 2.0).vector - plain.vector
+    np.testing.assert_allclose(-plain.stated.common[0] @ inverse / error, moved / error, atol=0.2)
+    assert np.abs(moved / error).max() > 1
+
+
+def test_a_turned_light_pulls_as_a_refit_moves(fitted):
+    """The light turned by hand, about the first axis across it."""
+    observation, fit = fitted
+    size = 5e-3
+    known = np.zeros(5)
+    known[2] = size
+    plain = fit(uncertain={"direction_sd": known})
+    inverse = np.linalg.inv(plain.information)
+    pulls = plain.stated.of_lights.reshape(2, 5, -1)
+    assert not pulls[:, [0, 1, 3, 4]].any()
+    light = observation.wi[2, 0]
+    axis = np.cross(light, np.eye(3)[np.argmin(np.abs(light))])
+    turned = light + size * axis / np.linalg.norm(axis)
+    turned /= np.linalg.norm(turned)
+    wi = observation.wi.copy()
+    wi[2] = turned
+    mirrored = 2 * (observation.normals @ turned) * observation.normals[:, 2] - turned[2]
+    cosine, log_cos = observation.cosine.copy(), observation.log_cos_mirror.copy()
+    cosine[2] = observation.normals @ turned
+    log_cos[2] = np.log(np.maximum(mirrored, 1e-300))
+    moved = fit(wi=wi, cosine=cosine, log_cos_mirror=log_cos).vector - plain.vector
+    error = np.sqrt(np.diagonal(inverse))
+    assert np.abs(moved / error).max() > 1
+    np.testing.assert_allclose(-pulls[0, 2] @ inverse / error, moved / error, atol=0.2)
+
+
+def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
+    information, known = np.diag([4.0, 1.0]), np.arange(2)
+    stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]))
+    freedom = np.array([2.0, 3.0])
+    narrow = Robustness(np.diag([0.5, 0.5]), freedom, 1.0, 1.0, 1.0)
+    found = with_stated_errors(narrow, stated, information, known)
+    np.testing.assert_allclose(found.covariance, np.diag([0.25 + 1, 1 + 4]))
+    assert np.isinf(found.freedom).all()
+    wide = replace(narrow, covariance=np.diag([100.0, 0.5]))
+    found = with_stated_errors(wide, stated, information, known)
+    np.testing.assert_allclose(found.covariance, np.diag([100, 0.5 + 4]))
+    np.testing.assert_allclose(found.freedom, [2, 3 / (0.5 / 4.5) ** 2])
+    none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)))
+    found = with_stated_errors(wide, none, information, known)
+    np.testing.assert_array_equal(found.covariance, wide.covariance)
+    np.testing.assert_array_equal(found.freedom, wide.freedom)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["4 lights off by 1 %, as stated", "black off by 3 DN, as stated"])
+def test_intervals_under_stated_errors_hold(case):
+    sphere = reflectance.CASES[case]
+    places = simulated(lambda seed: reflectance.places(sphere, seed), 200, parameters=3)
+    for one in coverage(places, reflectance.NAMES):
+        assert not one.faults, one
+        assert 0.8 < one.z_sd < 1.25
