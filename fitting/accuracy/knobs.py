@@ -77,9 +77,9 @@ _OF_RIGS = (
     Knob(
         "curve rounds",
         "rounds",
-        "how often smoothness and shutter errors of a response curve are found anew",
-        (1, 2, 3, 5),
-        (8, 12),
+        "how often smoothness and shutter errors of a response curve are found anew at most",
+        (1, 2, 4, 8),
+        (15, 30),
         sets=("*.solve.rounds", "*.fit_response_curve.rounds"),
     ),
 )

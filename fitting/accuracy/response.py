@@ -11,7 +11,7 @@ from jaxvision.accuracy.records import Compute
 from ..observation import Load
 from ..response.calibration import calibrate
 from ..response.curve import ResponseCurve, fit_response_curve
-from ..response.places import Layout, layout_of
+from ..response.places import Layout, clear_of_clipping, layout_of
 from ..response.read import read_exposure_stack
 from ..response.solve import STEADIEST
 from ..rig import Rig
@@ -40,7 +40,7 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     seen = whole.codes[whole.seen]
     codes = np.linspace(seen[0], seen[-1], PLACES + 2)[1:-1]
     errors = np.interp(codes, whole.codes, whole.standard_error)
-    every = plane.codes[:, plane.mask]
+    every = clear_of_clipping(plane.codes, plane.clip)[:, plane.mask]
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 
     def fitted(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:
