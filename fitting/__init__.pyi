@@ -4,6 +4,9 @@
 from .fits.budget import (
     Budget as Budget,
 )
+from .fits.called_for import (
+    called_for as called_for,
+)
 from .checks.problem import (
     Check as Check,
     check as check,

@@ -283,6 +283,13 @@ def effects(
             metavar="NAME=LOW,HIGH",
         ),
     ] = None,
+    estimates: Annotated[
+        bool,
+        typer.Option(
+            "--estimates",
+            help="Also by estimates, which are no proof: probe what long paths add.",
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Say what each effect of a scene and a camera can change in the picture, at most."""
@@ -299,12 +306,12 @@ def effects(
     source = read_scene(scene)
     bands: Any = source.wavelengths
     sensor = None if not camera else read_camera(camera, wavelengths=bands)
-    box = box_of(free or [])
+    asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
     if goal is None:
-        found = inspected(source, source.render, camera=sensor, free=box)
+        found = inspected(source, source.render, **asked)
         print(json.dumps([_told(e) for e in found], indent=2) if as_json else listed(found))
         return
-    pruned = pruned_for(source, source.render, goal, camera=sensor, free=box)
+    pruned = pruned_for(source, source.render, goal, **asked)
     certificate = pruned.certificate
     if as_json:
         sheet = {name: getattr(certificate, name) for name in ("total", "estimated", "place")}

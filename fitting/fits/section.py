@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxvision.effects.certificate import Certificate, summary
+
 from ..report.section import Picture, Section, Table
 from .words import prior_share
 
@@ -35,6 +37,8 @@ def section(fit: "Fit", title: str) -> Section:
         rows,
         "A ratio near 1: only the prior or the bounds are seen.",
     )
+    left_out = fit.problem.left_out
+    gone = () if left_out is None else (left_out_table(left_out),)
     state = ("The fit did not converge.",) if fit.failures else ()
     picture = Picture(
         "residuals",
@@ -48,9 +52,23 @@ def section(fit: "Fit", title: str) -> Section:
         estimates=fit.estimates,
         findings=(*state, *fit.failures, f"{fit.summary()}.", *fit.findings),
         pictures=(picture,),
-        tables=(table,),
+        tables=(table, *gone),
         posteriors={"": fit.posterior},
     )
+
+
+def left_out_table(certificate: Certificate) -> Table:
+    """What `called_for` left out, with its bounds.
+
+    Args:
+        certificate: of the problem.
+
+    Returns:
+        A row for each effect, bounds in the certificate's unit.
+    """
+    rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
+    heads = ("effect", f"bound [{certificate.unit}]", "moves by [pixels]", "rank", "why")
+    return Table("Left out", heads, rows, summary(certificate))
 
 
 def residual_figure(residuals: np.ndarray) -> "Figure":

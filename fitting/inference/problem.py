@@ -56,6 +56,7 @@ class Problem(eqx.Module):
         records: by name, into which paths lead.
         inputs: what else `predict` is given.
         space: the free numbers one by one, the order of every vector.
+        left_out: what `called_for` has left out of the records, or None.
 
     Raises:
         InputError: for a path, an argument of `predict` or a shape that does not fit.
@@ -72,6 +73,7 @@ class Problem(eqx.Module):
     records: dict[str, Any]
     inputs: Any
     space: ParameterSpace
+    left_out: Any = eqx.field(static=True)
 
     def __init__(
         self,
@@ -82,6 +84,7 @@ class Problem(eqx.Module):
         *,
         records: Mapping[str, Any] | None = None,
         inputs: Any = None,
+        left_out: Any = None,
     ) -> None:
         """States the problem.
 
@@ -95,7 +98,9 @@ class Problem(eqx.Module):
             data: an array of the prediction's shape; NaN where a datum is missing.
             records: PyTrees by name, such as {"scene": scene}.
             inputs: what else `predict` needs, in arrays (times, angles, other scenes).
+            left_out: what the records no longer hold, as `called_for` says it.
         """
+        self.left_out = left_out
         self.records = dict(records or {})
         self.inputs = as_arrays(inputs)
         self.free = tuple(
@@ -132,15 +137,30 @@ class Problem(eqx.Module):
         Returns:
             The problem.
         """
+        return self._again(data=data, inputs=self.inputs if inputs is None else inputs)
+
+    def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
+        """The same problem with other records in which its paths lead somewhere.
+
+        Args:
+            records: all of them, by name.
+            left_out: what they no longer hold, as `called_for` says it.
+
+        Returns:
+            The problem.
+        """
+        return self._again(records=records, left_out=left_out)
+
+    def _again(self, **changes: Any) -> "Problem":
+        present = True if self.present is None else np.asarray(self.present)
+        given = {
+            "data": np.where(present, self.data, np.nan),
+            "records": self.records,
+            "inputs": self.inputs,
+            "left_out": self.left_out,
+        }
         parameters = {p.name: p for p in self.free} | self.fixed | self.tied
-        return Problem(
-            parameters,
-            self.predict,
-            self.likelihood,
-            data,
-            records=self.records,
-            inputs=self.inputs if inputs is None else inputs,
-        )
+        return Problem(parameters, self.predict, self.likelihood, **(given | changes))
 
 
 def _shape(parameter: Parameter) -> tuple[int, ...]:

@@ -4,7 +4,8 @@
     stages        how a stage of the camera plugs in
     pruning       `inspect` and `prune`; `choice` decides, `boxes` reads what a fit may change
     radiance      the rows of a scene: lights, shadows, lobes, emission, ambient light; `extent`,
-                  `bounces` and `spectra` those of area lights, of paths and of bands
+                  `bounces` and `spectra` those of area lights, of paths and of bands; `probes`
+                  estimates what long paths add
     sums          what each part of a scene sends at most, from `illumination`, `reflection`,
                   `angles`, `blocking`, `cells` and `bodies`
 

@@ -46,15 +46,28 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
 def _row(sums: Sums, onward: "Onward", shone: np.ndarray, pieces: int) -> Row:
     tail = onward.series(shone, pieces - DIRECT + 1, (onward.depth or DIRECT) - DIRECT)
     amount = pictured(sums, tail[sums.cells.surface])
+    return pieces_row(amount, pieces, onward.depth or pieces)
+
+
+def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
+    """The row of paths of at most so many pieces.
+
+    Args:
+        amount: (bands,) W m^-2 sr^-1 that longer ones add at most.
+        pieces: that are left.
+        depth: that were followed.
+        assumes: "" where that is proved, else what an estimate rests on.
+    """
     bound = float(np.max(amount))
     why = f"paths of at most {pieces} pieces"
-    rank = "exact" if bound == 0 else "bound"
+    rank = "estimate" if assumes else "exact" if bound == 0 else "bound"
     effect = Effect("bounces", True, why, bound, unit=RADIANCE, rank=rank)
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, depth=pieces)
 
-    return Row(effect, amount, drop, ladder="bounces", saves=1 - pieces / (onward.depth or pieces))
+    saves = 1 - pieces / depth
+    return Row(effect, amount, drop, assumes=assumes, ladder="bounces", saves=saves)
 
 
 class Onward:

@@ -10,6 +10,7 @@ import numpy as np
 from ..scene import Scene, Sensor, View
 from .bounces import bounce_rows
 from .motion import moments_of
+from .probes import probed_rows
 from .radiance import scene_stage
 from .spectra import band_rows
 from .stages import Arriving, Ends, Row
@@ -25,6 +26,7 @@ def scene_rows(
     motion: Motion | None,
     sensor: Sensor,
     moments: int,
+    estimates: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
     """All rows of a scene, and what arrives at the camera at most.
 
@@ -34,6 +36,7 @@ def scene_rows(
         motion: as in `capture`, or None.
         sensor: whose exposure time and shutter place the moments, s.
         moments: of a motion.
+        estimates: whether what long paths add is also probed, in a small picture.
 
     Returns:
         Rows and `Arriving`. A scene that moves keeps its lights and its bands, which a motion may
@@ -41,7 +44,13 @@ def scene_rows(
     """
     rows, arriving, sums = scene_stage(scene, view, depth=depth)
     if motion is None or sensor.exposure_time is None:
-        return rows + band_rows(sums, direct=depth is None) + bounce_rows(sums, depth), arriving
+        rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
+        if estimates:  # the ladder goes from short paths to long ones
+            rows += probed_rows(scene.high, view.high, depth)
+            rows = tuple(
+                sorted(rows, key=lambda row: -row.saves if row.ladder == "bounces" else -2)
+            )
+        return rows, arriving
     times = moments_of(sensor, view.high.resolution[0], moments)
     found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
     everywhere = zip(rows, *(own for own, _ in found), strict=True)
@@ -49,6 +58,11 @@ def scene_rows(
     brightest = np.max([own.radiance for own in seen], axis=0)
     near, far = min(own.near for own in seen), max(own.far for own in seen)
     return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far)
+
+
+def _as_steps(row: Row) -> float:
+    """In order as they stand, and after all others those of paths, from short to long ones."""
+    return -row.saves if row.ladder == "bounces" else -2.0
 
 
 def _moved(
@@ -71,4 +85,6 @@ def _most(rows: Sequence[Row]) -> Row:
     first = rows[0]
     effect = replace(first.effect, bound=bound, rank="exact" if bound == 0 else "bound")
     of_light = effect.name.startswith("lights[")
-    return replace(first, effect=effect, amount=amount, drop=None if of_light else first.drop)
+    return replace(
+        first, effect=effect, amount=amount, after=None, drop=None if of_light else first.drop
+    )

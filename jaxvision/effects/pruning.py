@@ -19,12 +19,10 @@ from .moments import scene_rows
 from .motion import motion_stage
 from .optics import optics_stage
 from .sensor import sensor_stage
-from .stages import Draft, Ends
+from .stages import QUICKLY, Draft, Ends
 
 _PROBE = 16  # pixels along each side of the picture that finds the level
-# A picture that small runs at once however it is compiled, and compiles in half the time so.
-_QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
-_probe = jax.jit(render, compiler_options=_QUICKLY)
+_probe = jax.jit(render, compiler_options=QUICKLY)
 
 
 def _chain(
@@ -36,11 +34,18 @@ def _chain(
     motion: Any,
     moments: int,
     whole: bool,
+    estimates: bool,
 ) -> Chain:
     """The rows from the scene to the picture; of a bare view those of scene and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(
-        scene, view, depth=depth, motion=motion, sensor=sensor.high, moments=moments
+        scene,
+        view,
+        depth=depth,
+        motion=motion,
+        sensor=sensor.high,
+        moments=moments,
+        estimates=estimates,
     )
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
@@ -68,6 +73,7 @@ def inspect(
     motion: Any = None,
     moments: int = 8,
     depth: int | None = None,
+    estimates: bool = False,
 ) -> tuple[Effect, ...]:
     """Every effect of a scene and a camera, and the most that it does to the picture.
 
@@ -81,6 +87,7 @@ def inspect(
         moments: of a motion, as in `capture`.
         depth: pieces of the longest path that is followed, as `transport.Paths` counts them; None:
             direct light, as `render` shows it.
+        estimates: whether what long paths add is also estimated, by a small picture.
 
     Returns:
         One `Effect` each, its bound in the unit of its stage: W m^-2 sr^-1 of a scene, W m^-2 of a
@@ -110,6 +117,7 @@ def inspect(
         motion=motion,
         moments=moments,
         whole=isinstance(camera, Camera),
+        estimates=estimates,
     )
     named = frozenset(free or ())
     return tuple(
@@ -144,7 +152,8 @@ def prune(
             as it is; "DN" and "sigma" need a whole camera.
         level: W m^-2 sr^-1 that "relative" refers to; None: the brightest pixel of a small picture,
             which is rendered for it.
-        estimates: whether effects may go by an estimate of what they do, which is no proof.
+        estimates: whether effects may go by an estimate of what they do, which is no proof; long
+            paths then also by what a small picture shows of them.
 
     Returns:
         What remains, with a certificate of what does not.
@@ -177,6 +186,7 @@ def prune(
         motion=motion,
         moments=moments,
         whole=whole,
+        estimates=estimates,
     )
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)

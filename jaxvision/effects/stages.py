@@ -31,6 +31,9 @@ from .certificate import Effect
 
 T = TypeVar("T")
 
+# A small picture runs at once however it is compiled, and compiles in half the time so.
+QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
+
 
 class Ends(eqx.Module, Generic[T]):
     """A record at the two ends of what a fit may change; one record twice where nothing is free."""
@@ -89,8 +92,8 @@ class Row:
         amount: the bound, by band before the sensor; clipped at 0, inf where there is none.
         drop: from a draft to one without the effect, by `dataclasses.replace`, so that every
             record's own checks run; None where nothing can be dropped.
-        after: where the bound depends on what went before: from the names of what is gone to the
-            bound, () DN. None: `amount`, whatever went.
+        after: where the bound depends on what went before: from the names of what is gone to what
+            `amount` is then. None: `amount`, whatever went.
         assumes: what the bound rests on beside the records, a sentence; "" if nothing.
         saves: share of the picture's work that goes with it, by a declared table.
         instead_of: names of effects none of which may be gone when this one goes.
@@ -106,7 +109,7 @@ class Row:
     effect: Effect
     amount: np.ndarray
     drop: Drop | None
-    after: Callable[[Gone], float] | None = None
+    after: Callable[[Gone], float | np.ndarray] | None = None
     assumes: str = ""
     saves: float = 0.05
     instead_of: frozenset[str] = field(default_factory=frozenset)

@@ -58,6 +58,7 @@ def inspected(
     *,
     camera: Camera | None = None,
     free: Box | None = None,
+    estimates: bool = False,
 ) -> tuple[Effect, ...]:
     """The effects of a scene file.
 
@@ -66,12 +67,14 @@ def inspected(
         settings: integrator, samples and the rest of `[render]`.
         camera: whose sensor stands behind the scene's view, or None.
         free: as in `effects.inspect`, in the unit of each field.
+        estimates: whether long paths are probed, too.
 
     Returns:
         One `Effect` each.
     """
     seen = _seen_by(source, camera)
-    return effects.inspect(source.scene, seen, free=free, **_asked(settings))
+    asked = _asked(settings)
+    return effects.inspect(source.scene, seen, free=free, estimates=estimates, **asked)
 
 
 def pruned_for(
@@ -82,6 +85,7 @@ def pruned_for(
     camera: Camera | None = None,
     free: Box | None = None,
     level: float | None = None,
+    estimates: bool = False,
 ) -> Pruned:
     """A scene file without the effects that a tolerance allows to leave out.
 
@@ -89,13 +93,15 @@ def pruned_for(
         source, settings, camera, free: as in `inspected`.
         tolerance: relative, DN or sigma, as in `effects.prune`.
         level: W m^-2 sr^-1 that "relative" refers to; None: the brightest of a small picture.
+        estimates: whether effects may also go by an estimate.
 
     Returns:
         What is left, with its certificate.
     """
     seen = _seen_by(source, camera)
     asked = _asked(settings)
-    return effects.prune(source.scene, seen, tolerance, free=free, level=level, **asked)
+    asked |= {"free": free, "level": level, "estimates": estimates}
+    return effects.prune(source.scene, seen, tolerance, **asked)
 
 
 def left_of(

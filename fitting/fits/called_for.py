@@ -1,0 +1,184 @@
+"""A problem of only the effects that its scene and camera call for.
+
+`jaxvision.effects` bounds what each effect can do to the law of a pixel over the whole box of what
+is fitted; what stays below a tolerance goes from the records, and so from the prediction and from
+the likelihood of their sensor. The problem carries the certificate, and a fit's report lists it.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxvision import Camera, Scene
+from jaxvision.effects import Tolerance, prune
+from jaxvision.errors import InputError
+from jaxvision.rendering import PixelSamples
+
+from ..inference.parameters import Parameter, scalars
+from ..inference.problem import Problem, likelihood_at, prediction, values_at
+from ..inference.records import head, is_path, reach, read, replaced
+
+BEYOND = 1e-9  # probability that a prior leaves to either side of the box
+
+Box = dict[str, tuple[Any, Any]]
+
+
+def called_for(
+    problem: Problem,
+    *,
+    tolerance: float = 0.1,
+    samples: PixelSamples | None = None,
+    depth: int | None = None,
+) -> Problem:
+    """Leaves out of a problem's scene and camera what no fit of it can see.
+
+    An error that all n data share is not averaged over them, so each may move by the tolerance over
+    sqrt(n): no estimate then moves by more than the tolerance in its standard deviations, as far as
+    the problem is linear over so little.
+
+    Args:
+        problem: one `Scene` and one `Camera` among its records, which `predict` shows as they are;
+            each parameter that leads into them with bounds or a prior.
+        tolerance: standard deviations of the noise of all data together, as the sensor has it in
+            the dark, by which their law may move.
+        samples, depth: of what `predict` renders, as in `jaxvision.effects.inspect`.
+
+    Returns:
+        The problem of what is left, its certificate in `left_out`. What is free, fixed or tied by a
+        path stays, and lights keep their numbers up to the last that a path names.
+
+    Raises:
+        InputError: for records without a scene and a camera, for a parameter without an end, and
+            where simulated data tell the two problems apart: then `predict` shows something else.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Parameter, Problem, SensorNoise, called_for
+        >>> floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
+        >>> lamps = [jv.PointLight([0, 0, z], [1.0]) for z in (2.0, 9000.0)]
+        >>> down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+        >>> view = jv.Orthographic([0, 0, 3], down, 0.2, resolution=(4, 4))
+        >>> sensor = jv.Sensor(read_noise=3.0, gain=100.0)
+        >>> problem = Problem(
+        ...     {"scene.lights[0].intensity": Parameter(lower=0.5, upper=2.0)},
+        ...     predict=lambda scene, camera: jv.render(scene, camera.view),
+        ...     likelihood=SensorNoise("camera.sensor"),
+        ...     data=np.ones((4, 4, 1)),
+        ...     records={"scene": jv.Scene(floor, lamps), "camera": jv.Camera(view, sensor)},
+        ... )
+        >>> len(called_for(problem).records["scene"].lights)
+        1
+    """
+    seen, camera = _named(problem, Scene), _named(problem, Camera)
+    fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
+    records = replaced(problem.records, fixed)
+    box = dict(_boxes(problem, records, (seen, camera)))
+    box |= _lights_before(records[seen], box)
+    count = problem.data.size if problem.present is None else int(problem.present.sum())
+    each = Tolerance(tolerance / np.sqrt(max(count, 1)), "sigma", place=0.0)
+    pruned = prune(records[seen], records[camera], each, free=box, samples=samples, depth=depth)
+    left = problem.records | {seen: pruned.scene, camera: pruned.camera}
+    smaller = problem.with_records(left, left_out=pruned.certificate)
+    _refuse_another_law(problem, smaller, 1 + 10 * tolerance)
+    return smaller
+
+
+def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
+    """By the ratio of the two likelihoods of simulated data, whose logarithm scatters by no more
+    than the tolerance or two."""
+    if not abs(float(_log_ratio(whole, left))) <= limit:
+        raise InputError(
+            "called_for: without what was left out, simulated data would be quite another; predict "
+            "must show the scene through the camera as the records hold them."
+        )
+
+
+@eqx.filter_jit
+def _log_ratio(whole: Problem, left: Problem) -> Array:
+    """ln of the ratio of the likelihoods of data that one draws, amid the priors."""
+    values = values_at(whole, jnp.zeros(len(whole.space)))
+    seen = [prediction(problem, values) for problem in (whole, left)]
+    known = [likelihood_at(problem, values) for problem in (whole, left)]
+    drawn = known[0].draw(jax.random.key(0), seen[0])
+    first, second = (
+        likelihood.log_density(light, drawn) for likelihood, light in zip(known, seen, strict=True)
+    )
+    return jnp.sum(
+        second - first if whole.present is None else jnp.where(whole.present, second - first, 0)
+    )
+
+
+def _named(problem: Problem, kind: type) -> str:
+    found = [name for name, record in problem.records.items() if isinstance(record, kind)]
+    if len(found) != 1:
+        raise InputError(
+            f"called_for: the records hold {len(found)} of {kind.__name__}; exactly one is needed."
+        )
+    return found[0]
+
+
+def _boxes(
+    problem: Problem, records: dict[str, Any], among: tuple[str, ...]
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """From the names of fields to the ends of what a fit may make of them; what is fixed, and what
+    others decide, has one value or none."""
+    for name in problem.tied:
+        if is_path(name) and head(name) in among:
+            raise InputError(f"called_for: {name} is tied, so that nothing is known of its range.")
+    known = {p.name: _ends(p) for p in problem.free} | {n: (v, v) for n, v in problem.fixed.items()}
+    fields: dict[str, list[np.ndarray]] = {}
+    for path, ends in known.items():
+        if not is_path(path) or head(path) not in among:
+            continue
+        field, within = _field(records, path)
+        own = np.asarray(read(records, field), float)
+        low, high = fields.setdefault(field, [own.copy(), own.copy()])
+        low[within], high[within] = ends
+    for field, (low, high) in fields.items():
+        yield field[len(head(field)) + 1 :], (low, high)
+
+
+def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
+    """The array that a path leads to or into, and the place in it."""
+    parent, _, last = path.rpartition("[")
+    if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
+        return parent, int(last[:-1])
+    return path, ...
+
+
+def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest value that bounds and priors leave."""
+    shape = parameter.shape or ()
+    each = np.array([_ends_of(number) for number in scalars(parameter, shape)])
+    if not np.isfinite(each).all():
+        raise InputError(
+            f"called_for: {parameter.name} has no end; give it bounds or a prior, so that what is "
+            "left out stays small wherever the fit may go."
+        )
+    low, high = each.T
+    return low.reshape(shape), high.reshape(shape)
+
+
+def _ends_of(number: Parameter) -> tuple[float, float]:
+    low = max(float(np.asarray(number.lower)), 0.0 if number.transform == "log" else -np.inf)
+    high = float(np.asarray(number.upper))
+    if number.prior is None:
+        return low, high
+    least, most = number.prior.quantile(np.array([BEYOND, 1 - BEYOND]))
+    return max(low, float(least)), min(high, float(most))
+
+
+def _lights_before(scene: Scene, box: Box) -> Box:
+    """Boxes of one value, which keep lights before the last that is named where they are."""
+    numbers = [int(name[7:].partition("]")[0]) for name in box if name.startswith("lights[")]
+    found = {}
+    for k in range(max(numbers, default=0)):
+        name = scene.lights[k].spectra[0]
+        value = np.asarray(getattr(scene.lights[k], name))
+        found.setdefault(f"lights[{k}].{name}", (value, value))
+    return {name: ends for name, ends in found.items() if name not in box}

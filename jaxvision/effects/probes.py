@@ -1,0 +1,91 @@
+"""What long paths add, by a small picture: an estimate where no proof is sharp.
+
+In a bright closed room the proved bound of `bounces` is of no use: of the Cornell box's own light
+it asks for tens of pieces. There a picture of 16 x 16 pixels and 64 paths each, with n, n + 1 and
+n + 2 pieces of the same random numbers, shows what each further piece adds and by which factor r
+that falls; from then on it is taken to fall so at every piece,
+
+    sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
+
+with D the brightest pixel's, and r two standard errors above what was seen. W m^-2 sr^-1.
+"""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from ..scene import Scene, View
+from ..transport import Paths, path_traced
+from .bounces import DIRECT, pieces_row
+from .stages import QUICKLY, Row
+
+_SIDE, _PATHS = 16, 64
+_SETTLED = 4  # pieces from which light is taken to fall by one factor
+ASSUMED = "Light of more pieces than were probed falls by one factor at each further piece."
+
+
+def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
+    """Rows "bounces" as `bounces.bounce_rows` gives them, of rank "estimate".
+
+    Args:
+        scene: at its brightest.
+        view: any view.
+        depth: pieces of the longest path that is followed; None: direct light, no rows.
+
+    Returns:
+        A row for each number of pieces from 2 to below `depth`; none of paths too short to probe.
+    """
+    n = min(_SETTLED, (depth or 0) - 2)
+    if depth is None or n < DIRECT:
+        return ()
+    coarse = replace(
+        view,
+        resolution=(_SIDE, _SIDE),
+        pixel_pitch=view.pixel_pitch * (max(view.resolution) / _SIDE),
+    )
+    pictures = [
+        np.asarray(_probe(scene, coarse, Paths(_PATHS, pieces)), float)
+        for pieces in (n, n + 1, n + 2)
+    ]
+    tails = tails_of(*pictures, n=n, depth=depth)
+    return tuple(
+        pieces_row(tail, DIRECT + k, depth, assumes=ASSUMED) for k, tail in enumerate(tails)
+    )
+
+
+def _traced(scene: Scene, view: View, method: Paths) -> jax.Array:
+    return path_traced(jax.random.key(0), scene, view, method=method).radiance
+
+
+_probe = jax.jit(_traced, compiler_options=QUICKLY)
+
+
+def tails_of(
+    short: np.ndarray, longer: np.ndarray, longest: np.ndarray, *, n: int, depth: int
+) -> list[np.ndarray]:
+    """What paths of more pieces than m add, from three pictures of n, n + 1 and n + 2 pieces.
+
+    Args:
+        short, longer, longest: (h, w, bands) W m^-2 sr^-1.
+        n: pieces of the shortest.
+        depth: pieces of the longest path that is followed.
+
+    Returns:
+        (bands,) W m^-2 sr^-1 for each m from 2 to `depth` - 1; inf where nothing is seen to fall.
+    """
+    first, second = np.maximum(longer - short, 0), np.maximum(longest - longer, 0)
+    total = first.sum((0, 1))
+    some = np.where(total > 0, total, 1)
+    ratio = second.sum((0, 1)) / some
+    error = np.sqrt(((second - ratio * first) ** 2).sum((0, 1))) / some
+    r = ratio + 2 * error
+    falls = (r > 0) & (r < 1) & (total > 0)
+    r = np.where(falls, r, 0.5)
+    most = first.max((0, 1))
+    dark = (total == 0) & (second.sum((0, 1)) == 0)
+    found = []
+    for m in range(DIRECT, depth):
+        tail = most * r ** float(m - n) * (1 - r ** float(depth - m)) / (1 - r)
+        found.append(np.where(dark, 0, np.where(falls, tail, np.inf)))
+    return found
