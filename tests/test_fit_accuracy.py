@@ -36,7 +36,7 @@ tolerance rtol atol max_steps starts draws steps walkers chains acceptance coars
 reach window sampling posterior most_bins simulations repeats
 """)
 # ... unless it is one of these, where the word means something else: a result, a number of things
-# or of data, repeats that are simulated, or what several fits share.
+# or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
 OTHER = words("""
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
@@ -45,7 +45,7 @@ OTHER = words("""
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
 *.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
-*.calibrate_lab.draws *.minimise_in_box.* *.commands.run.repeats
+*.calibrate_lab.draws *.minimise_in_box.* *.commands.run.repeats *.called_for.tolerance
 """)
 
 

@@ -29,7 +29,12 @@ _OF_SCENES = (
         (16, 24, 32),
         law="geometric",
         whole=True,
-        sets=("*.Paths.depth", "*.light_paths.light_traced.depth", "*.ray_tree.*.rays"),
+        sets=(
+            "*.Paths.depth",
+            "*.path_along.depth",
+            "*.light_paths.light_traced.depth",
+            "*.ray_tree.*.rays",
+        ),
     ),
     Knob(
         "order",
