@@ -44,14 +44,12 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
             markersize=6,
             elinewidth=1,
         )
-        axes.annotate(
-            str(trial.setting), (trial.seconds, error), (5, 5), textcoords="offset points"
-        )
     front = [curve.trials[i] for i in curve.pareto if curve.trials[i] in shown]
     axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
     if shown and np.isfinite(floor) and floor > 0:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
     _scaled(axes, [t.error for t in shown])
+    label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     falls = "error" if curve.knob.law == "geometric" else "order"
     order = "" if curve.order is None else f", {falls} {curve.order}"
@@ -89,6 +87,36 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False)
     return axes
+
+
+def label(
+    axes: "Axes", points: Sequence[tuple[str, float, float]], *, below: bool = False, **look: str
+) -> None:
+    """Writes names beside points, left of those in the right third, but where two would overlap.
+
+    Args:
+        axes: logarithmic, with the points drawn.
+        points: (name, s, error) of each.
+        below: whether under the points.
+        **look: of matplotlib's text.
+    """
+    places = np.log([[seconds, error] for _, seconds, error in points]).reshape(-1, 2)
+    first, last = np.log([axes.get_xlim(), axes.get_ylim()]).T
+    within = (places - first) / np.maximum(last - first, 1e-9)
+    taken: list[np.ndarray] = []
+    for (name, seconds, error), place in zip(points, within, strict=True):
+        if any((np.abs(place - other) < (0.08, 0.06)).all() for other in taken):
+            continue
+        taken.append(place)
+        late = place[0] > 0.7
+        axes.annotate(
+            name,
+            (seconds, error),
+            (-5 if late else 5, -9 if below else 5),
+            textcoords="offset points",
+            ha="right" if late else "left",
+            **look,
+        )
 
 
 def _scaled(axes: "Axes", errors: Sequence[float]) -> None:

@@ -146,13 +146,15 @@ def settings(
     goal = tolerance if render_seconds is None else render_seconds
     if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:
         raise InputError("give either a tolerance or a time to render, above 0.")
-    own = scene_file.render
+    now = clock or time.perf_counter
+    until, own = now() + seconds, scene_file.render
     pruned = _pruned(scene_file, own, tolerance)
     left, _ = left_of(scene_file, own, pruned)
     file = _remembered(scene_file, tolerance, render_seconds)
     known = _read(file) if cache else None
     if known is None:
-        known, curves = _found(left, own, pruned, tolerance, render_seconds, seconds, clock)
+        remains = max(until - now(), MARGIN * CHECK * seconds)
+        known, curves = _found(left, own, pruned, tolerance, render_seconds, remains, clock)
         if cache:
             _write(file, known)
     else:

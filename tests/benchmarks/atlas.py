@@ -35,6 +35,7 @@ from fitting.demo.lab import simulate_lab
 from fitting.rig import load_rig
 from jaxvision.accuracy import KNOBS, Curve, Problem, curve, knobs_of, measured, plot
 from jaxvision.accuracy.examples import cameras, example, examples, light, pictures
+from jaxvision.accuracy.plots import label
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.accuracy.tables import rows
 from jaxvision.render_command import with_resolution
@@ -187,8 +188,8 @@ def drawn(sheet: Sheet) -> str:
         plot(sheet.curve, axes=axes)
         for peer in sheet.peers:
             axes.plot(peer.seconds, 100 * peer.error, "^", color=PEER, ms=5)
-            place = (peer.seconds, 100 * peer.error)
-            axes.annotate(peer.name, place, (5, -9), textcoords="offset points", color=PEER)
+        points = [(peer.name, peer.seconds, 100 * peer.error) for peer in sheet.peers]
+        label(axes, points, below=True, color=PEER)
         for axis in (axes.xaxis, axes.yaxis):
             low, high = axis.get_view_interval()
             axis.set_minor_formatter(_few if high < 20 * low else NullFormatter())
