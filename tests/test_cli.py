@@ -175,7 +175,7 @@ def test_the_installed_command_shows_no_traceback(tmp_path):
 
 @pytest.mark.slow
 def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
-    """No report rests on them; what was drawn is kept, and the advised command ends well."""
+    """No report rests on them; what was drawn is kept, and whoever does as advised ends well."""
     command = ("response", lab[0] / "response", "--mcmc", "--walkers", "16", "--out", tmp_path)
     status, _, stderr = run(*command, "--steps", "20")
     assert status == 2
@@ -183,7 +183,12 @@ def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
     assert advised, one_sentence(stderr)
     assert not (tmp_path / "report.html").exists()
     assert [*(tmp_path / "checkpoint").rglob("block-*.npz")]
-    assert run(*command, "--steps", 3 * int(advised[1]))[0] == 0
+    while status == 2:  # a short chain knows its own length badly, and may ask again
+        asked = int(advised[1])
+        status, _, stderr = run(*command, "--steps", asked)
+        advised = re.search(r"allow --steps (\d+) and run again", stderr) or advised
+        assert status == 0 or int(advised[1]) > asked
+    assert status == 0
     assert (tmp_path / "report.html").exists()
 
 

@@ -90,7 +90,11 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
 
 def label(
-    axes: "Axes", points: Sequence[tuple[str, float, float]], *, below: bool = False, **look: str
+    axes: "Axes",
+    points: Sequence[tuple[str, float, float]],
+    *,
+    below: bool = False,
+    color: str | None = None,
 ) -> None:
     """Writes names beside points, left of those in the right third, but where two would overlap.
 
@@ -98,7 +102,7 @@ def label(
         axes: logarithmic, with the points drawn.
         points: (name, s, error) of each.
         below: whether under the points.
-        **look: of matplotlib's text.
+        color: of matplotlib.
     """
     places = np.log([[seconds, error] for _, seconds, error in points]).reshape(-1, 2)
     first, last = np.log([axes.get_xlim(), axes.get_ylim()]).T
@@ -115,7 +119,7 @@ def label(
             (-5 if late else 5, -9 if below else 5),
             textcoords="offset points",
             ha="right" if late else "left",
-            **look,
+            color=color,
         )
 
 
