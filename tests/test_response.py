@@ -9,14 +9,16 @@ from oracles.stacks import exposure_stack, gamma, srgb
 from scipy import stats
 
 from fitting.inference.estimates import find
+from fitting.response import from_stack
 from fitting.response.calibration import calibrate as calibrate_response
 from fitting.response.calibration import radiance_images
 from fitting.response.curve import fit_response_curve
+from fitting.response.findings import findings
 from fitting.response.radiance_map import merge
 from fitting.response.read import read_exposure_stack
 from fitting.response.section import curve_columns
 from fitting.response.section import section as response_section
-from fitting.rig import load_rig
+from fitting.rig import Camera, load_rig
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
 
@@ -197,3 +199,18 @@ def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
     [named] = [text for text in section.findings if text.startswith("blue was not calibrated")]
     assert "NaN in the radiance map" in named
     section.pictures[3].draw()
+
+
+def test_a_small_picture_keeps_its_pixels_near_clipped_ones():
+    """Raw pixels that a few clipped ones all are next to: nothing else would remain."""
+    rng, times = np.random.default_rng(3), 2.0 ** np.arange(-4, 3)
+    y, x = np.mgrid[:18, :18] / 18
+    light = np.exp(3 * (x - 0.5) + 2 * np.sin(6 * y))
+    electrons = (rng.poisson(8000 * np.clip(light * time, 0, 1)) for time in times)
+    encoded = (255 * (n / 8000) ** (1 / 2.2) for n in electrons)
+    images = [code.round().clip(0, 255).astype(np.uint8) for code in encoded]
+    calibration = calibrate_response(from_stack(images, times, camera=Camera(bits=8)))
+    (channel,) = calibration.channels
+    assert not channel.clear
+    assert any("near them count too" in sentence for sentence in findings(calibration))
+    assert abs(channel.gamma.gamma.value - 2.2) < 4 * channel.gamma.gamma.standard_error

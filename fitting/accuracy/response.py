@@ -40,7 +40,8 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     seen = whole.codes[whole.seen]
     codes = np.linspace(seen[0], seen[-1], PLACES + 2)[1:-1]
     errors = np.interp(codes, whole.codes, whole.standard_error)
-    every = clear_of_clipping(plane.codes, plane.clip)[:, plane.mask]
+    clear = clear_of_clipping(plane.codes, plane.clip) if channel.clear else plane.codes
+    every = clear[:, plane.mask]
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 
     def fitted(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:

@@ -4,7 +4,7 @@ per colour channel (or Bayer site) and group of images."""
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from jaxvision.errors import InputError
 
@@ -26,12 +26,15 @@ class ChannelResponse:
         curve: log exposure of every code.
         gamma: the best pure gamma.
         radiance: the merged map.
+        clear: whether pixels near clipped ones were left out of the curve; where too few would
+            remain, they are not.
     """
 
     plane: Plane
     curve: ResponseCurve
     gamma: GammaFit
     radiance: RadianceMap
+    clear: bool
 
 
 @dataclass(frozen=True)
@@ -86,16 +89,24 @@ def calibrate(
 def _calibrate(
     plane: Plane, stack: ExposureStack, sampling: SamplingOptions | None, seed: int
 ) -> ChannelResponse:
-    codes = clear_of_clipping(plane.codes, plane.clip)
-    curve = fit_response_curve(
-        codes[:, plane.mask],
-        plane.exposures,
-        bits=stack.bits,
-        black=plane.black,
-        clip=plane.clip,
-        layout=layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip),
-        least_error=max(STEADIEST, plane.exposure_sd),
-    )
+    layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
+
+    def curve_of(codes: Integer[np.ndarray, "exposures h w"]) -> ResponseCurve:
+        return fit_response_curve(
+            codes[:, plane.mask],
+            plane.exposures,
+            bits=stack.bits,
+            black=plane.black,
+            clip=plane.clip,
+            layout=layout,
+            least_error=max(STEADIEST, plane.exposure_sd),
+        )
+
+    clear = True
+    try:
+        curve = curve_of(clear_of_clipping(plane.codes, plane.clip))
+    except InputError:
+        clear, curve = False, curve_of(plane.codes)
     own = for_group(sampling, plane.label)
     gamma = fit_gamma(
         curve,
@@ -105,7 +116,8 @@ def _calibrate(
         sampling=own,
         seed=seed,
     )
-    return ChannelResponse(plane, curve, gamma, merge(plane.codes, plane.exposures, curve))
+    radiance = merge(plane.codes, plane.exposures, curve)
+    return ChannelResponse(plane, curve, gamma, radiance, clear)
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:

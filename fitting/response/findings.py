@@ -66,6 +66,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     channels = calibration.channels
     found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
+    found.append(_near_clipped_in_words(channels))
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -176,6 +177,17 @@ def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"({worst.plane.label or 'the grey channel'}): misregistration, motion, compression, or a "
         "response that depends on colour. The bands rest on how far parts of the picture, and "
         "exposures, agree."
+    )
+
+
+def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
+    near = [c for c in channels if not c.clear]
+    if not near:
+        return ""
+    names = ", ".join(c.plane.label or "grey" for c in near)
+    return (
+        f"Too few pixels are far from clipped ones ({names}), so those near them count too: where "
+        "neighbours are mixed, by demosaicking or JPEG, the curve is too steep near full scale."
     )
 
 
