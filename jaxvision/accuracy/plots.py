@@ -104,6 +104,8 @@ def label(
         below: whether under the points.
         color: of matplotlib.
     """
+    if not points:
+        return
     places = np.log([[seconds, error] for _, seconds, error in points]).reshape(-1, 2)
     first, last = np.log([axes.get_xlim(), axes.get_ylim()]).T
     within = (places - first) / np.maximum(last - first, 1e-9)
