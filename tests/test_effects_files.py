@@ -55,7 +55,7 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
 @pytest.mark.slow
 def test_a_pruned_picture_is_not_resumed_as_a_whole_one(tmp_path):
     """The part of a killed render is kept only for the same certificate."""
-    source, out = scene_file(2), tmp_path / "out.exr"
+    source, out = scene_file(41), tmp_path / "out.exr"
     settings = SETTINGS.model_copy(update={"tile": 100})
     pruned = pruned_for(source, settings, "5%")
 
