@@ -8,6 +8,7 @@ import platform
 import sys
 import warnings
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 # Without optimisation, and by XLA's older emitters. The demo then takes 77 s of CPU instead of
@@ -21,8 +22,9 @@ _MOST_BYTES = 2**29
 
 
 def compile_quickly() -> None:
-    """Compiles without optimisation, unless the user's XLA_FLAGS say how (even if empty)."""
-    if version("jaxlib").startswith(_KNOWS_THEM):
+    """Compiles without optimisation on a processor, unless the user's XLA_FLAGS say how (even if
+    empty). With an accelerator's plugin nothing is changed."""
+    if version("jaxlib").startswith(_KNOWS_THEM) and find_spec("jax_plugins") is None:
         os.environ.setdefault("XLA_FLAGS", _QUICKLY)
 
 
@@ -34,7 +36,7 @@ def keep_programs() -> None:
         return
     try:
         folder = _folder()
-    except OSError:
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"

@@ -30,6 +30,10 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "version", lambda name: "0.10.9")
+    monkeypatch.setattr(programs, "find_spec", lambda name: name)  # an accelerator is there
+    programs.compile_quickly()
+    assert "XLA_FLAGS" not in os.environ
+    monkeypatch.setattr(programs, "find_spec", lambda name: None)
     programs.compile_quickly()
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
 
