@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 # Without optimisation, and by XLA's older emitters. The demo then takes 77 s of CPU instead of
-# 131, of which 60 s fewer are compilation; fits of 470,000 samples run a fifth longer.
+# 106, and 72 s on two cores instead of 82; fits of 470,000 samples run a fifth longer.
 _QUICKLY = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
     "--xla_cpu_parallel_codegen_split_count=1"
