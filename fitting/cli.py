@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from jaxvision.command_line import AsJson, KnobNames, PageFolder
 from jaxvision.errors import InputError
 from jaxvision.memory import keep_memory
 
@@ -293,16 +294,10 @@ def check(
 @failures()
 def accuracy(
     rig: RigPath,
-    knob: Annotated[
-        list[str] | None,
-        typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
-    ] = None,
+    knob: KnobNames = None,
     seconds: Annotated[float, typer.Option(help="Time to measure each fit, s.")] = 60.0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    out: PageFolder = None,
+    as_json: AsJson = False,
 ) -> None:
     """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
     a hundredth and a thousandth of a standard error. An interrupt keeps what was measured."""

@@ -89,8 +89,8 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 
 @cache
 def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
-    """What each parameter holds, in their order; None where that is no array of numbers, or may be
-    something else but a record."""
+    """What each parameter holds, in their order; None unless that is an array of numbers, or either
+    an array or a record."""
     hints = get_type_hints(function)
     return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
 

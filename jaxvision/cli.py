@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .command_line import command_app, failures_as_sentences
+from .command_line import AsJson, KnobNames, PageFolder, command_app, failures_as_sentences
 from .errors import InputError
 from .memory import keep_memory
 
@@ -215,16 +215,10 @@ def accuracy(
         str,
         typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
     ],
-    knob: Annotated[
-        list[str] | None,
-        typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
-    ] = None,
+    knob: KnobNames = None,
     seconds: Annotated[float, typer.Option(help="Time to measure, s.")] = 60.0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    out: PageFolder = None,
+    as_json: AsJson = False,
 ) -> None:
     """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
     0.1 %. An interrupt keeps what was measured."""

@@ -5,12 +5,24 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
 from . import __version__
 from .errors import InputError
+
+# Options of every command that measures accuracy.
+KnobNames = Annotated[
+    list[str] | None,
+    typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
+]
+PageFolder = Annotated[
+    Path | None,
+    typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
 def command_app(about: str) -> typer.Typer:

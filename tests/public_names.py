@@ -1,8 +1,10 @@
 """The public names of both packages, discovered, not listed."""
 
+import dataclasses
 import importlib
 import inspect
 import pkgutil
+from fnmatch import fnmatchcase
 
 import jaxvision
 from jaxvision import accuracy, effects
@@ -139,6 +141,31 @@ def functions(package):
 def records(package):
     """Every public class where it is defined."""
     return {name: value for name, value in defined(package) if inspect.isclass(value)}
+
+
+def words(text):
+    return text.split()
+
+
+def arguments_and_fields(package):
+    """The dotted names, below a package, of public arguments and fields."""
+    found = []
+    for name, function in functions(package).items():
+        found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
+    for name, record in records(package).items():
+        if dataclasses.is_dataclass(record):
+            found += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    return found
+
+
+def unknown(names, patterns):
+    """The names that no pattern fits."""
+    return [name for name in names if not any(fnmatchcase(name, one) for one in patterns)]
+
+
+def ghosts(patterns, names):
+    """The patterns that fit no name."""
+    return [one for one in patterns if not any(fnmatchcase(name, one) for name in names)]
 
 
 def traced():

@@ -1,22 +1,13 @@
 """Every approximation of the library has its knob, and every knob turns something."""
 
-import dataclasses
-import inspect
-from fnmatch import fnmatchcase
-
 import pytest
-from public_names import functions, records
+from public_names import arguments_and_fields, ghosts, unknown, words
 
 import jaxvision
 from jaxvision.accuracy import KNOBS, curve
 from jaxvision.accuracy.examples import example, examples
 from jaxvision.accuracy.knobs import SCENE_KNOBS
 from jaxvision.errors import InputError
-
-
-def words(text):
-    return text.split()
-
 
 # A public argument or field of one of these names trades error for time, and needs a knob ...
 WORDS = words("""
@@ -39,19 +30,10 @@ OTHER = words("""
 
 
 def approximations():
-    """The dotted names, below `jaxvision`, of public arguments and fields with such a word."""
-    found = []
-    for name, function in functions(jaxvision).items():
-        found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
-    for name, record in records(jaxvision).items():
-        if dataclasses.is_dataclass(record):
-            found += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    """Public arguments and fields with such a word."""
     apart = ("jaxvision.effects.", "jaxvision.accuracy.")
+    found = arguments_and_fields(jaxvision)
     return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
-
-
-def matches(name, patterns):
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def test_every_approximation_has_a_knob():
@@ -59,19 +41,12 @@ def test_every_approximation_has_a_knob():
     known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
     found = approximations()
     assert len(found) > 60
-    missing = [name for name in found if not matches(name, known) and not matches(name, OTHER)]
-    assert not missing
+    assert not unknown(found, known + OTHER)
 
 
 def test_every_pattern_names_something_that_is_there():
-    every = approximations()
-    for name, function in functions(jaxvision).items():
-        every += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
-    for name, record in records(jaxvision).items():
-        if dataclasses.is_dataclass(record):
-            every += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
     patterns = [pattern for knob in KNOBS.values() for pattern in knob.sets] + OTHER
-    assert not [p for p in patterns if not any(fnmatchcase(name, p) for name in every)]
+    assert not ghosts(patterns, arguments_and_fields(jaxvision))
 
 
 def test_every_knob_turns_something():

@@ -1,16 +1,13 @@
 """Every approximation of a fit has its knob, and every knob turns something."""
 
-import dataclasses
-import inspect
 import json
 from dataclasses import replace
-from fnmatch import fnmatchcase
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import called
-from public_names import functions, records
+from public_names import arguments_and_fields, ghosts, unknown, words
 from scipy.stats import norm
 
 import fitting
@@ -24,11 +21,6 @@ from fitting.inference.parameters import Parameter, scalars
 from fitting.rig import load_rig
 from jaxvision.accuracy import Problem, curve
 from jaxvision.errors import InputError
-
-
-def words(text):
-    return text.split()
-
 
 # A public argument or field of one of these names trades error for time, and needs a knob ...
 WORDS = words("""
@@ -50,19 +42,10 @@ OTHER = words("""
 
 
 def approximations():
-    """The dotted names, below `fitting`, of public arguments and fields with such a word."""
-    found = []
-    for name, function in functions(fitting).items():
-        found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
-    for name, record in records(fitting).items():
-        if dataclasses.is_dataclass(record):
-            found += [f"{name}.{field.name}" for field in dataclasses.fields(record)]
+    """Public arguments and fields with such a word."""
     apart = ("fitting.accuracy.",)
+    found = arguments_and_fields(fitting)
     return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
-
-
-def matches(name, patterns):
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def test_every_approximation_has_a_knob():
@@ -70,18 +53,12 @@ def test_every_approximation_has_a_knob():
     known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
     found = approximations()
     assert len(found) > 40
-    missing = [name for name in found if not matches(name, known) and not matches(name, OTHER)]
-    assert not missing
+    assert not unknown(found, known + OTHER)
 
 
 def test_every_pattern_names_something_that_is_there():
-    every = approximations()
     patterns = [pattern for knob in KNOBS.values() for pattern in knob.sets] + OTHER
-    assert not [p for p in patterns if not matches_any(p, every)]
-
-
-def matches_any(pattern, names):
-    return any(fnmatchcase(name, pattern) for name in names)
+    assert not ghosts(patterns, arguments_and_fields(fitting))
 
 
 def test_every_knob_turns_something():

@@ -6,6 +6,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from jaxvision.accuracy import Curve, Problem, curve
+from jaxvision.accuracy.curves import asked_knobs, in_turn
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
@@ -112,29 +113,16 @@ def measured(
     Raises:
         InputError: for a knob that the fit has not.
     """
-    for name in names or ():
-        if name not in known:
-            words = ", ".join(repr(one) for one in known)
-            raise InputError(f"{problem.name}: knob {name!r} changes nothing here; use {words}.")
-    now = clock or time.perf_counter
-    until, chosen = now() + seconds, names or known
-    found: list[Curve] = []
-    for number, name in enumerate(chosen):
+
+    def measure(name: str, share: float) -> Curve:
+        knob, begun = KNOBS[name], now()
         whole = problem.prepare({"pixels": 1.0})(0) if name == "pixels" else None
-        share = max(until - now(), 1e-3) / (len(chosen) - number)
-        settings = KNOBS[name].settings
+        settings = knob.settings
         if name == "posterior" and not find_spec("blackjax"):
             settings = tuple(setting for setting in settings if setting != "nuts")
-        found.append(
-            curve(
-                problem,
-                KNOBS[name],
-                settings=settings,
-                reference=whole,
-                seconds=share,
-                clock=clock,
-            )
-        )
-        if found[-1].stopped == "interrupted":
-            break
-    return tuple(found)
+        left = max(share - (now() - begun), 1e-3)
+        return curve(problem, knob, settings=settings, reference=whole, seconds=left, clock=clock)
+
+    now = clock or time.perf_counter
+    chosen = asked_knobs(problem.name, names, known)
+    return in_turn(chosen, measure, seconds=seconds, clock=clock)

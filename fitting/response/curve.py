@@ -262,7 +262,7 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
     """Bins whose own exposure is observed in some class; others hold the tails of noise alone."""
     assert rule.weight is not None
     cells = cells_of(rule, means, np.zeros(len(means), int))
-    return np.any(rule.weight[:, cells] > 0, axis=0, keepdims=True)[0]
+    return np.any(rule.weight[:, cells] > 0, axis=0)
 
 
 def _curve(

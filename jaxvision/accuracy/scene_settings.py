@@ -21,7 +21,7 @@ from ..io import replaced_on_success
 from ..render_command import left_of, pruned_for
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
-from .curves import curve
+from .curves import asked_knobs, curve, in_turn
 from .knobs import KNOBS
 from .records import Curve, Knob, Problem
 from .reference import DRAWS, FIRST_SEED
@@ -89,21 +89,16 @@ def measured(
         InputError: for a knob that the scene file has not.
     """
     known = knobs_of(source, settings)
-    for name in names or ():
-        if name not in known:
-            words = ", ".join(repr(one) for one in known)
-            raise InputError(f"{source.path}: knob {name!r} changes nothing here; use {words}.")
+    chosen = asked_knobs(str(source.path), names, known)
     now = clock or time.perf_counter
-    until, found = now() + seconds, []
+    until = now() + seconds
     problem = scene_problem(source, settings=settings, expand=expand, seconds=seconds, clock=clock)
-    chosen = names or known
-    for number, name in enumerate(chosen):
-        share = max(until - now(), 1e-3) / (len(chosen) - number)
+
+    def measure(name: str, share: float) -> Curve:
         turned = _with_base(KNOBS[name], problem.settings[name])
-        found.append(curve(problem, turned, seconds=share, metrics=metrics, clock=clock))
-        if found[-1].stopped == "interrupted":
-            break
-    return problem, tuple(found)
+        return curve(problem, turned, seconds=share, metrics=metrics, clock=clock)
+
+    return problem, in_turn(chosen, measure, seconds=until - now(), clock=clock)
 
 
 def _with_base(knob: Knob, base: Any) -> Knob:

@@ -45,11 +45,9 @@ def scene_rows(
     rows, arriving, sums = scene_stage(scene, view, depth=depth)
     if motion is None or sensor.exposure_time is None:
         rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
-        if estimates:  # the ladder goes from short paths to long ones
+        if estimates:
             rows += probed_rows(scene.high, view.high, depth)
-            rows = tuple(
-                sorted(rows, key=lambda row: -row.saves if row.ladder == "bounces" else -2)
-            )
+            rows = tuple(sorted(rows, key=_as_steps))
         return rows, arriving
     times = moments_of(sensor, view.high.resolution[0], moments)
     found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
