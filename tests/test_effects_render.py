@@ -104,3 +104,21 @@ def test_hundreds_of_surfaces_are_inspected_at_once():
     scene = jv.Scene([FLOOR, *balls], [POINT, replace(POINT, position=[1.0, 1, 3])])
     found = effects.inspect(scene, VIEW)
     assert len(found) == 2 * 2 + 150 + 1
+
+
+def test_a_lobe_goes_unless_its_surface_would_be_a_kind_of_its_own():
+    """Lambert beside Phong is one program more than Phong alone."""
+    dull, shiny = (jv.Phong([0.2], [specular], 20.0) for specular in (0.0, 0.1))
+    walls = [jv.Quad([-1, -1, z], [2, 0, 0], [0, 2, 0]) for z in (0.0, -1.0)]
+    left, right = (jv.Surface(wall, dull) for wall in walls)
+    for surfaces, gone in (
+        ((left, replace(right, material=shiny)), 0),
+        ((left, right), 2),
+        ((left, replace(right, material=shiny), replace(right, material=GREY)), 1),
+    ):
+        scene = jv.Scene(surfaces, [POINT])
+        found = pruned(scene, "0%")
+        assert sum("specular" in one.name for one in found.certificate.dropped) == gone
+        assert effects.equations(found.scene, VIEW) <= effects.equations(scene, VIEW)
+    parted = pruned(jv.Scene((left, replace(right, material=shiny)), [POINT]), "0%")
+    assert any("a program of its own" in one.why for one in parted.certificate.kept)

@@ -73,7 +73,8 @@ def problems(rig: Rig, *, load: Load = read_image) -> dict[str, tuple[Problem, t
         make: Callable[[Rig, Load], Mapping[str, Turn]] = getattr(
             import_module(f"{__package__}.{fit}"), f"{fit}_knobs"
         )
-        found[fit] = _problem(f"{rig.folder.name}, {fit}", make(rig, load))
+        name = rig.folder.name
+        found[fit] = _problem(fit if name == fit else f"{name}, {fit}", make(rig, load))
     return found
 
 

@@ -1,7 +1,7 @@
 """Error against time, drawn: one axes a knob, and all of them on a page's figure."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from .records import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
 
@@ -52,7 +53,7 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     falls = "error" if curve.knob.law == "geometric" else "order"
-    order = "" if curve.order is None else f", {falls} {curve.order}"
+    order = "" if curve.order is None else f"\n{falls} {curve.order}"
     axes.set_title(f"{curve.knob.name}{unit}{order}", fontsize=10)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
@@ -127,7 +128,7 @@ def label(
 
 def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
     """Logarithmic axes with their labels, and what to say where no error is known."""
-    from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator
 
     axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
     if errors:
@@ -135,12 +136,20 @@ def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(numticks=6))
             axis.set_major_formatter("{x:g}")
-            low, high = axis.get_view_interval()
-            wide = high > 10 * low  # decades say enough
-            axis.set_minor_formatter(
-                NullFormatter() if wide else LogFormatter(minor_thresholds=(np.inf, 0.5))
-            )
+            axis.set_minor_formatter(_between_decades(axis))
     else:
         axes.set(xticks=[], yticks=[])
         words = "no error is known: allow more time"
         axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+
+
+def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:
+    """Labels where decades alone say too little: 2 and 5, or every tick of less than a factor 3."""
+
+    def text(value: float, _: Any) -> str:
+        low, high = axis.get_view_interval()
+        if high > 20 * low:
+            return ""
+        return f"{value:.3g}" if high < 3 * low or f"{value:e}"[0] in "25" else ""
+
+    return text

@@ -19,7 +19,7 @@ from .moments import scene_rows
 from .motion import motion_stage
 from .optics import optics_stage
 from .sensor import sensor_stage
-from .stages import QUICKLY, Draft, Ends
+from .stages import QUICKLY, Draft, Ends, Row
 
 _PROBE = 16  # pixels along each side of the picture that finds the level
 _probe = jax.jit(render, compiler_options=QUICKLY)
@@ -205,9 +205,35 @@ def prune(
         moments,
         depth,
     )
-    choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
-    choice.decide()
-    return choice.result(scene, camera)
+    while True:
+        choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
+        choice.decide()
+        alone = _of_a_new_kind(scene, choice.draft)
+        if not alone:
+            return choice.result(scene, camera)
+        chain = replace(chain, rows=tuple(_kept_with(row, alone) for row in chain.rows))
+
+
+def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
+    """Materials that have become a kind of their own while others of theirs remain, where there are
+    more kinds than before: each kind is shaded by a program of its own, so the whole would grow."""
+    before, after = (
+        [jax.tree.structure(surface.material) for surface in surfaces]
+        for surfaces in (scene.surfaces, draft.surfaces)
+    )
+    if len(set(after)) <= len(set(before)):
+        return ()
+    new = [k for k, kind in enumerate(after) if kind not in before]
+    parted = [k for k in new if before[k] in after]
+    return tuple(f"surfaces[{k}].material" for k in parted or new)
+
+
+def _kept_with(row: Row, materials: tuple[str, ...]) -> Row:
+    """The row, of one of these materials without a way to drop it."""
+    if row.drop is None or not row.effect.name.startswith(materials):
+        return row
+    why = f"{row.effect.why}; without it, its surface would need a program of its own"
+    return replace(row, drop=None, effect=replace(row.effect, why=why.removeprefix("; ")))
 
 
 def _level(scene: Scene, view: View) -> float:

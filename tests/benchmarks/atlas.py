@@ -24,7 +24,6 @@ import jax
 import matplotlib
 from atlas_peers import PEERS, Peer, sine_problem, stack_problem
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from fitting.accuracy import KNOBS as FIT_KNOBS
 from fitting.accuracy import measured as fit_measured
@@ -169,11 +168,6 @@ def slug(name: str) -> str:
     return re.sub(r"\W+", "_", name)
 
 
-def _few(value: float, _: int) -> str:
-    """Labels of 2 and 5 between decades."""
-    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
-
-
 def drawn(sheet: Sheet) -> str:
     """The curve with its peers as SVG that is dark where its reader is."""
     inked = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
@@ -190,9 +184,6 @@ def drawn(sheet: Sheet) -> str:
             axes.plot(peer.seconds, 100 * peer.error, "^", color=PEER, ms=5)
         points = [(peer.name, peer.seconds, 100 * peer.error) for peer in sheet.peers]
         label(axes, points, below=True, color=PEER)
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = axis.get_view_interval()
-            axis.set_minor_formatter(_few if high < 20 * low else NullFormatter())
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
