@@ -6,6 +6,7 @@ good, so that `--help` and a mistake are answered at once.
 """
 
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -33,6 +34,7 @@ from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .reflectance.paths import check_files, check_one_rig
 from .report.progress import Reporter
 
+LEAST = 0.2  # of the time asked for, to measure in after a long calibration
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
@@ -295,7 +297,7 @@ def check(
 def accuracy(
     rig: RigPath,
     knob: KnobNames = None,
-    seconds: Annotated[float, typer.Option(help="Time to measure each fit, s.")] = 60.0,
+    seconds: Annotated[float, typer.Option(help="Time for a fit, with its calibration, s.")] = 60.0,
     out: PageFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -307,11 +309,13 @@ def accuracy(
     from .rig import load_rig
 
     check_request(seconds, out)
+    begun = time.perf_counter()
     found = problems(load_rig(rig))
+    left = max(seconds - (time.perf_counter() - begun) / len(found), LEAST * seconds)
     words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
     command = " ".join([*words, f"--seconds {seconds:g}"])
     for fit, (problem, known) in found.items():
-        curves = measured(problem, known, names=tuple(knob or ()) or None, seconds=seconds)
+        curves = measured(problem, known, names=tuple(knob or ()) or None, seconds=left)
         folder = out / fit if out is not None and len(found) > 1 else out
         show(problem, curves, command=command, out=folder, as_json=as_json)
 

@@ -282,6 +282,26 @@ def test_an_interrupt_keeps_what_was_measured():
     assert all(trial.hollow for trial in found.trials)
 
 
+def test_a_setting_that_the_problem_refuses_is_left_out_and_says_why():
+    """Too few pixels for a fit, or a part of them with one seed: the others are still measured."""
+
+    def prepare(settings):
+        def compute(seed):
+            if settings["n"] < 4 or (settings["n"] == 16 and seed == 3):
+                raise InputError(f"only {settings['n']} pixels")
+            return monte_carlo().prepare(settings)(seed)
+
+        return compute
+
+    knob = Knob("n", "pixels", "", (1, 4, 16, 64), (256,), order=-0.5, random=True)
+    found = curve(Problem("pixels", prepare), knob, seconds=100.0)
+    assert [trial.setting for trial in found.trials] == [4, 16, 64]
+    assert [trial.seeds for trial in found.trials] == [8, 7, 8]
+    assert (found.not_run, found.stopped) == ((1,), "refused (only 1 pixels)")
+    with pytest.raises(InputError, match="only 2 pixels"):
+        curve(Problem("pixels", prepare), knob, settings=(2, 3), seconds=100.0)
+
+
 def test_settings_between_and_beyond_are_inferred_where_the_order_holds():
     clock = Clock()
     found = curve(monte_carlo(clock=clock), RANDOM, clock=clock)

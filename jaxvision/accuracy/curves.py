@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -54,8 +55,8 @@ def curve(
         The curve.
 
     Raises:
-        InputError: for an unknown knob or norm, no settings, fewer than two seeds, and a budget
-            that is not above 0.
+        InputError: for an unknown knob or norm, no settings, fewer than two seeds, a budget that is
+            not above 0, and a problem that refuses every setting.
 
     Example:
         The midpoint rule on x^2 over [0, 1] errs by 1 / (12 n^2).
@@ -96,7 +97,9 @@ def curve(
     if not run:
         raise KeyboardInterrupt("interrupted before anything was measured.")
     not_run = tuple(s for s in turned.settings if s not in run)
-    stopped = stopped or ("out of time" if not_run else "")
+    late = any(setting not in session.refused for setting in not_run)
+    refused = next((f"refused ({why})" for why in session.refused.values()), "")
+    stopped = stopped or ("out of time" if late else refused)
     if found is None:
         last = session.points[run[-1]].results
         found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
@@ -105,12 +108,18 @@ def curve(
 
 
 def _look(session: Session) -> None:
-    """Two calls of each setting while they fit; the first setting is always run."""
+    """Two calls of each setting while they fit; the first setting is always run. What the problem
+    refuses, such as too few pixels for a fit, is left out."""
     for setting in session.knob.settings:
         if session.points and session.expected(setting, calls=2) > FIRST_LOOK * session.left:
             continue
-        for seed in PAIRED:
-            session.call(setting, seed)
+        try:
+            for seed in PAIRED:
+                session.call(setting, seed)
+        except InputError as refusal:
+            session.refuse(setting, refusal)
+    if not session.points:
+        raise next(iter(session.refused.values()))
 
 
 def _take_turns(session: Session, seeds: int) -> None:
@@ -120,7 +129,8 @@ def _take_turns(session: Session, seeds: int) -> None:
         for setting in session.knob.settings:
             known = setting in session.points
             if known and session.expected(setting, calls=1) <= session.left:
-                session.call(setting, number if session.knob.random else PAIRED[0])
+                with suppress(InputError):  # a part of the pixels that cannot be fitted
+                    session.call(setting, number if session.knob.random else PAIRED[0])
 
 
 def _told(

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..errors import InputError
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
@@ -51,6 +52,7 @@ class Session:
         self.clock = clock or time.perf_counter
         self.begun = self.clock()
         self.points: dict[Any, Point] = {}
+        self.refused: dict[Any, InputError] = {}
 
     @property
     def taken(self) -> float:
@@ -79,6 +81,11 @@ class Session:
         point.rounding = float(np.finfo(values.dtype).eps) if floating else 0.0
         point.results[seed] = values.astype(np.float64)
         return point
+
+    def refuse(self, setting: Any, why: InputError) -> None:
+        """Leaves out a setting that the problem cannot be computed with."""
+        self.points.pop(setting, None)
+        self.refused[setting] = why
 
     def expected(self, setting: Any, *, calls: int) -> float:
         """s that so many calls of a setting will take, by the power of the settings so far."""

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .choice import choose
+from .choice import bound, choose
 from .records import Curve, Problem, Trial
 from .scene_settings import Chosen
 from .several import Combination, combined
 
 TOLERANCES = (0.1, 0.01, 0.001)
+NOT_REACHED = "not reached"
 WITHIN = tuple(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)
 
 
@@ -54,22 +55,30 @@ def rows(problem: Problem, curves: Sequence[Curve]) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = [("knob", "order (fitted)", *WITHIN)]
     for curve in curves:
         order = "-" if curve.order is None else str(curve.order)
-        found.append((curve.knob.name, order, *(_cell(trial) for trial in reached(curve))))
+        found.append((curve.knob.name, order, *_cells(curve)))
     if sum(curve.knob.name in problem.settings for curve in curves) > 1:
         found.append(("all together", "", *(_all(c) for c in all_together(problem, curves))))
     return found
 
 
-def _cell(trial: Trial | None) -> str:
-    if trial is None:
-        return "not reached"
+def _cells(curve: Curve) -> list[str]:
+    """A cell for each tolerance; the first that no setting meets tells the best bound there is."""
+    found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
+    if NOT_REACHED in found:
+        best = min(bound(trial, curve.reference.error) for trial in curve.trials)
+        known = f"at best {100 * best:.2g} %" if np.isfinite(best) else "no error is known"
+        found[found.index(NOT_REACHED)] = f"{NOT_REACHED}: {known}"
+    return found
+
+
+def _cell(trial: Trial) -> str:
     inferred = "" if trial.measured else " (inferred)"
     return f"{trial.setting}{inferred}  {in_seconds(trial.seconds)}"
 
 
 def _all(combination: Combination | None) -> str:
     if combination is None:
-        return "not reached"
+        return NOT_REACHED
     words = ", ".join(f"{name} {setting}" for name, setting in combination.settings.items())
     return f"{words}  {in_seconds(combination.seconds)}"
 
