@@ -17,7 +17,7 @@ from .cells import plane_between
 from .illumination import Source
 from .stages import Ends
 
-_TOUCHING = 1e-6  # of the scene's reach: nearer to a plane than that is in it
+TOUCHING = 1e-6  # of the scene's reach: nearer to a plane than that is in it
 _AT_ONCE = 1 << 15
 
 
@@ -105,7 +105,7 @@ def may_block(
         may[:, i, i] &= kind is TriangleMesh or (two_sided and kind in (Sphere, Box))
     reach = reach_of(surfaces, sources)
     bodies, bounded, planes = _parts(surfaces, reach)
-    tolerance = _TOUCHING * reach
+    tolerance = TOUCHING * reach
     for i, plane in planes.items():
         low, high = _extent(bodies, bounded, planes, plane)
         for k, source in enumerate(sources):
@@ -150,19 +150,19 @@ def _apart(
         )
         if not receiver.size:
             continue
-        swept = _swept(source, bodies, reach)
+        lit = swept(source, bodies, reach)
         # first along fixed directions, then by search for what is left
-        high, low = heights(swept, DIRECTIONS), -heights(bodies, -DIRECTIONS)
+        high, low = heights(lit, DIRECTIONS), -heights(bodies, -DIRECTIONS)
         for start in range(0, len(receiver), _AT_ONCE):
             i, j = receiver[start : start + _AT_ONCE], occluder[start : start + _AT_ONCE]
             clear = (low[j] - high[i]).max(1) > tolerance
             rest = np.flatnonzero(~clear)
-            found = gap(taken(swept, i[rest]), taken(bodies, j[rest]), enough=tolerance)
+            found = gap(taken(lit, i[rest]), taken(bodies, j[rest]), enough=tolerance)
             clear[rest] = found > tolerance
             may[k, i[clear], j[clear]] = False
 
 
-def _swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
+def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
     """The hull of each body and a light; toward a light that is infinitely far away, the body moved
     beyond all others."""
     if source.body is not None:

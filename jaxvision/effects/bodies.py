@@ -58,12 +58,14 @@ def _quad_corners(shape: Quad) -> np.ndarray:
     return corner + np.stack([0 * u, u, v, u + v])
 
 
-def _disc_polygon(shape: Disc) -> np.ndarray:
+def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
+    """(n, 3) m, the corners of a polygon about a disc, or in it, in order."""
     normal = unit(numbers(shape.normal))
     first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(normal, first))
-    return numbers(shape.centre) + numbers(shape.radius) / np.cos(np.pi / _SIDES) * around
+    wider = 1.0 if within else 1 / np.cos(np.pi / _SIDES)
+    return numbers(shape.centre) + numbers(shape.radius) * wider * around
 
 
 def _box_corners(shape: Box) -> np.ndarray:
@@ -79,7 +81,7 @@ def _mesh_corners(shape: TriangleMesh) -> np.ndarray:
     return (low + high) / 2 + _SIGNS * (high - low) / 2
 
 
-_POINTS = {Quad: _quad_corners, Disc: _disc_polygon, Box: _box_corners, TriangleMesh: _mesh_corners}
+_POINTS = {Quad: _quad_corners, Disc: disc_polygon, Box: _box_corners, TriangleMesh: _mesh_corners}
 
 
 def corners(shape: Shape) -> np.ndarray | None:

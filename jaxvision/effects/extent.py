@@ -63,7 +63,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
     total = body + _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
     rough = np.array([np.any(own.plain) or own.grazing > 0 for own in sums.reflections])[of_cell]
-    penumbra = sums.blocked[k].any(1)[of_cell]
+    penumbra = sums.shaded[k]
     changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))
     mirrors = times(sums.k_mirror, spectrum)[of_cell]
     changed = np.where(mirrors > 0, np.inf, changed)

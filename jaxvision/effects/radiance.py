@@ -27,7 +27,6 @@ from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
     ambient_reflected,
-    by_surface,
     emitted,
     geometry_of,
     lobe_sent,
@@ -124,30 +123,37 @@ def _of_light(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
 def light(sums: Sums, onward: Onward, k: int) -> Row:
     """All that a light does. One that may be seen also hides what is behind it, however dark it is:
     there the picture changes by at most its own radiance or the most that the picture holds. In a
-    mirror the same holds of the lights behind it."""
-    source, name = sums.sources[k], f"lights[{k}]"
-    amount = pictured(sums, onward(sent(sums, k)))
+    mirror the same holds of the lights behind it. As long as there are shadows, what is in full
+    shadow counts for nothing."""
+    source, dark = sums.sources[k], sums.dark[k]
     why = source.why or type(sums.lights[k].low).__name__
-    if source.kind == "area":  # among paths it hides light as well as sending it
-        extended = np.array([own.extended for own in sums.sources])[:, None]
-        behind = looked_at(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
-        seen = by_surface_seen(sums)
-        amount = np.maximum(amount, np.max(behind[seen], axis=0, initial=0))
-        if sums.visible[k] or onward.depth is not None:
-            amount = np.maximum(amount, top(sums, onward))
-            why += ", may be seen"
-    amount = np.maximum(amount, sums.shown[k])
+    hides = source.kind == "area" and (sums.visible[k] or onward.depth is not None)
+    least = np.maximum(sums.shown[k], top(sums, onward) if hides else 0)
+    why += ", may be seen" if hides else ""
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, lights=_without(draft.lights, k))
 
-    return _row(name, amount, drop, why, saves=_SAVES["light"])
+    def amount(within: np.ndarray) -> np.ndarray:
+        lit = pictured(sums, onward(sent(sums, k, only=within)))
+        return np.maximum(np.maximum(lit, _mirrored(sums, k, within)), least)
+
+    everywhere = np.ones(len(dark), bool)
+    if onward.depth is not None or not dark.any():
+        return _row(f"lights[{k}]", amount(everywhere), drop, why, saves=_SAVES["light"])
+    why += f"; {100 * np.mean(dark[sums.seen]):.0f} % in full shadow" if sums.seen.any() else ""
+    row = _row(f"lights[{k}]", amount(~dark), drop, why, saves=_SAVES["light"])
+    whole, shadows = amount(everywhere), f"shadows[{k}]"
+    return replace(row, after=lambda gone: whole if shadows in gone else row.amount)
 
 
-def by_surface_seen(sums: Sums) -> np.ndarray:
-    """(n,) whether a pixel may see any of each surface."""
-    count = len(sums.surfaces)
-    return by_surface(sums.seen[:, None].astype(float), sums.cells, count)[:, 0] > 0
+def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
+    """(bands,) the most that mirrors among some of the cells, (c,), show behind a lamp."""
+    if sums.sources[k].kind != "area":
+        return np.zeros(sums.spectrum.shape[1])
+    extended = np.array([own.extended for own in sums.sources])[:, None]
+    behind = looked_at(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
+    return pictured(sums, np.where(within[:, None], behind[sums.cells.surface], 0))
 
 
 def _without(records: tuple, k: int, value: Any = None) -> tuple:
@@ -156,9 +162,8 @@ def _without(records: tuple, k: int, value: Any = None) -> tuple:
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     """At most all light of the lamp on the surfaces that anything may shade; 0 if nothing can."""
-    hit = sums.blocked[k].any(1)
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
-    amount = pictured(sums, sent(sums, k, only=hit))
+    amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
     if onward.depth is not None:
         why = "paths meet every surface: their shadows are not an effect of their own"

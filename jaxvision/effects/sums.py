@@ -22,6 +22,7 @@ from .cells import Cells, Eye, bodies_of, cells_of, in_view
 from .illumination import Arrived, Source, arriving, of_lobe, source_of, times
 from .reflection import Lobe, Reflection, reflection_of
 from .stages import Ends
+from .umbra import covered, hidden, in_umbra, shaded
 
 
 class Sums(NamedTuple):
@@ -41,6 +42,8 @@ class Sums(NamedTuple):
         shown: (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0.
         visible: (l,) whether it may.
         blocked: (l, n, n) whether a surface (last) may shade a surface (middle).
+        shaded: (l, c) whether anything may shade the cell; of direct light, where it is seen.
+        dark: (l, c) whether the cell lies in full shadow.
         nearest: (l, n) m, lower bounds of the distances of lights and surfaces.
         eye: where it is seen from.
     """
@@ -62,6 +65,8 @@ class Sums(NamedTuple):
     shown: np.ndarray
     visible: np.ndarray
     blocked: np.ndarray
+    shaded: np.ndarray
+    dark: np.ndarray
     nearest: np.ndarray
     eye: Eye
 
@@ -89,6 +94,8 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     cells = cells_of(surfaces, about=eye.place)
     facing = cos_seen(cells, eye)[1] > 0
     seen = facing & in_view(eye, bodies_of(cells))
+    if not bounces:
+        seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
     body, lobe, facing = _geometry(sources, nearest, surfaces, reflections, cells, eye)
     bands = _bands(scene, sources)
@@ -105,11 +112,13 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     spectrum = _Table(len(sources), bands).filled(
         (k, own.spectrum) for k, own in enumerate(sources)
     )
-    visible = np.array([_may_be_seen(source, eye) for source in sources], bool)
-    lit = _reduced(body + lobe, cells, len(surfaces)) > 0
+    visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
     extended = np.array([source.extended for source in sources], bool)
-    wanted = lit | (extended[:, None] & (k_mirror > 0).any(1))
+    shown = extended[:, None] & (k_mirror > 0).any(1)
+    lit = (body + lobe > 0) | shown[:, cells.surface]
+    wanted = _reduced(lit, cells, len(surfaces))
     blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
+    within = shaded(sources, surfaces, cells, may=blocked, wanted=lit & (seen | bounces))
     return Sums(
         surfaces,
         lights,
@@ -128,6 +137,8 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         np.where(visible[:, None], spectrum, 0.0),
         visible,
         blocked,
+        within,
+        in_umbra(sources, surfaces, cells, occluders=low.occluders),
         nearest,
         eye,
     )
@@ -281,30 +292,26 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
     return found
 
 
-def _may_be_seen(source: Source, eye: Eye) -> bool:
+def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) -> bool:
     """Whether a pixel may look at a light; decided by geometry, not by how bright it is."""
     if source.kind == "sky":
         return True
     if source.kind != "area" or source.body is None:
         return False
-    points, radii = source.body
+    points, _ = source.body
     if source.normal is not None and not eye.everywhere:
         if eye.parallel and eye.rotation[2] @ source.normal >= 0:
             return False
         if not eye.parallel and (eye.place - points[0]) @ source.normal + eye.size <= 0:
             return False
-    return bool(in_view(eye, stacked([(points, radii)]))[0])
+    in_picture = bool(in_view(eye, stacked([source.body]))[0])
+    return in_picture and not covered(source.body, eye, surfaces)
 
 
 def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
     """The largest of (..., c) over the cells of each surface, (..., n); cells are in order."""
     first = np.searchsorted(cells.surface, np.arange(count))
     return np.maximum.reduceat(values, first, axis=-1)
-
-
-def by_surface(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
-    """The largest of (c, bands) over the cells of each surface, (n, bands)."""
-    return _reduced(values.T, cells, count).T
 
 
 def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = None) -> np.ndarray:
@@ -314,7 +321,7 @@ def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = No
         sums: of the scene.
         k: number of the light.
         lobes: whether with the lobes.
-        only: (n,) which surfaces count; None: all.
+        only: (c,) which cells count; None: all.
 
     Returns:
         (c, bands) W m^-2 sr^-1.
@@ -325,7 +332,7 @@ def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = No
         total = total + lobe_sent(sums, k)
     if sums.sources[k].extended:
         total = total + times(sums.k_mirror, sums.spectrum[k])[of_cell]
-    return total if only is None else np.where(only[of_cell][:, None], total, 0)
+    return total if only is None else np.where(only[:, None], total, 0)
 
 
 def lobe_sent(sums: Sums, k: int) -> np.ndarray:

@@ -1,0 +1,293 @@
+"""How far a lamp's shadows reach: the cells that one may fall on, and those in full shadow.
+
+A cell is out of reach where the hull of it and the lamp is apart from every occluder that
+`blocking.may_block` leaves. It is in full shadow of a flat occluder where it is beyond its plane
+and, for each corner of the lamp, inside all planes through that corner and a side of the occluder:
+every segment from the cell to such a corner then meets the occluder, and so do those to all of the
+lamp, for the section of the hull of two bodies by a plane between them is the hull of these points.
+What is in the full shadow of the eye is not seen. Lengths in m.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scene import Box, Disc, Quad, Sphere, Surface
+from ..scene.shapes import Shape
+from .blocking import TOUCHING, reach_of, swept
+from .bodies import (
+    DIRECTIONS,
+    Bodies,
+    body_of,
+    disc_polygon,
+    gap,
+    heights,
+    numbers,
+    stacked,
+    taken,
+    unit,
+)
+from .cells import Cells, Eye, bodies_of, plane_between
+from .illumination import Source
+from .stages import Ends
+
+_PAIRS = 60_000  # of cells and occluders; a scene of more is judged surface by surface
+_DEEP = 100  # times that: what is no farther beyond an occluder is in its plane
+_SEARCHED = 2000  # pairs for which the best separating direction is searched
+
+
+def shaded(
+    sources: Sequence[Source],
+    surfaces: Sequence[Ends[Surface]],
+    cells: Cells,
+    *,
+    may: np.ndarray,
+    wanted: np.ndarray,
+) -> np.ndarray:
+    """Whether anything can come between a light and a cell.
+
+    Args:
+        sources: l lights.
+        surfaces: n of them.
+        cells: c of them; lengths in m.
+        may: (l, n, n), of `may_block`.
+        wanted: (l, c), the cells that matter.
+
+    Returns:
+        (l, c); False is certain where wanted, and everywhere else.
+    """
+    found = wanted & may.any(2)[:, cells.surface]
+    count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
+    if not 0 < count <= _PAIRS:
+        return found
+    reach = reach_of(surfaces, sources)
+    bounded = [body_of(surface.of("shape")) for surface in surfaces]
+    endless = np.array([body is None for body in bounded])
+    occluders = stacked([(np.zeros((1, 3)), np.ones(1)) if b is None else b for b in bounded])
+    own = outward(surfaces, cells) > 0
+    for k, source in enumerate(sources):
+        cell, occluder = np.nonzero(found[k][:, None] & may[k][cells.surface])
+        itself = own[cell] & (occluder == cells.surface[cell])
+        cell, occluder = cell[~itself], occluder[~itself]
+        if source.kind == "sky":
+            continue
+        found[k] = False
+        never = endless[occluder] | np.isinf(cells.radius[cell])
+        found[k, cell[never]] = True
+        cell, occluder = cell[~never], occluder[~never]
+        meets = _meets(source, cells, occluders, (cell, occluder), reach)
+        found[k, cell[meets]] = True
+    return found
+
+
+def _meets(
+    source: Source,
+    cells: Cells,
+    occluders: Bodies,
+    pairs: tuple[np.ndarray, np.ndarray],
+    reach: float,
+) -> np.ndarray:
+    """Whether the hull of a light and each cell may meet an occluder: not below the horizon of a
+    flat cell; then by the ball about it, by fixed directions, and by the best direction where few
+    are left."""
+    cell, occluder = pairs
+    tolerance = TOUCHING * reach
+    about = (occluders.points.min(1) + occluders.points.max(1)) / 2
+    size = (np.linalg.norm(occluders.points - about[:, None], axis=2) + occluders.radii).max(1)
+    hulls = swept(source, bodies_of(cells), reach)
+    ends = hulls.points[:, 1:]
+    middle = (ends.min(1) + ends.max(1)) / 2
+    wide = (np.linalg.norm(ends - middle[:, None], axis=2) + hulls.radii[:, 1:]).max(1)
+    apart = _from_segment(about[occluder], cells.centre[cell], middle[cell])
+    meets = apart <= size[occluder] + np.maximum(cells.radius, wide)[cell] + tolerance
+    left = np.flatnonzero(meets & (cells.spread[cell] == 0))
+    i, j = cell[left], occluder[left]
+    over = np.einsum("npk,nk->np", occluders.points[j] - cells.centre[i][:, None], cells.axis[i])
+    meets[left] = (over + occluders.radii[j]).max(1, initial=-np.inf) > tolerance
+    low, high = -heights(occluders, -DIRECTIONS), heights(hulls, DIRECTIONS)
+    left = np.flatnonzero(meets)
+    meets[left] = (low[occluder[left]] - high[cell[left]]).max(1) <= tolerance
+    left = np.flatnonzero(meets)
+    if len(left) <= _SEARCHED:
+        i, j = cell[left], occluder[left]
+        meets[left] = gap(taken(hulls, i), taken(occluders, j), enough=tolerance) <= tolerance
+    return meets
+
+
+def _from_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(n,) m, from each place, (n, 3), to the segment between two others."""
+    along = end - start
+    square = (along**2).sum(1)
+    t = np.clip(((place - start) * along).sum(1) / np.where(square > 0, square, 1), 0, 1)
+    return np.linalg.norm(start + t[:, None] * along - place, axis=1)
+
+
+def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
+    """(c,) which side of a ball or a box a cell is of: 1 the outer, -1 the inner; 0 of others, and
+    of what may move."""
+    side = np.zeros(len(cells.radius))
+    for i, surface in enumerate(surfaces):
+        shape = surface.low.shape
+        if surface.low.shape is surface.high.shape and isinstance(shape, Sphere | Box):
+            part = cells.surface == i
+            away = cells.centre[part] - numbers(shape.centre)
+            side[part] = np.sign((away * cells.axis[part]).sum(1))
+    return side
+
+
+def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndarray:
+    """(c,) whether a cell is of the inner side of a ball or a box that the eye is outside of, or
+    wholly behind one flat surface."""
+    inner = outward(surfaces, cells) < 0
+    if eye.everywhere:
+        return inner & False
+    for i in np.unique(cells.surface[inner]):
+        body = body_of(surfaces[i].of("shape"))
+        assert body is not None
+        bodies = stacked([body])
+        lens = Bodies(eye.place[None, None], np.full((1, 1), eye.size))
+        if eye.parallel:
+            ahead = -heights(bodies._replace(points=bodies.points - eye.place), -eye.rotation[2:])
+            outside = ahead[0, 0] > 0
+        else:
+            outside = gap(lens, bodies)[0] > 0
+        inner &= outside | (cells.surface != i)
+    source = _as_source(eye)
+    return inner if source is None else inner | in_umbra([source], surfaces, cells)[0]
+
+
+class _Shadow(NamedTuple):
+    """The full shadow of one flat occluder: what lies inside all of these half-spaces.
+
+    Attributes:
+        normals: (h, 3) unit, inward; the first is that of the occluder's own plane.
+        offsets: (h,) m.
+    """
+
+    normals: np.ndarray
+    offsets: np.ndarray
+
+    def least(self, bodies: Bodies) -> np.ndarray:
+        """(n, h) m, by how much each body is inside at its worst point."""
+        return -heights(bodies, -self.normals) - self.offsets
+
+
+def in_umbra(
+    sources: Sequence[Source],
+    surfaces: Sequence[Ends[Surface]],
+    cells: Cells,
+    *,
+    occluders: Sequence[int] | None = None,
+) -> np.ndarray:
+    """Whether a cell as a whole lies in the full shadow of one flat occluder.
+
+    Args:
+        sources: l lights.
+        surfaces: n of them; lengths in m.
+        cells: c of them.
+        occluders: numbers of the surfaces that block at all; None: all.
+
+    Returns:
+        (l, c); True is certain, to a millionth of the scene's reach.
+    """
+    dark = np.zeros((len(sources), len(cells.radius)), bool)
+    tolerance = TOUCHING * reach_of(surfaces, sources)
+    found = [body_of(surface.of("shape")) for surface in surfaces]
+    bounded = np.array([body is not None for body in found])[cells.surface]
+    if not bounded.any():
+        return dark
+    none = np.zeros((1, 3)), np.zeros(1)
+    whole, parts = stacked([none if body is None else body for body in found]), bodies_of(cells)
+    for j in range(len(surfaces)) if occluders is None else occluders:
+        for k, source in enumerate(sources):
+            shadow = _shadow_of(surfaces[j].of("shape"), source, tolerance)
+            if shadow is not None:
+                least = np.maximum(shadow.least(whole)[cells.surface], shadow.least(parts))
+                inside = bounded & (cells.surface != j) & (least >= -tolerance).all(1)
+                dark[k] |= inside & _beyond(cells, surfaces, shadow, least[:, 0], _DEEP * tolerance)
+    return dark
+
+
+def covered(
+    body: tuple[np.ndarray, np.ndarray], eye: Eye, surfaces: Sequence[Ends[Surface]]
+) -> bool:
+    """Whether one flat surface hides all of a body, points (p, 3) m and radii (p,) m, from an eye
+    at one place."""
+    source = _as_source(eye)
+    if source is None:
+        return False
+    tolerance = TOUCHING * reach_of(surfaces, [source])
+    found = (_shadow_of(surface.of("shape"), source, tolerance) for surface in surfaces)
+    return any(
+        bool((shadow.least(stacked([body])) > _DEEP * tolerance).all())
+        for shadow in found
+        if shadow is not None
+    )
+
+
+def _as_source(eye: Eye) -> Source | None:
+    """An eye at one place as a light: what is in its full shadow no pixel sees."""
+    if eye.everywhere or eye.parallel or eye.size > 0:
+        return None
+    one, body = np.ones(1), (eye.place[None], np.zeros(1))
+    return Source(one, body[0], body[1], one, None, body, "place")
+
+
+def _shadow_of(shape: Ends[Shape], source: Source, tolerance: float) -> _Shadow | None:
+    """None where there is none: of a shape that is not flat or may move, of a sky, and of a light
+    that is not wholly on one side."""
+    plane = plane_between(shape)
+    if plane is None:
+        return None
+    origin, normal = plane
+    if source.body is not None and not source.body[1].any():
+        ends = source.body[0]
+        above = (ends - origin) @ normal
+    elif source.kind == "direction" and not source.size.any():
+        ends, above = None, source.places @ normal
+    else:
+        return None
+    side, rim = np.sign(above[0]), _rim(shape.low)
+    along = np.roll(rim, -1, axis=0) - rim
+    if (
+        not np.all(side * above > _DEEP * tolerance)
+        or (np.linalg.norm(along, axis=1) <= tolerance).any()
+    ):
+        return None
+    toward = source.places[0] if ends is None else ends[:, None] - rim
+    across = np.cross(along, toward)
+    through = np.broadcast_to(rim, across.shape).reshape(-1, 3)
+    across = unit(across).reshape(-1, 3)
+    if len(rim):
+        across = across * np.sign(((rim.mean(0) - through) * across).sum(1))[:, None]
+    normals = np.concatenate([-side * normal[None], across])
+    return _Shadow(normals, (normals * np.concatenate([origin[None], through])).sum(1))
+
+
+def _rim(shape: Shape) -> np.ndarray:
+    """(m, 3) m, the corners of a polygon in a flat shape, in order; none of an endless plane."""
+    match shape:
+        case Quad():
+            corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
+            return corner + np.stack([0 * u, u, u + v, v])
+        case Disc():
+            return disc_polygon(shape, within=True)
+    return np.zeros((0, 3))
+
+
+def _beyond(
+    cells: Cells,
+    surfaces: Sequence[Ends[Surface]],
+    shadow: _Shadow,
+    least: np.ndarray,
+    deep: float,
+) -> np.ndarray:
+    """(c,) whether a cell is beyond the occluder and not in its plane, where nothing tells which of
+    the two is in front; a ball or a flat cell may touch it."""
+    normal, offset = shadow.normals[0], shadow.offsets[0]
+    lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))
+    balls = np.array([isinstance(surface.low.shape, Sphere) for surface in surfaces])
+    share = np.where(balls[cells.surface], 1.0, np.where(cells.spread == 0, lean, 0.0))
+    reach = share * np.where(np.isinf(cells.radius), 0, cells.radius)
+    return np.maximum(least, cells.centre @ normal - offset + reach) > deep
