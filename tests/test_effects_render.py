@@ -113,7 +113,7 @@ def test_hundreds_of_surfaces_are_inspected_at_once():
 def test_a_lobe_goes_unless_its_surface_would_be_a_kind_of_its_own():
     """Lambert beside Phong is one program more than Phong alone."""
     dull, shiny = (jv.Phong([0.2], [specular], 20.0) for specular in (0.0, 0.1))
-    walls = [jv.Quad([-1, -1, z], [2, 0, 0], [0, 2, 0]) for z in (0.0, -1.0)]
+    walls = [jv.Quad([x, -1, 0], [1, 0, 0], [0, 2, 0]) for x in (-1.0, 0.0)]
     left, right = (jv.Surface(wall, dull) for wall in walls)
     for surfaces, gone in (
         ((left, replace(right, material=shiny)), 0),

@@ -7,7 +7,7 @@
                   `bounces` and `spectra` those of area lights, of paths and of bands; `probes`
                   estimates what long paths add
     sums          what each part of a scene sends at most, from `illumination`, `reflection`,
-                  `angles`, `blocking`, `cells` and `bodies`
+                  `angles`, `blocking`, `umbra`, `cells` and `bodies`
 
 NumPy in float64, outside `jit`: records with traced numbers are refused.
 """

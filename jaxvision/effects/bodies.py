@@ -16,7 +16,7 @@ import numpy as np
 
 from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 from ..scene.shapes import Shape
-from .stages import Ends
+from .stages import Ends, once
 
 _SIDES = 16  # of the polygon about a disc, 2 % wider
 _SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
@@ -92,6 +92,7 @@ def corners(shape: Shape) -> np.ndarray | None:
     return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
 
 
+@once
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """A body's points, (p, 3) m, and radii, (p,) m, which holds the shape at both ends and between
     them; None for an unbounded plane and for a free tilt."""

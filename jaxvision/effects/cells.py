@@ -7,6 +7,7 @@ Lengths in m, angles in rad; NumPy float64.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from ..scene import (
 )
 from ..scene.shapes import Shape
 from .bodies import Bodies, body_of, heights, numbers, plane_of, unit
-from .stages import Ends
+from .stages import Ends, once
 
 _BUDGET = 6000  # cells of a scene
 _FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface
@@ -195,6 +196,14 @@ def _of_disc(shape: Disc, side: int) -> Parts:
 
 def _of_sphere(shape: Sphere, side: int) -> Parts:
     """The cells of a cube about it, thrown onto the sphere."""
+    axis, spread = _of_ball(side)
+    r = float(shape.radius)
+    return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
+
+
+@cache
+def _of_ball(side: int) -> tuple[np.ndarray, np.ndarray]:
+    """The axes, (c, 3), and the spreads, (c,) rad, of a sphere's cells."""
     t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
     middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
     a, b = (x.ravel() for x in np.meshgrid(middle, middle, indexing="ij"))
@@ -214,9 +223,7 @@ def _of_sphere(shape: Sphere, side: int) -> Parts:
             cosine = np.min([np.einsum("ck,ck->c", centre, end) for end in ends], axis=0)
             axis.append(centre)
             spread.append(np.arccos(np.clip(cosine, -1, 1)) * (1 + 1e-9))
-    axis, spread = np.concatenate(axis), np.concatenate(spread)
-    r = float(shape.radius)
-    return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
+    return np.concatenate(axis), np.concatenate(spread)
 
 
 def _of_box(shape: Box, side: int) -> Parts:
@@ -262,6 +269,7 @@ def bodies_of(cells: Cells) -> Bodies:
     )
 
 
+@once
 def plane_between(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """`bodies.plane_of` of a flat shape that stays where it is; None for a free one."""
     return plane_of(shape.low) if shape.low is shape.high else None

@@ -7,7 +7,7 @@ arrives with the receiver's cosine, and no more than 2 pi L without. Without spe
 of the light's own `spectrum`. Lengths in m.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from ..lights.point import PointLight
 from ..lights.rectangle import RectangleLight
 from ..lights.small import SmallLight
 from ..scene import Light
-from .angles import angle, cosine, half_width, lobe_angles
+from .angles import Angles, angle, cosine, half_width, lobe_angles
 from .bodies import box_about, numbers, unit
 from .cells import Cells, Eye
 from .reflection import Lobe
@@ -225,14 +225,37 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
     return Arrived(wi, width, cos_i, e, body, facing)
 
 
-def of_lobe(arrived: Arrived, source: Source, lobe: Lobe, cells: Cells, eye: Eye) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_s, per unit of the source's spectrum, toward the eye."""
-    limit = lobe.size if source.extended else np.inf
-    if arrived.wi is None:
-        return np.full(len(cells.radius), limit)
-    angles = lobe_angles(cells, eye, arrived.wi, arrived.width, arrived.cos_i)
-    most = np.broadcast_to(lobe.most(angles), arrived.e.shape)
-    return np.minimum(times(arrived.e, most).sum(1), limit)
+def of_lobes(
+    arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
+) -> np.ndarray:
+    """(c,) sup of E f_r cos / k_s, per unit of the source's spectrum, toward the eye.
+
+    Args:
+        arrived: of the cells, from `source`.
+        source: the light.
+        lobes: of each surface; None: none.
+        cells: of all surfaces; lengths in m.
+        eye: where they are seen from.
+    """
+    found, e = np.zeros(len(cells.radius)), arrived.e
+    has = np.array([own is not None for own in lobes], bool)[cells.surface]
+    angles = None
+    if arrived.wi is not None and has.any():
+        there = Cells(*(x[has] for x in cells))
+        e, seen = e[has], (x[has] for x in (arrived.wi, arrived.width, arrived.cos_i))
+        angles = lobe_angles(there, eye, *seen)
+    sent, start = np.zeros(has.sum()), 0
+    for own, count in zip(lobes, np.bincount(cells.surface, minlength=len(lobes)), strict=True):
+        if own is None:
+            continue
+        part, start = slice(start, start + count), start + count
+        sent[part] = own.size if source.extended else np.inf
+        if angles is not None:
+            most = own.most(Angles(*(x[part] for x in angles)))
+            by_place = times(e[part], np.broadcast_to(most, e[part].shape))
+            sent[part] = np.minimum(by_place.sum(1), sent[part])
+    found[has] = sent
+    return found
 
 
 def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:

@@ -27,6 +27,7 @@ from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
     ambient_reflected,
+    cells_on,
     emitted,
     geometry_of,
     lobe_sent,
@@ -226,12 +227,15 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
 def _all_lights(
     sums: Sums, onward: Onward, i: int, of_light: Callable[[int], np.ndarray]
 ) -> np.ndarray:
-    """The sum over all lights of what a surface makes of them, (bands,) in the picture."""
-    cells = sum(
-        (of_light(k) for k in range(len(sums.sources))),
-        np.zeros((len(sums.seen), sums.k_body.shape[1])),
-    )
-    return pictured(sums, onward(np.where((sums.cells.surface == i)[:, None], cells, 0)))
+    """The sum over all lights of what the cells of a surface make of them, (bands,) in the
+    picture."""
+    part, none = cells_on(sums, i), np.zeros(sums.k_body.shape[1])
+    own = sum((of_light(k) for k in range(len(sums.sources))), none)
+    if onward.depth is None:
+        return np.max(own, axis=0, initial=0, where=sums.seen[part, None])
+    cells = np.zeros((len(sums.seen), len(none)))
+    cells[part] = own
+    return pictured(sums, onward(cells))
 
 
 def _as_lambert(i: int) -> Drop:
@@ -252,7 +256,7 @@ def _with(draft: Draft, i: int, **fields: Any) -> Draft:
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """The lobe's own light; a Lambertian of the same k_d remains."""
     material = sums.surfaces[i].low.material
-    amount = _all_lights(sums, onward, i, lambda k: lobe_sent(sums, k))
+    amount = _all_lights(sums, onward, i, lambda k: lobe_sent(sums, k, on=i))
     plain = _is_plain_without_lobe(material)
     why = f"the lobe of {type(material).__name__}"
     if not plain:
@@ -276,7 +280,8 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
     def of_light(k: int) -> np.ndarray:
         _, whole = geometry_of(sums, sums.sources[k], sums.nearest[k], full)
-        return times(whole[:, None], times(sums.k_lobe[i], sums.spectrum[k])[None])
+        own = whole[cells_on(sums, i), None]
+        return times(own, times(sums.k_lobe[i], sums.spectrum[k])[None])
 
     amount = _all_lights(sums, onward, i, of_light) * (1 - least)
 
@@ -291,8 +296,9 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
     def of_light(k: int) -> np.ndarray:
-        even = times(sums.body[k][:, None] * np.ones(1), times(plain, sums.spectrum[k])[None])
-        return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k])[None])
+        part = cells_on(sums, i)
+        even = times(sums.body[k, part, None], times(plain, sums.spectrum[k])[None])
+        return even + times(sums.facing[k, part, None], times(grazing, sums.spectrum[k])[None])
 
     amount = _all_lights(sums, onward, i, of_light)
     if np.isinf(plain).any():

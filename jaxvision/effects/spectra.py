@@ -20,7 +20,7 @@ from ..scene import Camera, Scene
 from .certificate import RADIANCE, Effect
 from .illumination import times
 from .stages import Draft, Row
-from .sums import Sums
+from .sums import Sums, cells_on
 
 _DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
 _ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
@@ -90,12 +90,13 @@ def _terms(sums: Sums) -> Terms:
     """The terms of each surface in view, and of the lights that may be seen."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
-        part = sums.seen & (sums.cells.surface == i)
-        if not part.any():
+        own = cells_on(sums, i)
+        part = np.arange(own.start, own.stop)[sums.seen[own]]
+        if not part.size:
             continue
-        geometry, spectra = [np.ones(part.sum())], [sums.own[i]]
+        geometry, spectra = [np.ones(part.size)], [sums.own[i]]
         for k, spectrum in enumerate(sums.spectrum):
-            mirror = np.full(part.sum(), float(sums.sources[k].extended))
+            mirror = np.full(part.size, float(sums.sources[k].extended))
             geometry += [sums.body[k, part], sums.lobe[k, part], mirror]
             spectra += [table[i] * spectrum for table in (sums.k_body, sums.k_lobe, sums.k_mirror)]
         table, used = np.stack(spectra), [bool(np.any(s)) for s in spectra]

@@ -19,7 +19,7 @@ from .angles import cos_seen
 from .blocking import may_block
 from .bodies import body_of, gap, numbers, stacked, taken
 from .cells import Cells, Eye, bodies_of, cells_of, in_view
-from .illumination import Arrived, Source, arriving, of_lobe, source_of, times
+from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, in_umbra, shaded
@@ -97,7 +97,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     if not bounces:
         seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
-    body, lobe, facing = _geometry(sources, nearest, surfaces, reflections, cells, eye)
+    body, lobe, facing = _geometry(sources, nearest, reflections, cells, eye)
     bands = _bands(scene, sources)
     table = _Table(len(surfaces), bands)
     k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
@@ -215,29 +215,19 @@ def value_of(record: Any, *names: str) -> Any:
 def _geometry(
     sources: Sequence[Source],
     nearest: np.ndarray,
-    surfaces: Sequence[Ends[Surface]],
     reflections: Sequence[Reflection],
     cells: Cells,
     eye: Eye,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`body`, `lobe` and `facing` of `Sums`; materials that are shared are asked once."""
+    """`body`, `lobe` and `facing` of `Sums`."""
     shape = len(sources), len(cells.radius)
     body, lobe, facing = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    grazing = _grazing(reflections, cells)
-    groups: dict[int, list[int]] = {}
-    for i, surface in enumerate(surfaces):
-        if reflections[i].lobe is not None:
-            groups.setdefault(id(surface.low.material), []).append(i)
+    grazing, lobes = _grazing(reflections, cells), [own.lobe for own in reflections]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for k, source in enumerate(sources):
             arrived = arriving(source, cells, nearest[k, cells.surface])
-            body[k] = _of_bodies(arrived, grazing)
-            facing[k] = arrived.facing
-            for members in groups.values():
-                part = np.isin(cells.surface, members)
-                own = reflections[members[0]].lobe
-                if own is not None:
-                    lobe[k, part] = _on(arrived, source, own, cells, eye, part)
+            body[k], facing[k] = _of_bodies(arrived, grazing), arrived.facing
+            lobe[k] = of_lobes(arrived, source, lobes, cells, eye)
     return body, lobe, facing
 
 
@@ -251,16 +241,6 @@ def _of_bodies(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
     return times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
 
 
-def _on(
-    arrived: Arrived, source: Source, lobe: Lobe, cells: Cells, eye: Eye, part: np.ndarray
-) -> np.ndarray:
-    """`illumination.of_lobe` of some of the cells."""
-    own = Cells(*(x[part] for x in cells))
-    wi, *others = arrived
-    there = Arrived(None if wi is None else wi[part], *(x[part] for x in others))
-    return of_lobe(there, source, lobe, own, eye)
-
-
 def geometry_of(
     sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -269,11 +249,7 @@ def geometry_of(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         cells = sums.cells
         arrived = arriving(source, cells, nearest[cells.surface])
-        found = np.zeros(len(sums.seen))
-        for i, own in enumerate(lobes):
-            if own is not None:
-                part = cells.surface == i
-                found[part] = _on(arrived, source, own, cells, sums.eye, part)
+        found = of_lobes(arrived, source, lobes, cells, sums.eye)
     return _of_bodies(arrived, _grazing(sums.reflections, cells)), found
 
 
@@ -314,6 +290,11 @@ def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
     return np.maximum.reduceat(values, first, axis=-1)
 
 
+def cells_on(sums: Sums, i: int) -> slice:
+    """The cells of a surface, which stand side by side."""
+    return slice(*np.searchsorted(sums.cells.surface, [i, i + 1]))
+
+
 def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = None) -> np.ndarray:
     """The most that each cell makes of one light.
 
@@ -335,10 +316,14 @@ def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = No
     return total if only is None else np.where(only[:, None], total, 0)
 
 
-def lobe_sent(sums: Sums, k: int) -> np.ndarray:
-    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1."""
+def lobe_sent(sums: Sums, k: int, *, on: int | None = None) -> np.ndarray:
+    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1; `on`: of the
+    cells of one surface."""
+    if on is not None:
+        own = times(sums.k_lobe[on], sums.spectrum[k])
+        return times(sums.lobe[k, cells_on(sums, on), None], own)
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
-    return times(sums.lobe[k][:, None] * np.ones(1), own)
+    return times(sums.lobe[k][:, None], own)
 
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:

@@ -55,9 +55,9 @@ def shaded(
         wanted: (l, c), the cells that matter.
 
     Returns:
-        (l, c); False is certain where wanted, and everywhere else.
+        (l, c); False is certain where wanted; it is False of all others.
     """
-    found = wanted & may.any(2)[:, cells.surface]
+    found = wanted & np.any(may, axis=2)[:, cells.surface]
     count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
     if not 0 < count <= _PAIRS:
         return found
