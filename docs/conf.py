@@ -1,0 +1,74 @@
+"""The site: built with warnings as errors by `sphinx-build -W --keep-going docs docs/_build`."""
+
+import sys
+import urllib.request
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import jaxvision
+
+project = "jaxvision"
+author = "The jaxvision developers"
+copyright = author
+version = release = jaxvision.__version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.intersphinx",
+    "sphinx_design",
+    "site_pages",
+]
+exclude_patterns = ["_build", "jupyter_execute"]
+myst_enable_extensions = ["colon_fence", "html_image"]
+myst_heading_anchors = 3
+suppress_warnings = ["ref.python"]  # a name quoted in an annotation, of two rooms
+nb_execution_mode = "off"  # CI executes the notebooks; their stored results are shown
+
+default_role = "py:obj"
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+python_maximum_signature_line_length = 88
+napoleon_use_ivar = True
+napoleon_custom_sections = ["Source"]
+
+
+def reachable(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address + "objects.inv", timeout=5):
+            return True
+    except OSError:
+        return False
+
+
+intersphinx_mapping = {  # empty without a network: the build needs none
+    "python": ("https://docs.python.org/3/", None),
+    "numpy": ("https://numpy.org/doc/stable/", None),
+    "jax": ("https://docs.jax.dev/en/latest/", None),
+}
+if not all(reachable(address) for address, _ in intersphinx_mapping.values()):
+    intersphinx_mapping = {}
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"jaxvision {version}"
+html_static_path = ["_static"]
+html_favicon = "_static/ball.svg"
+html_context = {"default_mode": "auto"}  # light or dark, as the reader's system
+html_show_sourcelink = False
+html_theme_options = {
+    "logo": {
+        "text": "jaxvision",
+        "image_light": "_static/ball.svg",
+        "image_dark": "_static/ball.svg",
+    },
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "header_links_before_dropdown": 7,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_sidebars = {"index": []}

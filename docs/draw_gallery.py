@@ -1,0 +1,38 @@
+"""Draws each picture of the gallery beside its script: `python docs/draw_gallery.py [NAME ...]`."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("agg")
+import jax
+import matplotlib.pyplot as plt
+
+GALLERY = Path(__file__).parent / "gallery"
+STYLE = {
+    "figure.figsize": (4.4, 3.3),
+    "figure.dpi": 100,
+    "figure.constrained_layout.use": True,
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def draw(script: Path, folder: Path) -> Path:
+    """Runs one script and writes its figure to a folder, as a PNG named after the script."""
+    jax.config.update("jax_enable_x64", False)  # as a user starts
+    with plt.rc_context(STYLE):
+        runpy.run_path(str(script))
+        picture = folder / f"{script.stem}.png"
+        plt.savefig(picture, metadata={"Software": None})
+        plt.close("all")
+    return picture
+
+
+if __name__ == "__main__":
+    for script in sorted(GALLERY.glob("*.py")):
+        if not sys.argv[1:] or script.stem in sys.argv[1:]:
+            print(draw(script, GALLERY))

@@ -1,0 +1,21 @@
+"""Glass and mirror
+
+Each ray splits at glass into what is reflected and what is refracted, by Fresnel's equations, and
+goes on at a mirror: a tree of at most 16 rays a pixel.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+
+import jaxvision as jv
+from jaxvision.render_command import with_resolution
+from jaxvision.scene_files import read_scene
+
+table = read_scene("glass_and_mirror")
+scene, view = jv.as_dtype((table.scene, with_resolution(table.view, (270, 480))), jnp.float32)
+tree = jax.jit(partial(jv.ray_traced, rays=16, rule=jv.Quadrature(6)))
+plt.imshow(jv.srgb_encode(tree(scene, view).clip(0, 1)))
+plt.axis("off")

@@ -1,0 +1,31 @@
+"""A photon transfer curve
+
+Pairs of frames of an even field at 24 levels: the variance grows with the mean by the gain, 0.25
+DN per electron, until the well is full.
+"""
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+
+import jaxvision as jv
+
+sensor = jv.Sensor(
+    quantum_efficiency=0.5,
+    shot_noise=jv.PoissonShotNoise(),
+    full_well=15_000.0,
+    read_noise=6.0,
+    gain=0.25,
+    offset=64.0,
+    bits=12,
+)
+photons = jnp.geomspace(30, 40_000, 24)[:, None, None, None] * jnp.ones((24, 128, 128, 1))
+take = jax.jit(lambda key: jv.raw_image(key, sensor, photons))
+one, other = take(jax.random.key(0)), take(jax.random.key(1))
+mean = one.mean((1, 2, 3)) - 64
+variance = ((one - other) ** 2 / 2).mean((1, 2, 3))
+plt.loglog(mean, variance, "o", label="measured")
+plt.loglog(mean, 0.25 * mean, label="0.25 DN per electron")
+plt.xlabel("mean above black [DN]")
+plt.ylabel("variance [DN²]")
+plt.legend()

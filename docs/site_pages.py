@@ -1,0 +1,227 @@
+"""Pages that are made from the packages: the reference, by room, and the gallery.
+
+Every public name has one entry, under the shortest name by which it is imported. Other names of the
+same thing, and names without their package, lead to that entry.
+"""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+from collections import defaultdict
+from pathlib import Path
+
+from sphinx.domains.python import PyXRefRole
+from sphinx.util.docstrings import prepare_docstring
+
+import fitting
+import jaxvision
+
+HERE = Path(__file__).parent
+BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
+
+
+def public_modules(package):
+    """The package and its public modules, command lines apart."""
+    yield package
+    for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        if not re.search(r"\._|\.cli$", name):
+            yield importlib.import_module(name)
+
+
+def home(value):
+    """The module that defines a function or a class; None for anything else."""
+    inner = inspect.unwrap(value) if callable(value) else value
+    return inner.__module__ if inspect.isfunction(inner) or inspect.isclass(inner) else None
+
+
+def entries(package):
+    """{name of the entry: the function or class}, one for each public thing of a package."""
+    names = defaultdict(list)
+    for module in public_modules(package):
+        exported = getattr(module, "__all__", ())
+        for name in {*exported, *(n for n in vars(module) if not n.startswith("_"))}:
+            value = getattr(module, name)
+            here = home(value) or (module.__name__ if is_data(name, value, exported) else "")
+            if here == module.__name__ or (
+                name in exported and here.partition(".")[0] == package.__name__
+            ):
+                names[id(value)].append((f"{module.__name__}.{name}", value))
+    shortest = (min(same, key=lambda e: (e[0].count("."), e[0])) for same in names.values())
+    return dict(sorted(shortest))
+
+
+def is_data(name, value, exported):
+    """Whether a package exports a value that is neither function, class nor module."""
+    return name in exported and not inspect.ismodule(value) and not name.startswith("_")
+
+
+def room(name, value):
+    """The page of a thing: the package or module, just below the root, that defines it."""
+    parts = (home(value) or name).split(".")
+    below = parts[1] if len(parts) > 1 else BASICS
+    return f"{parts[0]}.{BASICS if below.startswith('_') else below}"
+
+
+def summary(thing):
+    """The first sentence of a docstring, for a page's head."""
+    return re.split(r"(?<=\.)\s|\n\n", inspect.getdoc(thing) or "", maxsplit=1)[0]
+
+
+def exported(names):
+    """Those of the names that a package lists in `__all__`, or that lie in a module just below the
+    root, which lists nothing: what users import."""
+    found = set()
+    for name in names:
+        module = importlib.import_module(name.rpartition(".")[0])
+        if name.rpartition(".")[2] in getattr(module, "__all__", ()) or name.count(".") < 3:
+            found.add(name)
+    return found
+
+
+def directive(name, value):
+    kind = "data" if home(value) is None else "class" if inspect.isclass(value) else "function"
+    options = {"class": "   :members:\n", "data": "   :no-value:\n"}.get(kind, "")
+    return f".. auto{kind}:: {name}\n{options}"
+
+
+def reference_pages(folder):
+    """One page a room: what it exports first, then the parts of its modules."""
+    folder.mkdir(exist_ok=True)
+    pages = defaultdict(dict)
+    for package in (jaxvision, fitting):
+        for name, value in entries(package).items():
+            pages[room(name, value)][name] = value
+    offered = exported([name for page in pages.values() for name in page])
+    for page, found in pages.items():
+        is_basics = page.endswith(f".{BASICS}")
+        head = "Arrays and vectors" if is_basics else page
+        text = [head, "=" * len(head), ""]
+        if not is_basics:
+            text += [escaped(summary(importlib.import_module(page))), ""]
+        text += [directive(name, value) for name, value in found.items() if name in offered]
+        inner = [directive(name, value) for name, value in found.items() if name not in offered]
+        if inner:
+            text += ["Parts of this room", "-" * 18, "", *inner]
+        write(folder / f"{page}.rst", "\n".join(text))
+    return pages
+
+
+def notebook_pages(folder):
+    """The notebooks, which lie outside of the site."""
+    folder.mkdir(exist_ok=True)
+    for notebook in (HERE.parent / "notebooks").glob("*.ipynb"):
+        write(folder / notebook.name, notebook.read_text())
+
+
+def gallery_pages(folder):
+    """A page for each script of the gallery, its picture above its code, and one of them all."""
+    cards = []
+    for script in sorted(folder.glob("*.py")):
+        title, text = ast.get_docstring(ast.parse(script.read_text())).split("\n\n", 1)
+        page = f"# {title}\n\n{text}\n\n"
+        page += f"```{{image}} {script.stem}.png\n:alt: {title}\n:class: dark-light\n```\n\n"
+        page += f"```{{literalinclude}} {script.name}\n:lines: {after_docstring(script)}-\n```\n"
+        write(folder / f"{script.stem}.md", page)
+        cards.append(
+            f":::{{grid-item-card}} {title}\n:link: gallery/{script.stem}\n:link-type: doc\n"
+            f":img-top: gallery/{script.stem}.png\n:img-alt: {title}\n:::\n"
+        )
+    text = (
+        f"# Gallery\n\n{len(cards)} pictures, each with the script that drew it.\n\n"
+        "::::{grid} 1 2 3 4\n:gutter: 3\n\n" + "\n".join(cards) + "::::\n\n"
+        "```{toctree}\n:hidden:\n:glob:\n\ngallery/*\n```\n"
+    )
+    write(folder.parent / "gallery.md", text)
+
+
+def after_docstring(script):
+    """The number of the first line of code."""
+    return ast.parse(script.read_text()).body[1].lineno
+
+
+def write(file, text):
+    """Only what changed, so that a second build reads nothing again."""
+    if not file.exists() or file.read_text() != text:
+        file.write_text(text)
+
+
+def escaped(text):
+    """Plain text with code in backticks, as docstrings have it, as reStructuredText."""
+    bullet, text = re.match(r"(\s*(?:\* )?)(.*)", text, flags=re.DOTALL).groups()
+    parts = re.split(r"(`[^`]*`)", text)
+    plain = [re.sub(r"([*|\\]|_(?!\w))", r"\\\1", part) for part in parts[::2]]
+    plain[1:] = [re.sub(r"^(?=[\w^(])", r"\\", part) for part in plain[1:]]  # ends the code before
+    return bullet + "".join(p + q for p, q in zip(plain, [*parts[1::2], ""], strict=True))
+
+
+def escape_types(app, what, name, thing, options, lines):
+    """Shapes as `Float[Array, "*picture bands"]` in what napoleon says of attributes."""
+    lines[:] = [re.sub(r"(?<!\\)\*", r"\\*", x) if ":vartype" in x else x for x in lines]
+
+
+def skip_member(app, what, name, thing, skip, options):
+    """Fields of a named tuple, which its docstring explains."""
+    return True if (inspect.getdoc(thing) or "").startswith("Alias for field") else None
+
+
+def escape_docstring(app, what, name, thing, options, lines):
+    if lines == prepare_docstring(type(thing).__doc__ or ""):
+        lines.clear()  # a constant has only the words of its type
+    inside = False  # an example, whose text is code
+    for i, line in enumerate(lines):
+        inside = line.strip().startswith((">>>", "...")) or (inside and bool(line.strip()))
+        if not inside:
+            lines[i] = escaped(line)
+
+
+class Entry(PyXRefRole):
+    """{api}`name` leads to the entry of a public name; a name without one fails the build."""
+
+    def __init__(self):
+        super().__init__(warn_dangling=True)
+
+    def process_link(self, env, refnode, has_explicit_title, title, target):
+        refnode["refdomain"], refnode["reftype"] = "py", "obj"
+        return title, target
+
+
+def find_entry(app, env, node, content):
+    """The entry of any other name of the same thing: as another package exports it, or without
+    the package."""
+    if node.get("refdomain") != "py":
+        return None
+    target = node["reftarget"]
+    tries = [target, f"jaxvision.{target}", f"fitting.{target}"]
+    tries += [f"{node['py:module']}.{target}"] if node.get("py:module") else []
+    for name in tries:
+        place = app.entry_of(name)
+        if place:
+            return app.builder.env.get_domain("py").resolve_xref(
+                env, node["refdoc"], app.builder, "obj", place, node, content
+            )
+    return None
+
+
+def setup(app):
+    notebook_pages(HERE / "notebooks")
+    gallery_pages(HERE / "gallery")
+    pages = reference_pages(HERE / "reference")
+    places = {id(value): name for page in pages.values() for name, value in page.items()}
+
+    def entry_of(name):
+        module, _, last = name.rpartition(".")
+        try:
+            value = getattr(importlib.import_module(module), last)
+        except (ImportError, AttributeError, ValueError):
+            return None
+        return places.get(id(value))
+
+    app.entry_of = entry_of
+    app.add_role("api", Entry())
+    app.connect("autodoc-process-docstring", escape_docstring, priority=100)
+    app.connect("autodoc-process-docstring", escape_types, priority=900)
+    app.connect("autodoc-skip-member", skip_member)
+    app.connect("missing-reference", find_entry)
+    return {"parallel_read_safe": True}

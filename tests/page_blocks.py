@@ -1,0 +1,57 @@
+"""Blocks of code on a page, and what the comments beside them promise."""
+
+import re
+import subprocess
+import sys
+
+
+def blocks(page, language):
+    """The fenced blocks of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+
+
+def promises(block):
+    """[(number, tolerance)] that the comments beside a block's `print` promise, in order: `# 0.25`
+    to its last digit, `# 0.25 within 1 %`; None where a comment promises no number."""
+    found = []
+    for line in re.findall(r"^.*\bprint\(.*$", block, flags=re.MULTILINE):
+        comment = re.search(
+            r"#\s*([-+\d.]+(?:e[-+]?\d+)?)(?: within ([\d.]+) %)?(?=\s|$|[:,;])", line
+        )
+        if not comment:
+            found.append(None)
+            continue
+        value, percent = float(comment[1]), comment[2]
+        digits = len(comment[1].partition(".")[2])
+        found.append((value, abs(value) * float(percent) / 100 if percent else 0.5 * 10**-digits))
+    return found
+
+
+PROGRAM = """
+import jax
+space = {}
+for i, block in enumerate(BLOCKS):
+    if APART:
+        space = {}
+        jax.config.update("jax_enable_x64", False)  # as a user starts
+    exec(compile(block, f"block {i}", "exec"), space)
+    print("<end>", flush=True)
+"""
+
+
+def run(python, folder, *, apart):
+    """Runs blocks in one process, each on its own or going on from the one before, and asserts what
+    they promise; returns how many numbers that were."""
+    program = PROGRAM.replace("BLOCKS", repr(python)).replace("APART", repr(apart))
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    kept = 0
+    for block, said in zip(python, ended.stdout.split("<end>\n"), strict=False):
+        printed = said.splitlines()
+        for promise, line in zip(promises(block), printed, strict=False):
+            if promise:
+                assert abs(float(line.split()[0]) - promise[0]) <= promise[1], (block, line)
+                kept += 1
+    return kept

@@ -1,0 +1,102 @@
+"""The site: its code runs and keeps its promises, its pictures are drawn by scripts that fit beside
+them, its commands exist, and its reference has an entry for every public name."""
+
+import ast
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from page_blocks import blocks, run
+from public_names import defined
+
+import fitting
+import jaxvision
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MADE = ("gallery/", "reference/", "_build/", "notebooks/")
+PAGES = sorted(
+    str(page.relative_to(DOCS))
+    for page in DOCS.rglob("*.md")
+    if not str(page.relative_to(DOCS)).startswith(MADE)
+)
+WITH_CODE = [page for page in PAGES if blocks((DOCS / page).read_text(), "python")]
+SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
+
+
+def module(name):
+    """A module of `docs/`, which no package holds."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_CODE)
+def test_code_runs_and_keeps_its_promises(page, tmp_path):
+    assert run(blocks((DOCS / page).read_text(), "python"), tmp_path, apart=False)
+
+
+def test_pages_are_found():
+    assert {"tutorial.md", "how-to/extend.md"} <= set(WITH_CODE)
+
+
+def test_commands_exist():
+    from typer.main import get_command
+
+    import fitting.cli
+    import jaxvision.cli
+
+    known = {
+        "jaxvision": get_command(jaxvision.cli.app),
+        "jaxvision-fit": get_command(fitting.cli.app),
+    }
+    text = "\n".join(block for page in PAGES for block in blocks((DOCS / page).read_text(), "sh"))
+    lines = re.findall(r"^(jaxvision(?:-fit)?) (\S+)(.*)$", text, flags=re.MULTILINE)
+    assert len(lines) > 5
+    for name, command, rest in lines:
+        options = {o for p in known[name].commands[command].params for o in p.opts}
+        assert set(re.findall(r"--[a-z-]+", rest.partition("#")[0])) <= options, (name, command)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_scripts_fit_beside_their_pictures(script):
+    assert script.with_suffix(".png").exists()
+    text = script.read_text()
+    code = ast.parse(text).body[1:]
+    assert len(text.splitlines()) - code[0].lineno + 1 <= 30
+    title, _, said = ast.get_docstring(ast.parse(text)).partition("\n\n")
+    assert title
+    assert said.endswith(".")
+
+
+def test_the_gallery_is_no_smaller_than_promised_and_light():
+    assert len(SCRIPTS) >= 24
+    assert sum(s.with_suffix(".png").stat().st_size for s in SCRIPTS) < 3e6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_pictures_are_drawn(script, tmp_path):
+    drawn = module("draw_gallery").draw(script, tmp_path)
+    assert drawn.stat().st_size > 0.5 * script.with_suffix(".png").stat().st_size
+
+
+def test_every_public_name_has_one_entry():
+    """What makes the pages, against the names that the tests of the public API discover."""
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("the `docs` extra is not installed")
+    pages = module("site_pages")
+    for package in (jaxvision, fitting):
+        entries = pages.entries(package)
+        named = {id(value) for value in entries.values() if pages.home(value)}
+        assert named == {id(value) for _, value in defined(package)}
+        assert len({id(value) for value in entries.values()}) == len(entries)
+        assert all(
+            getattr(sys.modules[n.rpartition(".")[0]], n.rpartition(".")[2]) for n in entries
+        )
