@@ -16,6 +16,7 @@ import typer
 from jaxvision.command_line import AsJson, KnobNames, PageFolder
 from jaxvision.errors import InputError
 from jaxvision.memory import keep_memory
+from jaxvision.programs import keep_programs
 
 from .commands import (
     CHECKPOINT,
@@ -303,14 +304,17 @@ def accuracy(
 ) -> None:
     """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
     a hundredth and a thousandth of a standard error. An interrupt keeps what was measured."""
+    from .rig import load_rig
+
+    described = load_rig(rig)
+    keep_programs()
     from jaxvision.accuracy.console import check_request, show
 
     from .accuracy import measured, problems
-    from .rig import load_rig
 
     check_request(seconds, out)
     begun = time.perf_counter()
-    found = problems(load_rig(rig))
+    found = problems(described)
     left = max(seconds - (time.perf_counter() - begun) / len(found), LEAST * seconds)
     words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
     command = " ".join([*words, f"--seconds {seconds:g}"])

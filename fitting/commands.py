@@ -16,8 +16,8 @@ import typer
 
 from jaxvision.command_line import command_app, failures_as_sentences, leave
 from jaxvision.errors import InputError
+from jaxvision.programs import compile_quickly, keep_programs
 
-from .programs import compile_quickly, keep_programs
 from .report.progress import Progress, Reporter, reporting
 
 if TYPE_CHECKING:

@@ -20,13 +20,13 @@ of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `
 
 import os
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._shipped import existing_file, shipped_files
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
 from .record_files import check_keys, record_of, table_of, with_draws, write_record
@@ -34,7 +34,6 @@ from .scene import Camera, Sensor
 
 _TABLES = ("view", "sensor", "development")
 _BANDS = ("first", "last", "step")
-_SHIPPED = Path(str(files("jaxvision"))) / "cameras"
 
 
 def shipped_cameras() -> tuple[str, ...]:
@@ -47,7 +46,7 @@ def shipped_cameras() -> tuple[str, ...]:
         >>> jv.shipped_cameras()
         ('consumer_bayer', 'emva1288', 'ideal')
     """
-    return tuple(sorted(file.stem for file in _SHIPPED.glob("*.toml")))
+    return shipped_files("camera")
 
 
 def read_camera(
@@ -78,7 +77,7 @@ def read_camera(
     """
     from .toml_files import read_toml
 
-    file = _found(source)
+    file = existing_file(source, "camera")
     content, place = read_toml(file, "camera"), str(file)
     check_keys(place, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
@@ -164,18 +163,6 @@ def write_sensor(
     """
     content = ({"about": about} if about else {}) | {"sensor": table_of(sensor)}
     write_record(file, "sensor", content, sensor, draws)
-
-
-def _found(source: str | os.PathLike[str]) -> Path:
-    file = Path(source)
-    if file.is_file():
-        return file
-    if str(source) in shipped_cameras():
-        return _SHIPPED / f"{source}.toml"
-    known = ", ".join(shipped_cameras())
-    raise InputError(
-        f"{file}: no such camera file; check the name and the folder, or use one of {known}."
-    )
 
 
 def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:

@@ -13,9 +13,11 @@ from typing import Annotated, Any
 
 import typer
 
+from ._shipped import existing_file
 from .command_line import AsJson, KnobNames, PageFolder, command_app, failures_as_sentences
 from .errors import InputError
 from .memory import keep_memory
+from .programs import keep_programs
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
@@ -52,7 +54,7 @@ def inspect(
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
     image = read_image(file)
-    _use_double_precision()
+    _prepare()
     from . import plots
 
     try:
@@ -145,17 +147,18 @@ def render(
 ) -> None:
     """Render a scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile. The same
     command resumes a render that was interrupted or killed."""
+    file = existing_file(scene, "scene")
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
-    _use_double_precision()
+    _prepare()
     from .effects.certificate import summary
     from .render_command import pruned_for, render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
 
-    source = read_scene(scene)
+    source = read_scene(file)
     given = {
         "integrator": integrator,
         "samples": samples,
@@ -222,13 +225,14 @@ def accuracy(
 ) -> None:
     """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
     0.1 %. An interrupt keeps what was measured."""
-    _use_double_precision()
+    file = existing_file(scene, "scene")
+    _prepare()
     from .accuracy import measured
     from .accuracy.console import check_request, show
     from .scene_files import read_scene
 
     check_request(seconds, out)
-    source = read_scene(scene)
+    source = read_scene(file)
     norms = ("rms", "p99", "max", "delta_e")
     problem, curves = measured(
         source, source.render, names=tuple(knob or ()) or None, seconds=seconds, metrics=norms
@@ -287,7 +291,9 @@ def effects(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Say what each effect of a scene and a camera can change in the picture, at most."""
-    _use_double_precision()
+    file = existing_file(scene, "scene")
+    camera_file = existing_file(camera, "camera") if camera else None
+    _prepare()
     from .camera_files import read_camera
     from .effects import explain, parse
     from .render_command import inspected, pruned_for
@@ -297,9 +303,9 @@ def effects(
     goal = None
     if tolerance:
         goal = parse(tolerance, place=place)
-    source = read_scene(scene)
+    source = read_scene(file)
     bands: Any = source.wavelengths
-    sensor = None if not camera else read_camera(camera, wavelengths=bands)
+    sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
     if goal is None:
         found = inspected(source, source.render, **asked)
@@ -351,9 +357,10 @@ def _print_table(title: str, bands: Any) -> None:
     Console(width=width, highlight=False).print(table)
 
 
-def _use_double_precision() -> None:
-    """Histograms of 16-bit and floating images need it. The command switches it on, never an
-    import."""
+def _prepare() -> None:
+    """Keeps compiled programs, and computes in double precision, which histograms of 16-bit and
+    floating images need. The command switches both on, never an import."""
+    keep_programs()
     import jax
 
     jax.config.update("jax_enable_x64", True)

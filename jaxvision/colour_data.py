@@ -1,6 +1,7 @@
 """Colorimetric tables of the library colour-science, as arrays on the caller's grid.
 
-Eager; colour-science is loaded on first use, which takes about a second. Wavelengths are in m
+Eager; colour-science is loaded on first use, which takes about two seconds. The usual RGB spaces,
+adaptations, luma weights and white points need no such time: they are below. Wavelengths are in m
 everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
 quintic on an even grid, a cubic spline elsewhere). Beyond its table an observer or a sensitivity is
 0, and a reflectance keeps its end value. So does an illuminant other than CIE daylight: "A" and "C"
@@ -24,6 +25,40 @@ from .spectra import daylight
 # temperature scale with c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
 _DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 6500, 7500)}
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
+
+# What colour-science holds under the same names; a test compares them.
+_WHITES = {  # x and y for the CIE 1931 observer
+    "A": (0.44758, 0.40745),
+    "C": (0.31006, 0.31616),
+    "D50": (0.3457, 0.3585),
+    "D55": (0.33243, 0.34744),
+    "D65": (0.3127, 0.3290),
+    "D75": (0.29903, 0.31488),
+    "E": (1 / 3, 1 / 3),
+}
+_ACES_WHITE = (0.32168, 0.33767)
+_PRIMARIES = {  # x and y of red, green and blue, and of white
+    "sRGB": ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), _WHITES["D65"]),
+    "Adobe RGB (1998)": ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), _WHITES["D65"]),
+    "Display P3": ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06), _WHITES["D65"]),
+    "ITU-R BT.709": ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), _WHITES["D65"]),
+    "ITU-R BT.2020": ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046), _WHITES["D65"]),
+    "ProPhoto RGB": ((0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001), _WHITES["D50"]),
+    "ACES2065-1": ((0.7347, 0.2653), (0.0, 1.0), (0.0001, -0.0770), _ACES_WHITE),
+    "ACEScg": ((0.713, 0.293), (0.165, 0.830), (0.128, 0.044), _ACES_WHITE),
+}
+_CONES = {
+    "Bradford": ((0.8951, 0.2664, -0.1614), (-0.7502, 1.7135, 0.0367), (0.0389, -0.0685, 1.0296)),
+    "CAT02": ((0.7328, 0.4296, -0.1624), (-0.7036, 1.6975, 0.0061), (0.0030, 0.0136, 0.9834)),
+    "Von Kries": ((0.40024, 0.7076, -0.08081), (-0.2263, 1.16532, 0.0457), (0.0, 0.0, 0.91822)),
+    "XYZ Scaling": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+}
+_LUMA = {  # of red and blue
+    "ITU-R BT.601": (0.2990, 0.1140),
+    "ITU-R BT.709": (0.2126, 0.0722),
+    "ITU-R BT.2020": (0.2627, 0.0593),
+    "SMPTE-240M": (0.2122, 0.0865),
+}
 
 
 def nanometres(values: Any) -> Float[Array, "..."]:
@@ -201,9 +236,12 @@ def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
     Raises:
         InputError: an unknown name.
     """
-    import colour
+    if observer == OBSERVER and name in _WHITES:
+        x, y = _WHITES[name]
+    else:
+        import colour
 
-    x, y = _entry(_entry(colour.CCS_ILLUMINANTS, observer, "observer"), name, "illuminant")
+        x, y = _entry(_entry(colour.CCS_ILLUMINANTS, observer, "observer"), name, "illuminant")
     return as_float([x / y, 1.0, (1 - x - y) / y])
 
 
@@ -226,10 +264,17 @@ def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
     Raises:
         InputError: an unknown name.
     """
-    import colour
+    if space in _PRIMARIES:
+        *primaries, white = _PRIMARIES[space]
+    else:
+        import colour
 
-    chosen = _entry(colour.RGB_COLOURSPACES, space, "RGB space")
-    return colour.normalised_primary_matrix(chosen.primaries, chosen.whitepoint)
+        chosen = _entry(colour.RGB_COLOURSPACES, space, "RGB space")
+        primaries, white = chosen.primaries, chosen.whitepoint
+    x, y = np.asarray([*primaries, white], np.float64).T
+    points = np.stack([x, y, 1 - x - y])
+    colours, white_xyz = points[:, :3], points[:, 3] / y[3]
+    return colours * np.linalg.solve(colours, white_xyz)
 
 
 @cache
@@ -245,6 +290,8 @@ def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
     Raises:
         InputError: an unknown name.
     """
+    if method in _CONES:
+        return np.asarray(_CONES[method])
     import colour
 
     transforms = colour.CHROMATIC_ADAPTATION_TRANSFORMS
@@ -264,10 +311,8 @@ def luma_weights(standard: str) -> tuple[float, float, float]:
     Raises:
         InputError: an unknown name.
     """
-    import colour
-
-    red, blue = _entry(colour.WEIGHTS_YCBCR, standard, "luma standard")
-    return float(red), float(1 - red - blue), float(blue)
+    red, blue = _entry(_LUMA, standard, "luma standard")
+    return red, 1 - red - blue, blue
 
 
 def _entry(table: Mapping[str, Any], name: str, kind: str) -> Any:

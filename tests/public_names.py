@@ -16,6 +16,7 @@ EAGER = {
     "jaxvision.plots.summary",
     "jaxvision.errors",
     "jaxvision.memory",
+    "jaxvision.programs",
     "jaxvision.camera_files",
     "jaxvision.material_files",
     "jaxvision.record_files",

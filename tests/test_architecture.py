@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
     {"_primitives"},
-    {"errors", "memory", "_types", "_staging"},
+    {"errors", "memory", "programs", "_types", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics", "_chebyshev", "_quadrature"},
@@ -32,6 +32,7 @@ FLOORS = [
     {"matting", "transport", "development"},
     {"effects"},
     {"shot", "scene_checks"},
+    {"_shipped"},
     {"io", "toml_files", "command_line"},
     {"record_files"},
     {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
@@ -43,7 +44,7 @@ FLOORS = [
 PHYSICS = set.union(*FLOORS[2:16])
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
-    {"rig", "inference", "programs"},
+    {"rig", "inference"},
     {"observation", "report"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
@@ -260,7 +261,11 @@ OF_TYPER = {"pydantic"}  # for the options of a sub-command
         ("jaxvision", ["--version"], set()),
         ("jaxvision", ["render", "--help"], OF_TYPER),
         ("jaxvision", ["inspect", "no_such_file.png"], OF_TYPER | {"numpy"}),
+        ("jaxvision", ["render", "no_scene", "--out", "a.exr"], OF_TYPER),
+        ("jaxvision", ["effects", "cornell_box", "--camera", "no_camera"], OF_TYPER),
+        ("jaxvision", ["accuracy", "no_scene.toml"], OF_TYPER),
         ("fitting", ["--help"], set()),
+        ("fitting", ["accuracy", "no_rig"], OF_TYPER),
         ("fitting", ["brdf", "--help"], OF_TYPER),
     ],
 )

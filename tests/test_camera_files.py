@@ -200,6 +200,6 @@ def test_mistakes_are_told_in_one_sentence(case, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_camera_that_is_not_there_lists_those_that_are():
-    with pytest.raises(InputError, match="use one of consumer_bayer, emva1288, ideal"):
+def test_a_camera_that_is_not_there_names_the_nearest():
+    with pytest.raises(InputError, match="the nearest is .emva1288."):
         read_camera("emva1289")

@@ -62,6 +62,23 @@ def test_working_spaces_as_colour_science_derives_them(name):
     same(run(cs.luminance, RGB, space=name), RGB @ space.matrix_RGB_to_XYZ[1])
 
 
+def test_what_is_at_hand_without_colour_science_is_the_same():
+    at_hand = colour_data._PRIMARIES | colour_data._WHITES | colour_data._CONES | colour_data._LUMA
+    assert len(at_hand) == 21
+    for name in colour_data._PRIMARIES:
+        space = colour.RGB_COLOURSPACES[name]
+        derived = colour.normalised_primary_matrix(space.primaries, space.whitepoint)
+        np.testing.assert_allclose(colour_data.rgb_to_xyz_matrix(name), derived, atol=1e-15)
+    whites = colour.CCS_ILLUMINANTS[colour_data.OBSERVER]
+    for name, xy in colour_data._WHITES.items():
+        np.testing.assert_array_equal(whites[name], xy)
+    for name, cones in colour_data._CONES.items():
+        np.testing.assert_array_equal(colour.CHROMATIC_ADAPTATION_TRANSFORMS[name], cones)
+    assert colour_data._LUMA.keys() == set(colour.WEIGHTS_YCBCR)
+    for name, weights in colour_data._LUMA.items():
+        np.testing.assert_array_equal(colour.WEIGHTS_YCBCR[name], weights)
+
+
 def test_srgb_matrix_as_printed():
     """IEC 61966-2-1 prints four decimals, of a white rounded in its own way."""
     printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from fitting import programs
+from jaxvision import programs
 
 OURS = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
 
@@ -69,7 +69,7 @@ def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
 
 
 PROGRAM = """
-from fitting.programs import compile_quickly, keep_programs
+from jaxvision.programs import compile_quickly, keep_programs
 compile_quickly()
 keep_programs()
 import jax.numpy as jnp

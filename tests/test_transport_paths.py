@@ -338,6 +338,24 @@ def test_error_is_the_standard_error():
     assert np.std(traced.radiance) == pytest.approx(claimed, rel=0.25)
 
 
+def test_a_bounce_is_traced_once(monkeypatch):
+    """Whatever the samples and the depth: tracing is what a compile cache cannot keep."""
+    from jaxvision.transport import paths
+
+    calls, bounce = [], paths._bounce
+
+    def counted(*arguments):
+        calls.append(1)
+        return bounce(*arguments)
+
+    monkeypatch.setattr(paths, "_bounce", counted)
+    wall, view = closed([0.5], [0.5]), Pinhole(np.zeros(3), np.eye(3), 1.0, 0.1, resolution=(2, 2))
+    for method in (Paths(4, 3), Paths(4, 3, roulette=1)):
+        calls.clear()
+        jax.make_jaxpr(partial(path_traced, method=method))(KEY, wall, view)
+        assert len(calls) == 1
+
+
 @pytest.mark.slow
 def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
     """A bounce asks a material for the density of the direction drawn and, to weigh both ways of

@@ -244,7 +244,7 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
     step = math.ceil(height * width / _SHOWN)
     to_rgb = linear_srgb(source.bands, source.wavelengths)
     some = [block.reshape(-1, source.bands)[::step] @ to_rgb for block in rows()]
-    brightness = np.asarray(luminance(jnp.asarray(np.concatenate(some))))
+    brightness = np.asarray(jax.jit(luminance)(np.concatenate(some)))
     seen = brightness[np.isfinite(brightness) & (brightness > 0)]
     white = np.quantile(seen, _QUANTILE) / _LEVEL if len(seen) else 1.0
     encode = jax.jit(lambda rgb: jnp.round(255 * srgb_encode(jnp.clip(rgb, 0, 1))))

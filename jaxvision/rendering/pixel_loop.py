@@ -223,6 +223,7 @@ def mean_of_samples(
 
     Source: Welford, Technometrics 4(3) (1962): no sum of squares cancels.
     """
+    sample = jax.jit(sample, inline=True)  # traced once for its shapes and the loop
     shapes = jax.eval_shape(sample, jax.ShapeDtypeStruct((), jnp.uint32))
     dark = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 

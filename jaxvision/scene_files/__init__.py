@@ -10,12 +10,12 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from .._shipped import existing_file, shipped_files
 from .._types import as_dtype
 from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
@@ -28,8 +28,6 @@ from .folder import Folder
 from .materials import material_of
 from .records import light_of, shape_of, view_of
 from .schema import RenderEntry, SceneEntry
-
-_SHIPPED = Path(str(files("jaxvision"))) / "scenes"
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ def shipped_scenes() -> list[str]:
     Returns:
         The names, sorted.
     """
-    return sorted(file.stem for file in _SHIPPED.glob("*.toml"))
+    return list(shipped_files("scene"))
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
@@ -81,7 +79,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     Raises:
         InputError: the first mistake in the file, or the first problem that `scene_checks` finds.
     """
-    file = _found(path)
+    file = existing_file(path, "scene")
     entry = checked(file, read_toml(file, "scene"), SceneEntry, "scene")
     folder = Folder(file)
     with _named(file, ""):
@@ -132,16 +130,6 @@ def _digest(*records: object) -> str:
     for leaf in map(np.asarray, leaves):
         whole.update(f"{leaf.dtype}{leaf.shape}".encode() + leaf.tobytes())
     return whole.hexdigest()
-
-
-def _found(path: str | os.PathLike[str]) -> Path:
-    file = Path(path)
-    if file.suffix or file.exists() or file.parent != Path("."):
-        return file
-    if file.name in shipped_scenes():
-        return _SHIPPED / f"{file.name}.toml"
-    hint = nearest(file.name, shipped_scenes())
-    raise InputError(f"{path}: neither a file nor a shipped scene; {hint}.")
 
 
 def _surface(

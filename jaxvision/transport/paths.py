@@ -18,8 +18,9 @@ shadows that it throws, and with the other strategies also lacks the lamp's own 
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import reduce
-from typing import get_args
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -29,12 +30,12 @@ from jaxtyping import Array, Bool
 from .._arguments import takes_numbers
 from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
-from .._random import Stream, seed_of, uniforms
+from .._random import Stream, Word, seed_of, uniforms
 from .._staging import stored
 from .._types import Colour, Key, Scalar, check_choice, check_count
 from ..brdf import is_delta
 from ..geometry import Ray
-from ..rendering import Along, PixelSamples, Traced, each, photograph
+from ..rendering import Along, PixelSamples, Traced, photograph
 from ..rendering.pixel_loop import mean_of_samples
 from ..scene import Scene, View
 from ._emitters import (
@@ -124,23 +125,36 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
 
 
 def _walk(
-    world: World, ray: Ray, stream: Stream, method: Paths, depth: Array | None = None
+    world: World,
+    ray: Ray,
+    stream: Stream,
+    method: Paths,
+    depth: Array | None = None,
+    of_each: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function,
 ) -> Bands:
-    # a per-path zero: otherwise `vmap` traces the loop body twice to discover that it is batched
+    """The radiance of one path; with `jax.vmap` as `of_each`, of one for each ray and pixel of
+    arrays. `vmap` of a loop would trace the body of the loop anew to find out what is batched."""
     method = _simplest(world, method)
-    zero = (0 * stream.pixel).astype(ray.origin.x.dtype)
-    path = _Path(
-        ray,
-        (zero + 1,) * world.bands,
-        (zero,) * world.bands,
-        zero + jnp.inf,
-        absorption_around(world.surfaces, ray, bands=world.bands),
-        zero == 0,
-    )
+
+    def begun(ray: Ray, pixel: Word) -> _Path:
+        # a per-path zero: where a caller uses `vmap`, all is batched from the start
+        zero = (0 * pixel).astype(ray.origin.x.dtype)
+        return _Path(
+            ray,
+            (zero + 1,) * world.bands,
+            (zero,) * world.bands,
+            zero + jnp.inf,
+            absorption_around(world.surfaces, ray, bands=world.bands),
+            zero == 0,
+        )
 
     def step(path: _Path, k: Array) -> _Path:
-        return _bounce(world, path, stream, k, method)
+        def one(path: _Path, pixel: Word) -> _Path:
+            return _bounce(world, path, Stream(pixel, stream.sample, stream.seed), k, method)
 
+        return of_each(one)(path, stream.pixel)
+
+    path = of_each(begun)(ray, stream.pixel)
     pieces = method.depth - 1 if depth is None else depth.astype(jnp.uint32) - 1
     if depth is not None and method.roulette is None:
         path = jax.lax.fori_loop(
@@ -157,12 +171,12 @@ def _walk(
         )
     else:
         _, path = jax.lax.while_loop(
-            lambda state: (state[0] < pieces) & state[1].alive,
+            lambda state: (state[0] < pieces) & jnp.any(state[1].alive),
             lambda state: (state[0] + 1, step(state[1], state[0])),
             (jnp.zeros((), jnp.uint32), path),
         )
     if method.depth == 1 or method.strategy != "lights" or _has_chance_only(world):
-        path, _ = _look(world, path, method)
+        path, _ = of_each(lambda path: _look(world, path, method))(path)
     return path.radiance
 
 
@@ -286,7 +300,7 @@ def path_along(scene: Scene, method: Paths, *, depth: Array | None = None) -> Al
         From a block of rays to the radiance of their paths, W m^-2 sr^-1.
     """
     world = world_of(scene)
-    return each(lambda ray, stream: _walk(world, ray, stream, method, depth))
+    return lambda rays, stream: _walk(world, rays, stream, method, depth, jax.vmap)
 
 
 @takes_numbers

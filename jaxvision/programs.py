@@ -1,5 +1,5 @@
-"""How the commands compile: quickly, since most programs run once, and not again what an earlier
-run has compiled. JAX and XLA read all this from the environment, before their first use.
+"""How the commands compile: not again what an earlier run has compiled, and quickly where most
+programs run once. JAX and XLA read all this from the environment, before their first use.
 """
 
 import hashlib
