@@ -201,5 +201,5 @@ def test_mistakes_are_told_in_one_sentence(case, tmp_path):
 
 
 def test_a_camera_that_is_not_there_names_the_nearest():
-    with pytest.raises(InputError, match="the nearest is .emva1288."):
+    with pytest.raises(InputError, match="the nearest is 'emva1288'"):
         read_camera("emva1289")
