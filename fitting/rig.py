@@ -7,10 +7,11 @@ image is read; a mistake is an `InputError` that names the file, the entry and t
 
 import math
 import os
+from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from jaxvision.errors import InputError
 from jaxvision.toml_files import Entry, checked, read_toml
@@ -28,6 +29,17 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+
+
+def _quotient(text: Any) -> Any:
+    """A time as cameras show it, "1/8", as a number; anything else as it is."""
+    try:
+        return float(Fraction(text)) if isinstance(text, str) else text
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f'{text!r} is no time; write seconds, as in 0.125 or "1/8"') from None
+
+
+Seconds = Annotated[Positive, BeforeValidator(_quotient)]
 
 
 class Camera(Entry):
@@ -85,13 +97,13 @@ class Flat(Entry):
 
     Attributes:
         files: names.
-        exposure: s.
+        exposure: s, or as "1/8".
         photons: mean photons per pixel and exposure.
         irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength).
     """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
-    exposure: Positive
+    exposure: Seconds
     photons: NonNegative | None = None
     irradiance: NonNegative | None = None
 
@@ -101,11 +113,11 @@ class Dark(Entry):
 
     Attributes:
         files: names.
-        exposure: s.
+        exposure: s, or as "1/8".
     """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
-    exposure: Positive
+    exposure: Seconds
 
 
 class Exposure(Entry):
@@ -114,13 +126,13 @@ class Exposure(Entry):
 
     Attributes:
         file: name.
-        exposure: s.
+        exposure: s, or as "1/8".
         group: separates stacks (an illumination band).
         exposure_sd: standard deviation of the exposure, relative to it.
     """
 
     file: str
-    exposure: Positive
+    exposure: Seconds
     group: str = ""
     exposure_sd: Positive | None = None
 

@@ -219,6 +219,7 @@ from .optics import (
     layered_defocus as layered_defocus,
     lens_ray as lens_ray,
     look_at as look_at,
+    project as project,
     sensor_irradiance as sensor_irradiance,
     view_ray as view_ray,
 )

@@ -42,6 +42,21 @@ def bayer(phase: str) -> Pattern:
     return (first, second), (third, fourth)
 
 
+def as_pattern(pattern: Pattern | str) -> Pattern:
+    """A pattern, which may be named by the phase of a Bayer mosaic.
+
+    Args:
+        pattern: rows of band indices, or one of `BAYER_PHASES`.
+
+    Returns:
+        Rows of band indices, no unit.
+
+    Raises:
+        ValueError: an unknown phase.
+    """
+    return bayer(pattern) if isinstance(pattern, str) else pattern
+
+
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
     """Checks that a pattern tiles the plane with the bands 0 to its largest, all present.
 
@@ -88,12 +103,12 @@ def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"]
 
 
 @takes_numbers
-def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
+def mosaic(image: Picture, pattern: Pattern | str) -> Mosaic:
     """The picture that a sensor behind a colour filter array measures: one value for each pixel.
 
     Args:
         image: (..., h, w, bands) in any unit.
-        pattern: rows of band indices.
+        pattern: rows of band indices, or one of `BAYER_PHASES`.
 
     Returns:
         (..., h, w) in the unit of the image.
@@ -103,12 +118,13 @@ def mosaic(image: Picture, pattern: Pattern) -> Mosaic:
 
     Example:
         >>> red, green, blue = (jnp.full((2, 2), x) for x in (1.0, 2.0, 3.0))
-        >>> jv.mosaic(jnp.stack([red, green, blue], axis=-1), jv.bayer("RGGB")).tolist()
+        >>> jv.mosaic(jnp.stack([red, green, blue], axis=-1), "RGGB").tolist()
         [[1.0, 2.0], [2.0, 3.0]]
     """
     if image.ndim < 3:
         raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
     *_, height, width, bands = image.shape
+    pattern = as_pattern(pattern)
     check_pattern(pattern, bands=bands)
     seen = jnp.zeros(image.shape[:-1], image.dtype)
     for band, here in enumerate(sites(pattern, height, width)):

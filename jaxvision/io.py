@@ -217,9 +217,14 @@ def _check_format(file: Path, dtype: np.dtype) -> None:
         known = ", ".join(INTEGER_FORMATS + JPEG_FORMATS + FLOAT_FORMATS)
         raise InputError(f"{file}: unknown image suffix {suffix!r}; use one of {known}.")
     if not fits[suffix]:
+        hint = (
+            "; jaxvision.to_integers makes codes of a picture from 0 to 1"
+            if np.issubdtype(dtype, np.floating)
+            else ""
+        )
         raise InputError(
             f"{file}: {dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or "
-            "TIFF, uint8 to JPEG, floating point to EXR or HDR."
+            f"TIFF, uint8 to JPEG, floating point to EXR or HDR{hint}."
         )
 
 

@@ -8,21 +8,26 @@ from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
+from ._band_count import band_count
 from ._types import Image, Key, Scalar
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
 from .optics import sensor_irradiance
 from .rendering import PixelSamples, render
-from .scene import Camera, PixelAperture, Scene, View
+from .scene import Camera, PixelAperture, Scene, Sensor, View
 from .sensor import exposed, pixel_means, raw_image
 from .shading import DEFAULT_RULE
+from .transport import Paths, path_traced
 
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
+
+_OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
 class Capture(eqx.Module):
@@ -56,6 +61,7 @@ def capture(
     motion: Motion | None = None,
     moments: int = 8,
     tolerance: Tolerance | str | None = None,
+    integrator: Paths | Renderer | None = None,
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
@@ -76,6 +82,9 @@ def capture(
         tolerance: how far the raw numbers may move by what is left out, as in `effects.prune`, such
             as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then hold the
             bands that were kept. None leaves nothing out.
+        integrator: static; how radiance is found. None: direct light, by `render`. `Paths`: light
+            that bounces as well, its paths drawn by `key`, the same for every moment of a motion;
+            or any function of scene and view, as of `ray_traced` or `radiosity_image`.
 
     Returns:
         Radiance, irradiance, raw numbers and the developed picture; with a tolerance also the
@@ -84,20 +93,85 @@ def capture(
     Raises:
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
             without samples, unless its f_number is inf or traced; for traced records with a
-            tolerance.
+            tolerance; for samples beside an integrator, or a tolerance beside one that is a
+            function; before anything is rendered, for a scene and a sensor of unequal bands.
+
+    Example:
+        A grey room that shines everywhere: its walls show themselves, and one another.
+
+        >>> wall = jv.Lambert([0.5 / np.pi])
+        >>> room = jv.Scene(jv.Surface(jv.Sphere([0, 0, 0], 1), wall, [0.5], two_sided=True), [])
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(2, 2))
+        >>> paths = jv.Paths(samples=4, depth=20, strategy="surfaces")
+        >>> camera = jv.Camera(view, jv.Sensor(gain=100.0))
+        >>> shot = jv.capture(jax.random.key(0), room, camera, integrator=paths)
+        >>> print(shot.raw.round(1).ravel())
+        [100. 100. 100. 100.]
     """
+    check_bands(scene, camera.sensor)
+    if integrator is not None and samples is not None:
+        raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
     certificate = None
     if tolerance is not None:
-        pruned = prune(scene, camera, tolerance, samples=samples, motion=motion, moments=moments)
+        if not (integrator is None or isinstance(integrator, Paths)):
+            raise ValueError("a tolerance bounds what None or Paths render, got a function.")
+        depth = None if integrator is None else integrator.depth
+        asked = {"samples": samples, "motion": motion, "moments": moments, "depth": depth}
+        pruned = prune(scene, camera, tolerance, **asked)
         assert isinstance(pruned.camera, Camera)
         scene, camera, samples = pruned.scene, pruned.camera, pruned.samples
         motion = None if pruned.moments is None else motion
         certificate = pruned.certificate
-    renderer = partial(render, rule=rule, samples=samples)
+    renderer = _renderer(integrator, key, rule, samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture, certificate)
+
+
+def check_bands(scene: Scene, sensor: Sensor) -> None:
+    """Checks that a sensor measures the bands of a scene.
+
+    Args:
+        scene: its materials and lights.
+        sensor: its spectra: of photons, of filters and of the quantum efficiency.
+
+    Raises:
+        ValueError: if they have different numbers of bands, neither of which is one.
+    """
+    materials = [surface.material for surface in scene.surfaces]
+    shining = [s.emission for s in scene.surfaces if s.emission is not None]
+    if scene.ambient is not None:
+        shining.append(scene.ambient.radiance)
+    bands = band_count(materials, scene.lights, shining)
+    conversion, mosaic = sensor.photon_conversion, sensor.colour_filter
+    spectra = {
+        "photon_conversion.wavelength": None if conversion is None else conversion.wavelength,
+        "infrared_cut": sensor.infrared_cut,
+        "quantum_efficiency": sensor.quantum_efficiency,
+        "colour_filter.transmission": None if mosaic is None else mosaic.transmission,
+    }
+    for name, spectrum in spectra.items():
+        measured = spectrum.shape[-1] if spectrum is not None and spectrum.ndim else 1
+        if measured != bands and 1 not in (measured, bands):
+            raise ValueError(
+                f"the scene has {bands} bands and Sensor.{name} {measured}: describe materials and "
+                "lights in the sensor's bands, or read the camera in those of the scene, as by "
+                "read_camera(name, wavelengths=[610e-9, 550e-9, 465e-9])."
+            )
+
+
+def _renderer(
+    integrator: Paths | Renderer | None, key: Key | None, rule: Rule, samples: PixelSamples | None
+) -> Renderer:
+    if integrator is None:
+        return partial(render, rule=rule, samples=samples)
+    if not isinstance(integrator, Paths):
+        return integrator
+    if key is None:
+        raise ValueError("Paths are drawn at random: give a key.")
+    paths = jax.random.fold_in(key, _OF_PATHS)
+    return lambda scene, view: path_traced(paths, scene, view, method=integrator).radiance
 
 
 def _light_on_sensor(

@@ -98,7 +98,9 @@ STATIC |= {  # which rule each light has
     f"jaxvision.lights._samples.{name}"
     for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")
 }
-STATIC |= {f"jaxvision.colour_filters.{name}" for name in ("bayer", "check_pattern", "sites")}
+STATIC |= {
+    f"jaxvision.colour_filters.{name}" for name in ("as_pattern", "bayer", "check_pattern", "sites")
+}
 STATIC |= {
     f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
 }

@@ -10,7 +10,7 @@ from oracles import exact
 
 from jaxvision import as_dtype
 from jaxvision._numerics import log_of_zero
-from jaxvision.brdf import reflect
+from jaxvision.brdf import at_angles, evaluate, reflect
 from jaxvision.brdf.gaussian_lobe import (
     GaussianLobe,
     gaussian_lobe,
@@ -192,3 +192,12 @@ def test_float32_stays_float32():
     for material in MATERIALS:
         vectors = (v.astype(jnp.float32) for v in (Z, direction(0.3), direction(0.2)))
         assert reflect(as_dtype(material, jnp.float32), *vectors).dtype == jnp.float32
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda m: type(m).__name__)
+def test_four_angles_are_two_directions(material):
+    for theta_i, phi_i, theta_o, phi_o in RNG.uniform(0, [1.5, 6.0, 1.5, 6.0], (4, 4)):
+        expected = evaluate(material, direction(theta_i, phi_i), direction(theta_o, phi_o))
+        got = at_angles(material, theta_i, phi_i, theta_o, phi_o)
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+    np.testing.assert_array_equal(at_angles(material, 1.6, 0.0, 0.2, 0.0), 0)

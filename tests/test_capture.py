@@ -22,7 +22,8 @@ from jaxvision import (
 from jaxvision import scene as s
 from jaxvision.optics import look_at, sensor_irradiance
 from jaxvision.rendering import PixelSamples, render
-from jaxvision.shot import capture
+from jaxvision.shot import capture, check_bands
+from jaxvision.transport import Paths, path_traced
 
 BANDS = 3
 ROTATION = look_at(
@@ -334,3 +335,58 @@ def test_a_captured_picture_is_spread_by_diffraction():
     flat = sensor_irradiance(bent, jnp.ones((*view.resolution, 1)))
     cos4 = sensor_irradiance(view, jnp.ones((*view.resolution, 1)))
     np.testing.assert_allclose(flat, cos4, rtol=1e-6)
+
+
+def test_what_bounces_is_what_the_integrator_finds():
+    """A box of one floor and a shining wall: the radiance of paths, then the camera as ever."""
+    wall = s.Surface(s.Quad([-2, 2, 0], [4.0, 0, 0], [0, 0, 4.0]), Lambert([0.1] * 3), [2.0] * 3)
+    room = s.Scene([wall, *LAMBERT_ONLY.surfaces[:2]], [])
+    camera = s.Camera(replace(PINHOLE, f_number=4.0), s.Sensor(gain=3.0))
+    paths, key = Paths(4, 3), jax.random.key(2)
+    shot = capture(key, room, camera, integrator=paths)
+    found = jax.vmap(lambda k: path_traced(k, room, camera.view, method=paths).radiance)(
+        jax.random.split(jax.random.key(3), 32)
+    )
+    error = np.asarray(found).std(axis=0, ddof=1)
+    apart = np.abs(shot.radiance - found.mean(axis=0)) / np.maximum(error, 1e-3)
+    assert np.median(apart) < 1
+    assert shot.radiance.mean() > 0.1
+    np.testing.assert_allclose(shot.irradiance, sensor_irradiance(camera.view, shot.radiance))
+    np.testing.assert_allclose(shot.raw, 3 * shot.irradiance, rtol=1e-12)
+    flat = capture(None, room, camera, integrator=lambda scene, view: jnp.ones((10, 12, 3)))
+    np.testing.assert_array_equal(flat.radiance, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"integrator": Paths(1, 2)}, "give a key"),
+        ({"integrator": Paths(1, 2), "samples": PixelSamples(jax.random.key(0), 2)}, "leave them"),
+        ({"integrator": lambda scene, view: None, "tolerance": "1DN"}, "got a function"),
+    ],
+)
+def test_an_integrator_that_does_not_fit_is_refused(options, said):
+    with pytest.raises(ValueError, match=said):
+        capture(None, SCENE, s.Camera(PINHOLE, s.Sensor()), **options)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        s.Sensor(quantum_efficiency=np.full(31, 0.5)),
+        s.Sensor(photon_conversion=s.PhotonConversion(np.full(31, 5e-7), 1e-11)),
+        s.Sensor(colour_filter=s.ColourFilter(np.ones((3, 31)), pattern=((0, 1), (1, 2)))),
+    ],
+)
+def test_unequal_bands_are_refused_before_anything_is_rendered(sensor):
+    rendered = []
+    with pytest.raises(ValueError, match=r"scene has 3 bands and Sensor\..* 31: .*wavelengths="):
+        capture(None, SCENE, s.Camera(PINHOLE, sensor), integrator=lambda *_: rendered.append(1))
+    assert not rendered
+
+
+def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
+    from jaxvision import read_camera
+
+    camera = read_camera("emva1288", wavelengths=[610e-9, 550e-9, 465e-9])
+    check_bands(SCENE, camera.sensor)

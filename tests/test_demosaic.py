@@ -99,7 +99,7 @@ def test_psnr_on_natural_images():
     for name, image in natural_images().items():
         truth = image.astype(float)
         raw = mosaic(truth, bayer("RGGB"))
-        found = {m: psnr(demosaic(raw, bayer("RGGB"), method=m), truth) for m in algorithms}
+        found = {m: psnr(demosaic(raw, "RGGB", method=m), truth) for m in algorithms}
         print(name, {method: round(value, 2) for method, value in found.items()})
         for method, peer in algorithms.items():
             assert abs(found[method] - psnr(peer(np.asarray(raw), "RGGB"), truth)) < 1e-6

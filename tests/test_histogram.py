@@ -193,6 +193,16 @@ def test_equalisation_is_opencvs(codes):
     assert levels_apart(equalise(codes), cv2.equalizeHist(codes)) <= 1
 
 
+def test_without_the_first_code_at_zero_equalisation_is_the_textbooks():
+    """255 c(I): of 60 % black pixels, 153."""
+    black = np.where(np.arange(100) < 60, 0, 200).astype(np.uint8).reshape(10, 10)
+    assert np.unique(equalise(black, first_to_zero=False)).tolist() == [153, 255]
+    c = np.cumsum(np.bincount(CODES.ravel(), minlength=256)) / CODES.size
+    np.testing.assert_array_equal(
+        equalise(CODES, first_to_zero=False), np.round(255 * c).astype(np.uint8)[CODES]
+    )
+
+
 @pytest.mark.parametrize("value", [0.0, 0.5, 0.501, 1.0])
 def test_a_picture_of_one_value_stays(value):
     flat = np.full((8, 9), value)

@@ -54,7 +54,7 @@ def test_non_contiguous_pixels(tmp_path):
         ("a.jpg", np.zeros((2, 2), np.uint16), "uint16 pixels do not fit .jpg"),
         ("a.jpg", np.zeros((2, 2)), "float64 pixels do not fit .jpg"),
         ("a.jpg", np.zeros((2, 2, 4), np.uint8), "one or three channels"),
-        ("a.png", np.zeros((2, 2)), "float64 pixels do not fit .png"),
+        ("a.png", np.zeros((2, 2)), r"float64 pixels do not fit .png.*to_integers makes codes"),
         ("a.png", np.zeros((2, 2), np.int32), "int32 pixels do not fit"),
         ("a.exr", np.zeros((2, 2), np.uint8), "uint8 pixels do not fit .exr"),
         ("a.hdr", np.zeros((2, 2)), "three channels"),

@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from jaxvision import as_array, as_dtype
-from jaxvision.optics import camera_ray, cos_to_axis, look_at, pixel_irradiance, sensor_irradiance
-from jaxvision.scene import Orthographic, Pinhole
+from jaxvision.optics import (
+    camera_ray,
+    cos_to_axis,
+    look_at,
+    pixel_irradiance,
+    project,
+    sensor_irradiance,
+)
+from jaxvision.scene import Distortion, Orthographic, Pinhole, ThinLens
 
 EYE = np.eye(3)
+TILTED = np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.8, 0.0, 0.6]])
 PINHOLE = Pinhole([1, 2, 3], EYE, 0.05, 0.01, resolution=(2, 4), f_number=8)
 
 
@@ -86,3 +94,28 @@ def test_dtype_is_kept_and_gradients_are_finite(dtype):
     assert sensor_irradiance(view, jnp.ones((2, 4, 1), dtype)).dtype == dtype
     gradient = jax.grad(lambda v: cos_to_axis(v, pixel, pixel + 1))(view)
     assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        Pinhole([1, 2, 3], TILTED, 0.05, 1e-3, resolution=(4, 6)),
+        Pinhole(
+            [1, 2, 3], TILTED, 0.05, 5e-3, resolution=(4, 6), distortion=Distortion([-0.1, 0.02])
+        ),
+        ThinLens(
+            [1, 2, 3], TILTED, 0.05, 1e-3, resolution=(4, 6), f_number=2.0, focus_distance=0.7
+        ),
+        Orthographic([1, 2, 3], TILTED, 0.1, resolution=(4, 6)),
+    ],
+)
+def test_a_point_on_a_pixels_ray_is_projected_to_the_pixel(view):
+    ray = camera_ray(view, jnp.asarray(0.75), jnp.asarray(4.25))
+    origin, direction = (np.asarray(as_array(v)) for v in (ray.origin, ray.direction))
+    row, column, depth = project(view, origin + 5 * direction)
+    np.testing.assert_allclose([row, column], [0.75, 4.25], rtol=1e-9)
+    forward = np.asarray(view.rotation)[2]
+    np.testing.assert_allclose(depth, 5 * direction @ forward, rtol=1e-12)
+    behind = project(view, origin - 5 * direction)
+    assert np.isnan(behind.row) == np.isnan(behind.column) == (not isinstance(view, Orthographic))
+    assert behind.depth < 0

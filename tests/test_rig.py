@@ -43,6 +43,11 @@ def test_a_rig_is_read_from_its_folder_or_its_file(tmp_path):
     assert rig.path("a.tif") == tmp_path / "a.tif"
 
 
+def test_an_exposure_may_be_written_as_cameras_show_it(tmp_path):
+    rig = load_rig(write_rig(tmp_path, GOOD.replace("exposure = 0.01", 'exposure = "1/80"')))
+    assert rig.flat[0].exposure == 1 / 80
+
+
 def test_root_expands_environment_variables(tmp_path, monkeypatch):
     monkeypatch.setenv("LAB_DATA", str(tmp_path / "elsewhere"))
     write_rig(tmp_path, 'root = "${LAB_DATA}/today"\n' + GOOD)
@@ -58,6 +63,8 @@ def test_root_expands_environment_variables(tmp_path, monkeypatch):
         ("exposure = 0.01", "", r"flat\[1\]\.exposure is missing"),
         ("exposure = 0.01", "exposure = 0.0", r"flat\[1\]\.exposure = 0\.0"),
         ("exposure = 0.01", "exposure = nan", r"flat\[1\]\.exposure = nan"),
+        ("exposure = 0.01", 'exposure = "fast"', r'exposure.*no time; write seconds.*"1/8"'),
+        ("exposure = 0.01", 'exposure = "1/0"', r"no time; write seconds"),
         ('"a.tif", "b.tif"', '"a.tif"', r"flat\[1\]\.files"),
         ("[0.0, 0.6, 0.8]", "[0.0, 0.6, 0.9]", r"light\[1\]: direction has length 1\.08"),
         ("[0.0, 0.6, 0.8]", "[0.0, 0.6]", r"light\[1\]\.direction"),

@@ -31,6 +31,7 @@ from ._specular import (
 )
 from .evaluation import (
     albedo as albedo,
+    at_angles as at_angles,
     evaluate as evaluate,
     pdf as pdf,
     reflect as reflect,

@@ -1,11 +1,12 @@
 """The BRDF of any material, its sampler and its albedo. Local frame, unless stated."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._types import Colour, Scalar, check_shape
 from .._vector import Direction, Vec, Vector, as_array, as_vec
-from ..hemisphere import local_frame, to_local
+from ..hemisphere import direction_at, local_frame, to_local
 from ..scene import Material
 from ._lobe import where_above
 from ._registry import family
@@ -32,6 +33,34 @@ def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
         [0.25]
     """
     return family(material).evaluate(material, _direction("wi", wi), _direction("wo", wo))
+
+
+@takes_numbers
+def at_angles(
+    material: Material, theta_i: Scalar, phi_i: Scalar, theta_o: Scalar, phi_o: Scalar
+) -> Colour:
+    """The BRDF by four angles, f_r(theta_i, phi_i; theta_o, phi_o).
+
+    Args:
+        material: any material.
+        theta_i: () rad, between the light and the normal, in [0, pi].
+        phi_i: () rad, the light's azimuth, from x towards y.
+        theta_o: () rad, between the viewer and the normal.
+        phi_o: () rad, the viewer's azimuth.
+
+    Returns:
+        f_r, (bands,) in sr^-1; 0 where an angle to the normal is pi / 2 or more.
+
+    Example:
+        The mirror direction is at the same angle, on the other side.
+
+        >>> material = jv.PhongBRDF([0.0], [0.5], 20.0)
+        >>> print(jv.brdf.at_angles(material, 0.7, 0.0, 0.7, np.pi).round(6))
+        [0.5]
+    """
+    light = direction_at(2 * jnp.sin(theta_i / 2) ** 2, phi_i)  # 1 - cos, without cancellation
+    viewer = direction_at(2 * jnp.sin(theta_o / 2) ** 2, phi_o)
+    return family(material).evaluate(material, light, viewer)
 
 
 @takes_numbers

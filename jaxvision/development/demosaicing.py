@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 from .._arguments import takes_numbers
 from .._staging import stored
 from .._types import as_float, check_choice, print_by_name
-from ..colour_filters import Pattern, check_pattern, sites
+from ..colour_filters import Pattern, as_pattern, check_pattern, sites
 from ..filters import correlate_separable
 from ..padding import pad
 from ..scene.developments import DEMOSAICINGS
@@ -37,13 +37,14 @@ print_by_name(globals(), "Mosaic", "Picture")
 
 @takes_numbers
 def demosaic(
-    raw: Mosaic, pattern: Pattern, *, method: str = "malvar", border: str = "in_phase"
+    raw: Mosaic, pattern: Pattern | str, *, method: str = "malvar", border: str = "in_phase"
 ) -> Picture:
     """The picture of a mosaic.
 
     Args:
         raw: (..., h, w) DN or relative.
-        pattern: rows of band numbers, as `colour_filters.bayer` gives them.
+        pattern: rows of band numbers, as `colour_filters.bayer` gives them, or the phase of a
+            Bayer mosaic, such as "RGGB".
         method: "bilinear", means of the nearest pixels; "malvar", these corrected by the gradient
             of the measured band; "menon", along the better of two directions, the sharpest and
             slowest; or "normalised", weighted means, the one for patterns other than Bayer's.
@@ -59,10 +60,11 @@ def demosaic(
 
     Example:
         >>> raw = jnp.full((4, 4), 5.0)
-        >>> print(jv.demosaic(raw, jv.bayer("RGGB"))[1, 2])
+        >>> print(jv.demosaic(raw, "RGGB")[1, 2])
         [5. 5. 5.]
     """
     check_choice("method", method, DEMOSAICINGS)
+    pattern = as_pattern(pattern)
     if method in ("bilinear", "malvar"):
         return METHODS[method](raw, pattern, border=border)
     if border != "in_phase":

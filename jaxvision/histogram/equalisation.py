@@ -6,6 +6,7 @@ exact histogram that is the true derivative almost everywhere, since counts are 
 no value crosses an edge.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -39,11 +40,13 @@ def equalise(
     amount: float | Scalars = 1.0,
     bins: int | np.integer | None = None,
     value_range: Range | None = None,
+    first_to_zero: bool = True,
 ) -> Shaped[Array, "..."]:
     """Each plane through its equalising curve.
 
     uint8 and uint16 are OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
-    and every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)).
+    and every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without `first_to_zero`
+    they are the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<= I) / N.
 
     For floating images, value x goes to low + (high - low) CDF(x), with values spread evenly within
     their bin: so the darkest bin starts at low, as the first code goes to 0, and the brightest ends
@@ -58,23 +61,33 @@ def equalise(
             fully.
         bins: number of bins of a floating image; None takes 256.
         value_range: (low, high) of a floating image, relative; None takes [0, 1].
+        first_to_zero: static, of integer images, as above.
 
     Returns:
         The image's shape, unit and dtype.
 
     Raises:
         ValueError: for bins or a range with an integer image, and as for `exact_histogram`.
+
+    Example:
+        >>> codes = jnp.array([[10, 10, 10, 200]], dtype=jnp.uint8)
+        >>> print(jv.histogram.equalise(codes), jv.histogram.equalise(codes, first_to_zero=False))
+        [[  0   0   0 255]] [[191 191 191 255]]
     """
     stack = as_stack(image)
     check_codes_whole(stack, bins, value_range)
-    return _equalised(stack, amount, binning(stack, bins, value_range)).reshape(image.shape)
+    chosen = binning(stack, bins, value_range)
+    return _equalised(stack, amount, chosen, first_to_zero).reshape(image.shape)
 
 
-@partial(jax.jit, static_argnames=("chosen",))
-def _equalised(stack: Stack, amount: float | Scalars, chosen: Binning) -> Stack:
+@partial(jax.jit, static_argnames=("chosen", "first_to_zero"))
+def _equalised(
+    stack: Stack, amount: float | Scalars, chosen: Binning, first_to_zero: bool
+) -> Stack:
     levels = levels_of(stack)
     if levels is not None:
-        return _by_table(stack, levels, amount)
+        curve_of = _equalising_codes if first_to_zero else _cumulative_codes
+        return _by_table(stack, levels, amount, curve_of)
     clamped = jnp.clip(stack, chosen.low, chosen.high)
     full = _by_curve(clamped, chosen)
     return clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
@@ -94,11 +107,19 @@ def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "grou
     return jnp.where(others > 0, curve, jnp.arange(levels, dtype=dtype)[None])
 
 
-def _by_table(stack: Stack, levels: int, amount: float | Scalars) -> Stack:
+def _cumulative_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
+    """The textbook's (levels - 1) c(I), not yet rounded."""
+    below = jnp.cumsum(counts, axis=-1).astype(jnp.result_type(float))
+    return (counts.shape[-1] - 1) * below / below[:, -1:]
+
+
+def _by_table(
+    stack: Stack, levels: int, amount: float | Scalars, curve_of: Callable[[Array], Array]
+) -> Stack:
     def table(
         counts: Int[Array, "planes levels"], amount: Scalars
     ) -> Shaped[Array, "planes levels"]:
-        curve = _equalising_codes(counts)
+        curve = curve_of(counts)
         identity = jnp.arange(levels, dtype=curve.dtype)[None]
         blended = identity + amount.astype(curve.dtype) * (curve - identity)
         return jnp.clip(jnp.round(blended), 0, levels - 1).astype(stack.dtype)

@@ -49,6 +49,7 @@ from .thin_lens import (
     working_f_number as working_f_number,
 )
 from .views import (
+    Projection as Projection,
     camera_ray as camera_ray,
     chief_slope as chief_slope,
     cos_to_axis as cos_to_axis,
@@ -57,6 +58,7 @@ from .views import (
     look_at as look_at,
     pixel_grid as pixel_grid,
     pixel_offset as pixel_offset,
+    project as project,
     sensor_vergence as sensor_vergence,
     view_ray as view_ray,
 )

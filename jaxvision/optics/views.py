@@ -11,17 +11,19 @@ z_i, y / z_i, 1). Through its point (a, b) passes the ray
 with z_f the distance in focus: written in reciprocals, infinity is no special case.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import norm, normalize
+from .._numerics import divide, norm, normalize
 from .._types import Scalar
 from .._vector import Vec, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Orthographic, Pinhole, ThinLens, View
 from .aperture import aperture_point
-from .distortion import undistort
+from .distortion import distort, undistort
 from .thin_lens import image_vergence
 
 
@@ -141,6 +143,51 @@ def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
         return Ray(view.position + x * right + y * down, forward)
     x, y = chief_slope(view, row, column)
     return Ray(view.position, normalize(x * right + y * down + forward))
+
+
+class Projection(NamedTuple):
+    """Where a point of the world is seen.
+
+    Attributes:
+        row: () pixels, fractional; whole at the centre of a pixel.
+        column: () pixels, likewise.
+        depth: () m along the optical axis, from the camera; <= 0 behind it.
+    """
+
+    row: Scalar
+    column: Scalar
+    depth: Scalar
+
+
+@takes_numbers
+def project(view: View, point: Float[Array, "3"]) -> Projection:
+    """The pixel at which a point of the world is seen: the inverse of `camera_ray`.
+
+    Occlusion is not asked for, and the place may lie outside of the picture.
+
+    Args:
+        view: the camera's projection.
+        point: (3,) m, in the world.
+
+    Returns:
+        Row and column in pixels, depth in m. Behind a pinhole or lens nothing is seen: row and
+        column are NaN there.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(480, 640))
+        >>> [round(float(x), 3) for x in jv.project(view, jnp.array([0.1, 0.0, 2.0]))]
+        [239.5, 569.5, 2.0]
+    """
+    x, y, depth = view.rotation @ (point - view.position)
+    if not isinstance(view, Orthographic):
+        seen = depth > 0
+        x, y = (divide(a, depth, seen, jnp.nan) for a in (x, y))
+        if view.distortion is not None:
+            x, y = distort(view.distortion, x, y)
+        x, y = (a / sensor_vergence(view) for a in (x, y))
+    rows, columns = view.resolution
+    row, column = y / view.pixel_pitch + (rows - 1) / 2, x / view.pixel_pitch + (columns - 1) / 2
+    return Projection(row, column, depth)
 
 
 @takes_numbers

@@ -68,6 +68,7 @@ EXAMPLES = {
     "brdf.evaluation.reflect": ((PHONG, N, WI, WO), {"tangent": WI}),
     "brdf.evaluation.shading": ((PHONG, WI, WO), {}),
     "brdf.evaluation.evaluate": ((PHONG, WI, WO), {}),
+    "brdf.evaluation.at_angles": ((PHONG, COS, TWO, COS, -COS), {}),
     "brdf.evaluation.sample": ((PHONG, WO, U), {}),
     "brdf.evaluation.pdf": ((PHONG, WI, as_vec(WO)), {}),
     "brdf.evaluation.albedo": ((PHONG, WO), {}),

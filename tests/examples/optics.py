@@ -78,6 +78,7 @@ EXAMPLES = {
     "optics.views.look_at": ((POINT, AHEAD, UP), {}),
     "optics.views.pixel_grid": ((PINHOLE,), {}),
     "optics.views.pixel_offset": ((PINHOLE, ONE, TWO), {}),
+    "optics.views.project": ((PINHOLE, AHEAD), {}),
     "optics.views.sensor_vergence": ((LENS,), {}),
     "optics.views.view_ray": ((LENS, ONE, TWO), {"u": U}),
 }
