@@ -6,6 +6,7 @@ good, so that `--help` and a mistake are answered at once.
 """
 
 import os
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,20 +14,19 @@ from typing import Annotated, Literal
 
 import typer
 
-from jaxvision.command_line import AsJson, KnobNames, PageFolder
+from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers
 from jaxvision.errors import InputError
 from jaxvision.memory import keep_memory
 from jaxvision.programs import keep_programs
 
+from . import folders
 from .commands import (
     CHECKPOINT,
     Options,
     RigPath,
     app,
     command,
-    existing,
     failures,
-    read_rig,
     refuse_mcmc,
     run,
     typed_path,
@@ -57,20 +57,8 @@ def noise(
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
 
-    def calibrate_noise(reporter: Reporter) -> tuple[list, dict]:
-        if path.suffix.lower() == ".csv":
-            existing(path)
-        else:
-            read_rig(path, "photon transfer")
-        from .noise.calibration import calibrate
-        from .noise.read import read_photon_transfer
-        from .noise.section import section
-
-        with reporter.step("reading frames"):
-            measurement = read_photon_transfer(path, bits=bits, channel=channel)
-        with reporter.step("fitting photon transfer") as progress:
-            calibration = calibrate(measurement, **options.draws("noise", progress))
-        return [section(calibration)], {}
+    def calibrate_noise(reporter: Reporter) -> folders.Found:
+        return folders.noise(path, reporter.step, options.draws, bits=bits, channel=channel)
 
     run("Photon transfer", path, options, calibrate_noise)
 
@@ -81,22 +69,8 @@ def response(options: Options, path: RigPath) -> None:
 
     skipped: list[str] = []
 
-    def calibrate_response(reporter: Reporter) -> tuple[list, dict]:
-        rig = read_rig(path, "a response calibration")
-        from .response.calibration import calibrate, radiance_images
-        from .response.read import read_exposure_stack
-        from .response.section import section
-
-        with reporter.step("reading exposures"):
-            stack = read_exposure_stack(rig)
-        with reporter.step("fitting response") as progress:
-            calibration = calibrate(stack, **options.draws("response", progress))
-        images = {
-            f"radiance_{group}.exr" if group else "radiance.exr": radiance
-            for group, radiance in radiance_images(calibration).items()
-        }
-        skipped.extend(plane.label for plane, _ in calibration.skipped)
-        return [section(calibration)], images
+    def calibrate_response(reporter: Reporter) -> folders.Found:
+        return folders.response(path, reporter.step, options.draws, skipped=skipped.append)
 
     run("Camera response", path, options, calibrate_response)
     if skipped:
@@ -152,23 +126,13 @@ def brdf(
         "minimum_cosine": minimum_cosine,
     }
 
-    def calibrate_images(reporter: Reporter) -> tuple[list, dict]:
+    def calibrate_images(reporter: Reporter) -> folders.Found:
         check_one_rig(paths, objective)
-        rig = read_rig(paths[0], "a reflectance calibration")
-        from .reflectance.from_images.calibration import calibrate
-        from .reflectance.from_images.read import read_reflectance_observation
-        from .reflectance.from_images.section import section
+        settings = {"model": model or "phong", "index": index, **of_rigs}
+        return folders.brdf(paths[0], reporter.step, options.draws, **settings)
 
-        with reporter.step("reading images"):
-            observation = read_reflectance_observation(rig)
-        with reporter.step("fitting reflectance") as progress:
-            draws = options.draws("brdf", progress)
-            shown = model or "phong"
-            calibration = calibrate(observation, model=shown, index=index, **of_rigs, **draws)
-        return [section(calibration)], {}
-
-    def calibrate_files(reporter: Reporter) -> tuple[list, dict]:
-        check_files([existing(path) for path in paths], of_rigs)
+    def calibrate_files(reporter: Reporter) -> folders.Found:
+        check_files([folders.existing(path) for path in paths], of_rigs)
         from .reflectance.from_files.calibration import calibrate
         from .reflectance.from_files.read import read_measured_brdf
         from .reflectance.from_files.section import materials_section, section
@@ -206,9 +170,9 @@ def plan(
     """What to photograph next: lights ranked by how far each would narrow a parameter of the
     reflectance."""
 
-    def plan_images(reporter: Reporter) -> tuple[list, dict]:
+    def plan_images(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "lights are ranked by Laplace's approximation")
-        rig = read_rig(path, "a reflectance calibration")
+        rig = folders.read_rig(path, "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.plan import plan_section
         from .reflectance.from_images.read import read_reflectance_observation
@@ -238,18 +202,9 @@ def joint(
     """Surface, response, gain and noise in one posterior, from images of a known shape; what the
     rig gives an _sd is uncertain."""
 
-    def calibrate_joint(reporter: Reporter) -> tuple[list, dict]:
-        rig = read_rig(path, "a reflectance calibration")
-        from .joint.calibration import calibrate
-        from .joint.read import read_joint_measurement
-        from .joint.section import section
-
-        with reporter.step("reading images"):
-            measurement = read_joint_measurement(rig)
-        with reporter.step("fitting surface, response and sensor") as progress:
-            by = {"model": model, "index": index, "fit_gamma": fit_gamma}
-            calibration = calibrate(measurement, **by, **options.draws("joint", progress))
-        return [section(calibration)], {}
+    def calibrate_joint(reporter: Reporter) -> folders.Found:
+        settings = {"model": model, "index": index, "fit_gamma": fit_gamma}
+        return folders.joint(path, reporter.step, options.draws, **settings)
 
     run("Joint calibration", path, options, calibrate_joint)
 
@@ -261,7 +216,7 @@ def demo(options: Options) -> None:
     out = options.out or Path("jaxvision-demo")
     options = replace(options, out=out)
 
-    def calibrate_demo(reporter: Reporter) -> tuple[list, dict]:
+    def calibrate_demo(reporter: Reporter) -> folders.Found:
         from .demo.compare import calibrate_lab
         from .demo.lab import simulate_lab
         from .demo.section import section
@@ -274,21 +229,70 @@ def demo(options: Options) -> None:
     run("A simulated lab afternoon", out, options, calibrate_demo)
 
 
+@app.command()
+@failures()
+def study(
+    kind: Annotated[
+        Literal["noise", "response", "brdf", "joint"], typer.Argument(help="Calibration of each.")
+    ],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(help="Folders, each with a rig.toml.", metavar="PATH", parser=typed_path),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder for the reports, the table and the page.", metavar="DIR")
+    ],
+    seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0,
+    workers: Workers = 0,
+    scheduler: Scheduler = "",
+) -> None:
+    """Calibrate the folders of many cameras alike: a report of each, one table of all, and a page
+    that names outliers and drift. The same command resumes."""
+    keep_programs()
+    from jaxvision.tasks import workers as workers_of
+
+    from .report.progress import reporting
+    from .study.outcomes import Settings
+    from .study.run import study as studied
+
+    with (
+        workers_of(workers, scheduler=scheduler),
+        reporting() as reporter,
+        reporter.step(kind) as progress,
+    ):
+        found = studied(paths, out, Settings(kind, seed), progress=progress)
+    failed = [outcome for outcome in found.outcomes if outcome.failed]
+    for outcome in failed:
+        print(f"{outcome.camera}: not calibrated: {outcome.failed}", file=sys.stderr)
+    print(f"Calibrated: {len(found.outcomes) - len(failed)} of {len(found.outcomes)} folders")
+    for one in found.quantities:
+        if one.outliers:
+            where = f" {one.channel}" if one.channel else ""
+            print(f"Unlike the others in {one.quantity}{where}: {', '.join(one.outliers)}")
+    print(f"Table: {out / 'study.nc'}\nPage: {out / 'study.html'}")
+    if failed:
+        raise typer.Exit(INCOMPLETE)
+
+
 @command
 def check(
     options: Options,
     kind: Annotated[Literal["brdf", "noise", "response"], typer.Argument(help="Fits to check.")],
     simulations: Annotated[int, typer.Option(help="Of each case.", min=2)] = 200,
+    workers: Workers = 0,
+    scheduler: Scheduler = "",
 ) -> None:
     """Simulate data, fit them, count how often intervals hold the truth (--out: resumable)."""
 
-    def run_check(reporter: Reporter) -> tuple[list, dict]:
+    def run_check(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the intervals checked are those of Laplace's approximation")
+        from jaxvision.tasks import workers as workers_of
+
         from .checks.command import run as simulated
 
-        return [
-            simulated(kind, simulations, options.out and options.out / CHECKPOINT, reporter)
-        ], {}
+        kept = options.out and options.out / CHECKPOINT
+        with workers_of(workers, scheduler=scheduler):
+            return [simulated(kind, simulations, kept, reporter)], {}
 
     run("Check", Path(kind), options, run_check, repeats=True)
 

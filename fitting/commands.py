@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from .report.section import Section
-    from .rig import Purpose, Rig
 
 COMMAND = "jaxvision-fit"
 CHECKPOINT = "checkpoint"
@@ -72,23 +71,6 @@ class Options:
 Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
 
 app = command_app("Calibrate camera noise, camera response and surface reflectance from images.")
-
-
-def existing(path: Path) -> Path:
-    """The path, if there is anything."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder; check the name.")
-    return path
-
-
-def read_rig(path: Path, purpose: "Purpose") -> "Rig":
-    """A rig that names what a calibration needs, and whose images exist."""
-    from .rig import load_rig, require, require_images
-
-    rig = load_rig(path)
-    require(rig, purpose)
-    require_images(rig, purpose)
-    return rig
 
 
 def refuse_mcmc(options: Options, why: str) -> None:

@@ -5,6 +5,7 @@ The schema below is the documentation of the format; paths are relative to the r
 image is read; a mistake is an `InputError` that names the file, the entry and the remedy.
 """
 
+import datetime
 import math
 import os
 from fractions import Fraction
@@ -64,6 +65,8 @@ class Camera(Entry):
         gain_sd: DN per electron.
         read_noise_sd: electrons rms.
         prnu_sd: of the pixels' own gains, relative to their mean: what is left of the flat field.
+        date: when the images were taken; studies of many cameras look for drift with it.
+        temperature: K, of the sensor; likewise.
     """
 
     bits: Annotated[int, Field(ge=1, le=16)]
@@ -80,6 +83,8 @@ class Camera(Entry):
     gain_sd: Positive | None = None
     read_noise_sd: Positive | None = None
     prnu_sd: Positive | None = None
+    date: datetime.date | None = None
+    temperature: Positive | None = None
 
     @property
     def full_scale(self) -> int:

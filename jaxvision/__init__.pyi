@@ -35,6 +35,7 @@ from . import (
     shading as shading,
     shadows as shadows,
     spectra as spectra,
+    tasks as tasks,
     transport as transport,
 )
 from ._numerics import (
@@ -313,6 +314,9 @@ from .shadows import (
 from .shot import (
     Capture as Capture,
     capture as capture,
+)
+from .tasks import (
+    cluster as cluster,
 )
 from .transport import (
     Paths as Paths,

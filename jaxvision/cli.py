@@ -14,7 +14,15 @@ from typing import Annotated, Any
 import typer
 
 from ._shipped import existing_file
-from .command_line import AsJson, KnobNames, PageFolder, command_app, failures_as_sentences
+from .command_line import (
+    AsJson,
+    KnobNames,
+    PageFolder,
+    Scheduler,
+    Workers,
+    command_app,
+    failures_as_sentences,
+)
 from .errors import InputError
 from .memory import keep_memory
 from .programs import keep_programs
@@ -144,6 +152,8 @@ def render(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
+    workers: Workers = 0,
+    scheduler: Scheduler = "",
 ) -> None:
     """Render a scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile. The same
     command resumes a render that was interrupted or killed."""
@@ -157,6 +167,7 @@ def render(
     from .render_command import pruned_for, render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
+    from .tasks import workers as workers_of
 
     source = read_scene(file)
     given = {
@@ -193,7 +204,8 @@ def render(
         settings, pruned = chosen.render, chosen.effects
         print(choice_in_words(chosen))
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    shown_here = Progress(*columns, console=console, disable=not console.is_terminal)
+    with workers_of(workers, scheduler=scheduler), shown_here as progress:
         task = progress.add_task(f"{source.path.stem}, {settings.integrator}", total=None)
         render_to_file(
             source,

@@ -23,6 +23,14 @@ PageFolder = Annotated[
     typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+# Options of every command whose work is made of independent tasks.
+Workers = Annotated[
+    int, typer.Option(help="Processes of this machine to share the work; 0: this one.", min=0)
+]
+Scheduler = Annotated[
+    str,
+    typer.Option(help="Dask scheduler whose workers do the work.", metavar="ADDRESS"),
+]
 
 
 def command_app(about: str) -> typer.Typer:

@@ -12,11 +12,13 @@ from jaxvision import accuracy, effects
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
     "jaxvision.io",
+    "jaxvision.plots.inline",
     "jaxvision.plots.inspection",
     "jaxvision.plots.summary",
     "jaxvision.errors",
     "jaxvision.memory",
     "jaxvision.programs",
+    "jaxvision.tasks",
     "jaxvision.camera_files",
     "jaxvision.material_files",
     "jaxvision.record_files",

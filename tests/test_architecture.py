@@ -33,7 +33,7 @@ FLOORS = [
     {"effects"},
     {"shot", "scene_checks"},
     {"_shipped"},
-    {"io", "toml_files", "command_line"},
+    {"io", "toml_files", "command_line", "tasks"},
     {"record_files"},
     {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
     {"scene_files"},
@@ -49,7 +49,8 @@ FITTING_FLOORS = [
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"accuracy", "demo", "joint", "checks"},
-    {"commands"},
+    {"folders"},
+    {"study", "commands"},
     {"cli"},
 ]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 from jaxvision.io import replaced_on_success
+from jaxvision.tasks import in_order
 
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior
@@ -28,7 +29,8 @@ def simulated(
     kept: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Float[np.ndarray, "simulations parameters"]:
-    """The places of the truth in the posteriors of many fits.
+    """The places of the truth in the posteriors of many fits, on the workers of
+    `jaxvision.cluster` where there are any.
 
     Args:
         simulate: a seed to the places, (parameters,); `InputError` from it counts as no interval.
@@ -44,17 +46,21 @@ def simulated(
     if kept is not None and kept.exists():
         rows = np.load(kept)[:count]
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
-        for seed in range(len(rows), count):
-            try:
-                row = simulate(seed)
-            except InputError:
-                row = np.full(parameters, np.nan)
+        for row in in_order(_places, (simulate, parameters), range(len(rows), count)):
             rows = np.vstack([rows, row])
             progress(len(rows), count)
             if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
                 with replaced_on_success(kept) as partial, partial.open("wb") as stream:
                     np.save(stream, rows)
     return rows
+
+
+def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " parameters"]:
+    simulate, parameters = shared
+    try:
+        return simulate(seed)
+    except InputError:
+        return np.full(parameters, np.nan)
 
 
 def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:

@@ -1,20 +1,20 @@
 """A self-contained page of curves, dark or light as the reader prefers, and its numbers as JSON."""
 
-import io
 import json
-import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ..io import replaced_on_success
+from ..plots.inline import inline_svg
 from .plots import front, plot
 from .records import Curve, Problem
 from .scene_settings import machine
 from .tables import as_dict, notes, rows
 
-INK = "#010203"  # drawn so, and replaced by the colour of the page's text
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
@@ -53,27 +53,15 @@ def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
 
 
 def _svg(curves: Sequence[Curve]) -> str:
-    """One curve, or the fronts of several, in the colours of the page."""
-    import matplotlib
-    from matplotlib.figure import Figure
+    """One curve, or the fronts of several."""
 
-    inked = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
-    style: dict[Any, Any] = dict.fromkeys(inked.split(), INK)
-    style |= {"svg.fonttype": "none", "font.size": 11, "svg.hashsalt": "jaxvision"}
-    with matplotlib.rc_context(style):
-        figure = Figure(figsize=(4.8, 3.6), layout="constrained")
-        axes = figure.add_subplot()
-        axes.patch.set_alpha(0)
-        figure.patch.set_alpha(0)
+    def draw(axes: "Axes") -> None:
         if len(curves) == 1:
             plot(curves[0], axes=axes)
         else:
             front(curves, axes=axes)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    return re.sub(r' (width|height)="[^"]*pt"', "", svg, count=2)
+
+    return inline_svg(draw)
 
 
 def write_page(

@@ -12,6 +12,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from ..scene import View
 from ..scene_files import SceneFile
 from ..scene_files.bands import colours_of
 from ..scene_files.schema import RenderEntry
+from ..tasks import in_order
 from .integrators import BY_PIXEL, passes_of, pixels_of
 from .pruning import left_of
 from .tiles import PartialImage, PartialSum
@@ -127,12 +129,11 @@ def _in_tiles(
     tiles = math.ceil(height * width / tile)
     key, values = _key(source, settings, pruned), tile * source.bands
     with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
-        compute = _pixels(source, settings, pruned)
-        for index in range(partial.done, tiles):
-            advance(index, tiles)
-            pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
-            partial.append(compute(pixels // width, pixels % width))
-        advance(tiles, tiles)
+        work = _Work(source, settings, pruned)
+        advance(partial.done, tiles)
+        for radiance in in_order(_tile, work, range(partial.done, tiles)):
+            partial.append(radiance)
+            advance(partial.done, tiles)
         yield lambda: partial.rows(width, source.bands, height, at_once=ROWS)
         partial.delete()
 
@@ -151,25 +152,52 @@ def _in_passes(
     height, _ = source.view.resolution
     shape = (*source.view.resolution, source.bands)
     partial = PartialSum(unfinished, key=_key(source, settings, pruned), shape=shape, fresh=fresh)
-    passes, compute = passes_of(*left_of(source, settings, pruned))
-    for number in range(partial.done, passes):
-        advance(number, passes)
-        partial.add(compute(number))
-    advance(passes, passes)
+    work = _Work(source, settings, pruned)
+    passes, _ = work.passes
+    advance(partial.done, passes)
+    for picture in in_order(_pass, work, range(partial.done, passes)):
+        partial.add(picture)
+        advance(partial.done, passes)
     picture = (partial.total / passes).astype(np.float32)
     yield lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))
     partial.delete()
 
 
-def _pixels(
-    source: SceneFile, settings: RenderEntry, pruned: Pruned | None
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """`pixels_of` what is left of a scene, in all of its bands."""
-    compute = pixels_of(*left_of(source, settings, pruned))
-    if pruned is None or pruned.expand is None:
-        return compute
-    expand = pruned.expand.astype(np.float32)
-    return lambda rows, columns: compute(rows, columns) @ expand.T
+@dataclasses.dataclass
+class _Work:
+    """What the tiles, or passes, of one picture share. Compiled once in each process."""
+
+    source: SceneFile
+    settings: RenderEntry
+    pruned: Pruned | None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    @cached_property
+    def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        """`pixels_of` what is left of the scene, in all of its bands."""
+        compute = pixels_of(*left_of(self.source, self.settings, self.pruned))
+        if self.pruned is None or self.pruned.expand is None:
+            return compute
+        expand = self.pruned.expand.astype(np.float32)
+        return lambda rows, columns: compute(rows, columns) @ expand.T
+
+    @cached_property
+    def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:
+        """`passes_of` what is left of the scene."""
+        return passes_of(*left_of(self.source, self.settings, self.pruned))
+
+
+def _tile(work: _Work, index: int) -> np.ndarray:
+    height, width = work.source.view.resolution
+    tile = min(work.settings.tile, height * width)
+    pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
+    return work.radiance(pixels // width, pixels % width)
+
+
+def _pass(work: _Work, number: int) -> np.ndarray:
+    return work.passes[1](number)
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:

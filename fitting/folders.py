@@ -1,0 +1,163 @@
+"""What each calibration makes of a folder: its images read, the fit, and the sections of a report,
+with pictures to be written beside it. Read from the path alone, so that any process can do it.
+
+The libraries that compute are imported once the rig is known to be good.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxvision.errors import InputError
+
+from .report.progress import Progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .report.section import Section
+    from .rig import Purpose, Rig
+
+Step = Callable[[str], AbstractContextManager[Progress]]  # shows a named step while a block runs
+Draws = Callable[[str, Progress], dict[str, Any]]  # how a calibration of a kind samples
+Found = tuple["list[Section]", "dict[str, np.ndarray]"]
+
+
+def existing(path: Path) -> Path:
+    """The path, if there is anything."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; check the name.")
+    return path
+
+
+def read_rig(path: Path, purpose: "Purpose") -> "Rig":
+    """A rig that names what a calibration needs, and whose images exist."""
+    from .rig import load_rig, require, require_images
+
+    rig = load_rig(path)
+    require(rig, purpose)
+    require_images(rig, purpose)
+    return rig
+
+
+def noise(
+    path: Path, step: Step, draws: Draws, *, bits: int | None = None, channel: str = ""
+) -> Found:
+    """Photon transfer of flats and darks, or of a CSV of sums per exposure.
+
+    Args:
+        path: folder of a rig, or the CSV.
+        step: shows what is done.
+        draws: how it samples.
+        bits: of a CSV's camera.
+        channel: site of a Bayer mosaic; "" for the first green.
+
+    Returns:
+        One section, no pictures.
+
+    Raises:
+        InputError: for what cannot be calibrated.
+    """
+    if path.suffix.lower() == ".csv":
+        existing(path)
+    else:
+        read_rig(path, "photon transfer")
+    from .noise.calibration import calibrate
+    from .noise.read import read_photon_transfer
+    from .noise.section import section
+
+    with step("reading frames"):
+        measurement = read_photon_transfer(path, bits=bits, channel=channel)
+    with step("fitting photon transfer") as progress:
+        calibration = calibrate(measurement, **draws("noise", progress))
+    return [section(calibration)], {}
+
+
+def response(
+    path: Path, step: Step, draws: Draws, *, skipped: Callable[[str], None] = lambda label: None
+) -> Found:
+    """Response curves and radiance of an exposure stack.
+
+    Args:
+        path: folder of a rig.
+        step: shows what is done.
+        draws: how it samples.
+        skipped: called with the name of each channel that could not be calibrated.
+
+    Returns:
+        One section, and the merged radiance by the name of its file, relative.
+
+    Raises:
+        InputError: for what cannot be calibrated.
+    """
+    rig = read_rig(path, "a response calibration")
+    from .response.calibration import calibrate, radiance_images
+    from .response.read import read_exposure_stack
+    from .response.section import section
+
+    with step("reading exposures"):
+        stack = read_exposure_stack(rig)
+    with step("fitting response") as progress:
+        calibration = calibrate(stack, **draws("response", progress))
+    images = {
+        f"radiance_{group}.exr" if group else "radiance.exr": radiance
+        for group, radiance in radiance_images(calibration).items()
+    }
+    for plane, _ in calibration.skipped:
+        skipped(plane.label)
+    return [section(calibration)], images
+
+
+def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
+    """Reflectance from images of a known shape under known lights.
+
+    Args:
+        path: folder of a rig.
+        step: shows what is done.
+        draws: how it samples.
+        settings: of `from_images.calibration.calibrate`: model, index and the rest.
+
+    Returns:
+        One section, no pictures.
+
+    Raises:
+        InputError: for what cannot be calibrated.
+    """
+    rig = read_rig(path, "a reflectance calibration")
+    from .reflectance.from_images.calibration import calibrate
+    from .reflectance.from_images.read import read_reflectance_observation
+    from .reflectance.from_images.section import section
+
+    with step("reading images"):
+        observation = read_reflectance_observation(rig)
+    with step("fitting reflectance") as progress:
+        calibration = calibrate(observation, **settings, **draws("brdf", progress))
+    return [section(calibration)], {}
+
+
+def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
+    """Surface, response and sensor in one posterior.
+
+    Args:
+        path: folder of a rig.
+        step: shows what is done.
+        draws: how it samples.
+        settings: of `joint.calibration.calibrate`: model, index, fit_gamma.
+
+    Returns:
+        One section, no pictures.
+
+    Raises:
+        InputError: for what cannot be calibrated.
+    """
+    rig = read_rig(path, "a reflectance calibration")
+    from .joint.calibration import calibrate
+    from .joint.read import read_joint_measurement
+    from .joint.section import section
+
+    with step("reading images"):
+        measurement = read_joint_measurement(rig)
+    with step("fitting surface, response and sensor") as progress:
+        calibration = calibrate(measurement, **settings, **draws("joint", progress))
+    return [section(calibration)], {}

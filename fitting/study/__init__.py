@@ -1,0 +1,8 @@
+"""Many folders calibrated alike, and their results as one table.
+
+outcomes   one folder: calibrated, reported, remembered
+table      all folders as one xarray data set
+compare    outliers among cameras, drift with date or temperature
+page       the comparison as a page with links to each report
+run        from paths to all of these, on one process or many
+"""

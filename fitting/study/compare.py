@@ -1,0 +1,163 @@
+"""What cameras tell beside each other: which is unlike the others, how far they differ, and what
+drifts with date or temperature.
+
+Sources:
+    DerSimonian and Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7 (1986):
+        the scatter among cameras beyond their own errors.
+    Rousseeuw and Croux, "Alternatives to the median absolute deviation", JASA 88 (1993).
+"""
+
+import datetime
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from scipy.stats import chi2, norm, t
+
+FEWEST = 5  # cameras, for a median and a scatter
+CHANCE = 0.05  # that any of the cameras is called an outlier where none is
+MAD = 1.4826  # of a Gaussian: standard deviation over median absolute deviation
+DRIFT = 0.01  # chance of a drift in any quantity where there is none
+YEAR = 365.25  # days
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One quantity of one channel in all cameras that have it.
+
+    Attributes:
+        quantity: its name.
+        channel: "" for none.
+        unit: of values.
+        median: over the cameras.
+        scatter: standard deviation among the cameras beyond their errors, or NaN.
+        differ: whether errors alone explain the scatter in fewer than one of 1000 such studies.
+        outliers: names of cameras that are unlike the others.
+    """
+
+    quantity: str
+    channel: str
+    unit: str
+    median: float
+    scatter: float
+    differ: bool
+    outliers: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A line through a quantity of all cameras.
+
+    Attributes:
+        quantity: its name.
+        channel: "" for none.
+        unit: of the slope, such as "DN a year".
+        slope: in that unit.
+        standard_error: of the slope.
+    """
+
+    quantity: str
+    channel: str
+    unit: str
+    slope: float
+    standard_error: float
+
+
+def compared(found: xr.Dataset) -> tuple[Compared, ...]:
+    """Every quantity beside those of the other cameras.
+
+    Args:
+        found: from `table`.
+
+    Returns:
+        One for each quantity and channel that two cameras have, in the quantity's unit.
+    """
+    result = []
+    for quantity, channel, unit, cameras, x, errors in _quantities(found):
+        known = np.isfinite(errors) & (errors > 0)
+        scatter, differ = np.nan, False
+        if np.count_nonzero(known) > 1:
+            scatter, differ = _scatter(x[known], errors[known])
+        outliers = tuple(str(name) for name in cameras[_unlike(x, errors)])
+        median = float(np.median(x))
+        result.append(Compared(quantity, channel, unit, median, scatter, differ, outliers))
+    return tuple(result)
+
+
+def drifts(found: xr.Dataset) -> tuple[Drift, ...]:
+    """Quantities that change with date or temperature more than chance does.
+
+    Args:
+        found: from `table`; cameras without date or temperature are left out.
+
+    Returns:
+        Those whose slope differs from 0, at a chance of one in a hundred that any of them does
+        without a cause; slopes a year or a kelvin.
+    """
+    dates = [str(date) for date in found["date"].values]
+    days = [datetime.date.fromisoformat(d).toordinal() / YEAR if d else np.nan for d in dates]
+    axes = {"year": np.array(days), "K": found["temperature"].values}
+    result = []
+    every = list(_quantities(found))
+    for word, place in axes.items():
+        for quantity, channel, unit, cameras, x, errors in every:
+            at = place[np.isin(found["camera"].values, cameras)]
+            line = _line(at, x, errors, DRIFT / len(every))
+            if line is not None:
+                result.append(Drift(quantity, channel, f"{unit} / {word}", *line))
+    return tuple(result)
+
+
+Column = tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _quantities(found: xr.Dataset) -> Iterator[Column]:
+    """Name, channel, unit, cameras, values and standard errors of each that two cameras have."""
+    cameras = found["camera"].values
+    for i, quantity in enumerate(found["quantity"].values):
+        for j, channel in enumerate(found["channel"].values):
+            x, errors = (found[n].values[:, j, i] for n in ("value", "standard_error"))
+            there = np.isfinite(x)
+            if np.count_nonzero(there) > 1:
+                unit = str(found["unit"].values[i])
+                yield str(quantity), str(channel), unit, cameras[there], x[there], errors[there]
+
+
+def _scatter(
+    x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]
+) -> tuple[float, bool]:
+    """Standard deviation beyond the errors, and whether there surely is one."""
+    weights = errors**-2
+    mean = np.sum(weights * x) / np.sum(weights)
+    excess, freedom = float(np.sum(weights * (x - mean) ** 2)), len(x) - 1
+    scale = np.sum(weights) - np.sum(weights**2) / np.sum(weights)
+    variance = max((excess - freedom) / scale, 0.0)
+    return float(np.sqrt(variance)), bool(chi2.sf(excess, freedom) < 1e-3)
+
+
+def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]) -> np.ndarray:
+    """Which are further from the median than their error and the scatter of most allow."""
+    if len(x) < FEWEST:
+        return np.zeros(len(x), bool)
+    away = x - np.median(x)
+    own = np.where(np.isfinite(errors), errors, 0.0)
+    spread = np.hypot(own, MAD * np.median(np.abs(away)))
+    return np.abs(away) > norm.isf(CHANCE / (2 * len(x))) * spread
+
+
+def _line(
+    at: np.ndarray, x: np.ndarray, errors: np.ndarray, chance: float
+) -> tuple[float, float] | None:
+    """Slope and its standard error by the scatter about the line, where it is not chance."""
+    there = np.isfinite(at)
+    at, x = at[there], x[there]
+    if len(x) < FEWEST or np.ptp(at) == 0:
+        return None
+    middle = at - np.mean(at)
+    slope = float(np.sum(middle * x) / np.sum(middle**2))
+    left = x - np.mean(x) - slope * middle
+    error = float(np.sqrt(np.sum(left**2) / (len(x) - 2) / np.sum(middle**2)))
+    sure = abs(slope) > t.isf(chance / 2, len(x) - 2) * error
+    return (slope, error) if sure else None

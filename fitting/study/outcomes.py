@@ -1,0 +1,262 @@
+"""One folder of a study: calibrated as its command would, reported, and remembered beside the
+report, so that another run of the study takes it from there."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.io import replaced_on_success, write_image
+
+from .. import folders
+from ..inference.estimates import Estimate
+from ..report.page import write_report
+from ..report.progress import Progress
+from ..rig import Rig, load_rig
+
+Kind = Literal["noise", "response", "brdf", "joint"]
+TITLES: dict[Kind, str] = {
+    "noise": "Photon transfer",
+    "response": "Camera response",
+    "brdf": "Reflectance",
+    "joint": "Joint calibration",
+}
+REMEMBERED = "outcome.json"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a study keeps of a folder.
+
+    Attributes:
+        camera: name of the folder in the study.
+        estimates: of its calibration; none where it failed.
+        findings: sentences of its report.
+        failed: why there is no calibration; "" where there is one.
+        date: ISO 8601, of the rig; "" where it has none.
+        temperature: K, of the rig, or None.
+    """
+
+    camera: str
+    estimates: tuple[Estimate, ...] = ()
+    findings: tuple[str, ...] = ()
+    failed: str = ""
+    date: str = ""
+    temperature: float | None = None
+
+
+@dataclass(frozen=True)
+class Folder:
+    """One folder of a study.
+
+    Attributes:
+        camera: its name in the study.
+        path: of the rig.
+        out: folder of its report.
+        digest: of the rig, and of the names and sizes of its images, as the study found them.
+        changed: when the last of these files was, ns.
+    """
+
+    camera: str
+    path: Path
+    out: Path
+    digest: str
+    changed: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all folders of a study share.
+
+    Attributes:
+        kind: of calibration.
+        seed: of every draw.
+    """
+
+    kind: Kind
+    seed: int = 0
+
+
+def digest_of(path: Path) -> str:
+    """What tells the data of a folder from others: its rig file, and names and sizes of all images
+    that it lists.
+
+    Args:
+        path: of the rig.
+
+    Returns:
+        Hexadecimal digits.
+
+    Raises:
+        InputError: for a rig that cannot be read.
+    """
+    rig = load_rig(path)
+    found = hashlib.sha256(rig.model_dump_json(exclude={"folder"}).encode())
+    for file in _images(rig):
+        found.update(f"{file.name} {file.stat().st_size if file.exists() else -1}\n".encode())
+    return found.hexdigest()[:16]
+
+
+def changed_at(path: Path) -> int:
+    """When the newest image of a folder was written.
+
+    Args:
+        path: of the rig.
+
+    Returns:
+        ns since 1970.
+
+    Raises:
+        InputError: for a rig that cannot be read.
+    """
+    return max(
+        (file.stat().st_mtime_ns for file in _images(load_rig(path)) if file.exists()), default=0
+    )
+
+
+def _images(rig: Rig) -> list[Path]:
+    several = [name for entry in (*rig.flat, *rig.dark) for name in entry.files]
+    single = [entry.file for entry in (*rig.exposure, *rig.light)]
+    return [rig.path(name) for name in (*several, *single)]
+
+
+def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
+    """What an outcome depends on.
+
+    Args:
+        settings: of the study.
+        folder: whose outcome.
+
+    Returns:
+        Words and numbers, for JSON.
+    """
+    return {
+        **asdict(settings),
+        "digest": folder.digest,
+        "changed": folder.changed,
+        "jaxvision": version("jaxvision"),
+    }
+
+
+def remembered(settings: Settings, folder: Folder) -> Outcome | None:
+    """The calibration of an earlier run on the same data, or None; what failed is tried again.
+
+    Args:
+        settings: of the study.
+        folder: whose outcome.
+
+    Returns:
+        The outcome.
+    """
+    try:
+        found = json.loads((folder.out / REMEMBERED).read_text())
+    except (OSError, ValueError):
+        return None
+    if not isinstance(found, dict) or found.get("key") != key_of(settings, folder):
+        return None
+    outcome = _read(found["outcome"])
+    return None if outcome.failed else outcome
+
+
+def calibrated(settings: Settings, folder: Folder) -> Outcome:
+    """Calibrates a folder, writes its report, and remembers the outcome. A folder that cannot be
+    calibrated gives an outcome that says why.
+
+    Args:
+        settings: of the study.
+        folder: to calibrate.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        InputError: where the folder holds other data here than where the study was started.
+    """
+    try:
+        digest, rig = digest_of(folder.path), load_rig(folder.path)
+    except InputError as error:
+        found = Outcome(folder.camera, failed=str(error))
+        _remember(settings, folder, found)
+        return found
+    if digest != folder.digest:
+        raise InputError(
+            f"{folder.path}: this worker sees other files than the study did; give all machines "
+            "the same data under the same path."
+        )
+    known = Outcome(
+        folder.camera,
+        date="" if rig.camera.date is None else rig.camera.date.isoformat(),
+        temperature=rig.camera.temperature,
+    )
+    calibrate = getattr(folders, settings.kind)
+    more = {"model": "phong", "index": 1.5} if settings.kind in ("brdf", "joint") else {}
+    try:
+        sections, images = calibrate(folder.path, _silent, partial(_laplace, settings), **more)
+    except InputError as error:
+        found = replace(known, failed=str(error))
+    else:
+        folder.out.mkdir(parents=True, exist_ok=True)
+        for name, pixels in images.items():
+            write_image(folder.out / name, pixels)
+        title = f"{TITLES[settings.kind]}: {folder.camera}"
+        write_report(
+            folder.out,
+            sections,
+            title=title,
+            seed=settings.seed,
+            settings={"input": folder.path.name, **asdict(settings)},
+        )
+        found = replace(
+            known,
+            estimates=tuple(one for section in sections for one in section.estimates),
+            findings=tuple(words for section in sections for words in section.findings),
+        )
+    _remember(settings, folder, found)
+    return found
+
+
+@contextmanager
+def _silent(description: str) -> Iterator[Progress]:
+    """A step that shows nothing: of many folders, only which are done is told."""
+    yield lambda done, total: None
+
+
+def _laplace(settings: Settings, kind: str, progress: Progress) -> dict[str, Any]:
+    return {"sampling": None, "seed": settings.seed}
+
+
+def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
+    folder.out.mkdir(parents=True, exist_ok=True)
+    content = {"key": key_of(settings, folder), "outcome": asdict(found)}
+    with replaced_on_success(folder.out / REMEMBERED) as whole:
+        whole.write_text(json.dumps(content, indent=1, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of NumPy as those of Python."""
+    return np.asarray(value).tolist()
+
+
+def _read(found: dict[str, Any]) -> Outcome:
+    def interval(one: list[float] | None) -> tuple[float, float] | None:
+        return None if one is None else (one[0], one[1])
+
+    estimates = tuple(
+        Estimate(
+            **{
+                **entry,
+                "interval_68": interval(entry["interval_68"]),
+                "interval_95": interval(entry["interval_95"]),
+            }
+        )
+        for entry in found["estimates"]
+    )
+    return Outcome(**{**found, "estimates": estimates, "findings": tuple(found["findings"])})

@@ -1,0 +1,86 @@
+"""The comparison of a study's cameras as one page, with links to the report of each."""
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from jaxvision.plots.inline import INK, inline_svg
+
+from .compare import Compared, Drift
+from .outcomes import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BLUE, RED = "#3b82c4", "#d1495b"
+MOST = 12  # figures, those with outliers first
+TALLEST = 60  # cameras that are named beside an axis
+
+
+def page(
+    title: str,
+    outcomes: Sequence[Outcome],
+    found: xr.Dataset,
+    quantities: Sequence[Compared],
+    drifting: Sequence[Drift],
+) -> str:
+    """The page.
+
+    Args:
+        title: of the page.
+        outcomes: of the folders, which link to their reports.
+        found: from `table`.
+        quantities: from `compared`, in their units.
+        drifting: from `drifts`.
+
+    Returns:
+        HTML with the figures inside, as SVG.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fitting.study"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    drawn = sorted(quantities, key=lambda one: (not one.outliers, not one.differ))[:MOST]
+    unlike: dict[str, list[str]] = {}
+    for one in quantities:
+        for camera in one.outliers:
+            unlike.setdefault(camera, []).append(f"{one.quantity} {one.channel}".strip())
+    return environment.get_template("study.html.j2").render(
+        title=title,
+        outcomes=outcomes,
+        quantities=quantities,
+        drifting=drifting,
+        unlike=unlike,
+        figures=[(one, Markup(_svg(one, found))) for one in drawn],
+        left_out=max(len(quantities) - MOST, 0),
+        version=version("jaxvision"),
+    )
+
+
+def _svg(one: Compared, found: xr.Dataset) -> str:
+    """Values with their 95 % intervals, smallest first, and the median."""
+    some = found.sel(quantity=one.quantity, channel=one.channel)
+    some = some.isel(camera=np.isfinite(some["value"].values)).sortby("value")
+    names, values = some["camera"].values, some["value"].values
+    unlike, y = np.isin(names, one.outliers), np.arange(len(names))
+
+    def draw(axes: "Axes") -> None:
+        axes.hlines(y, some["low_95"].values, some["high_95"].values, color=BLUE, linewidth=1.5)
+        axes.plot(values[~unlike], y[~unlike], "o", color=BLUE, markersize=4)
+        axes.plot(values[unlike], y[unlike], "D", color=RED, markersize=5)
+        axes.axvline(one.median, color=INK, linewidth=0.8, linestyle="--")
+        shown = len(names) <= TALLEST
+        axes.set_yticks(y if shown else [], names if shown else [])
+        axes.set_xlabel(one.quantity + ("" if one.unit == "1" else f" / {one.unit}"))
+        axes.spines[["top", "right"]].set_visible(False)
+
+    height = 1.0 + 0.2 * min(len(names), TALLEST)
+    return inline_svg(draw, size=(5.2, max(height, 2.0)), font=10)

@@ -1,0 +1,104 @@
+"""From the paths of many folders to their reports, one table and one page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import xarray as xr
+
+from jaxvision.errors import InputError
+from jaxvision.io import replaced_on_success
+from jaxvision.tasks import in_order
+
+from ..report.progress import Progress
+from .compare import Compared, Drift, compared, drifts
+from .outcomes import (
+    TITLES,
+    Folder,
+    Outcome,
+    Settings,
+    calibrated,
+    changed_at,
+    digest_of,
+    remembered,
+)
+from .page import page
+from .table import table, write_table
+
+
+@dataclass(frozen=True)
+class Study:
+    """Many folders, calibrated alike.
+
+    Attributes:
+        outcomes: one a folder, in the order in which they were given.
+        found: the table of all, as `study.nc`.
+        quantities: each beside those of the other cameras, in its unit.
+        drifts: of quantities with date or temperature.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    found: xr.Dataset
+    quantities: tuple[Compared, ...]
+    drifts: tuple[Drift, ...]
+
+
+def study(
+    paths: Sequence[Path],
+    out: Path,
+    settings: Settings,
+    *,
+    progress: Progress = lambda done, total: None,
+) -> Study:
+    """Calibrates folders, on the workers of `jaxvision.cluster` where there are any. Folders that
+    an earlier run has calibrated, from the same data by the same version, are taken from there.
+
+    Args:
+        paths: of rigs; workers find them under the same paths.
+        out: folder of the reports, one a rig, and of `study.nc` and `study.html`.
+        settings: of all.
+        progress: called with (done, folders).
+
+    Returns:
+        The study; a folder that cannot be calibrated says why, and the others go on.
+
+    Raises:
+        InputError: for no folders, two of one name, and for a worker that is not like this process
+            or sees other data.
+    """
+    asked = _named(paths, out)
+    outcomes = {folder.camera: remembered(settings, folder) for folder in asked}
+    left = [folder for folder in asked if outcomes[folder.camera] is None]
+    done = len(asked) - len(left)
+    progress(done, len(asked))
+    for outcome in in_order(calibrated, settings, left):
+        outcomes[outcome.camera] = outcome
+        done += 1
+        progress(done, len(asked))
+    every = tuple(outcome for outcome in outcomes.values() if outcome is not None)
+    found = table(every)
+    result = Study(every, found, compared(found), drifts(found))
+    write_table(out / "study.nc", found)
+    title = f"{TITLES[settings.kind]} of {len(every)} folders"
+    with replaced_on_success(out / "study.html") as whole:
+        text = page(title, result.outcomes, found, result.quantities, result.drifts)
+        whole.write_text(text, encoding="utf-8")
+    return result
+
+
+def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
+    """The folders by name; what cannot be read is found when its turn comes."""
+    if not paths:
+        raise InputError("a study needs folders; name at least one.")
+    names = [path.resolve().name if path.is_dir() else path.stem for path in paths]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name}: two folders have this name; rename one of them.")
+    found = []
+    for name, path in zip(names, paths, strict=True):
+        try:
+            digest, changed = digest_of(path), changed_at(path)
+        except InputError:
+            digest, changed = "", 0
+        found.append(Folder(name, path.resolve(), out.resolve() / name, digest, changed))
+    return found

@@ -1,0 +1,276 @@
+"""Independent tasks: one after another, or by Dask on many processes and machines.
+
+Tiles and passes of a render, folders of a study and simulations of a check do not depend on each
+other. Inside `with jaxvision.cluster(client)` they run on the workers of a Dask client. Results
+come in the order of the tasks whatever the order of arrival, so a file made of them holds the same
+bytes as one made without workers on the same kind of processor. What a lost worker had not
+returned is computed again by another.
+"""
+
+import hashlib
+import os
+import platform
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib.metadata import version
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+Shared, Item, Result = TypeVar("Shared"), TypeVar("Item"), TypeVar("Result")
+
+AHEAD = 4  # tasks a thread that are handed out before the first result of them is used
+LOSSES = 100  # workers that may be lost with one task before it is given up
+_PATIENCE = 20.0  # s, for a scheduler to answer
+_LOOK = 5.0  # s, between two looks at the workers while a result is awaited
+_LONELY = 120.0  # s without any worker
+_INSTALL = "install it with pip install 'jaxvision[cluster]'"
+
+_client: ContextVar["Client | None"] = ContextVar("client", default=None)
+_objects: dict[str, Any] = {}  # in a worker: what its tasks share, by digest; one at a time
+
+
+@contextmanager
+def cluster(client: "Client") -> Iterator[None]:
+    """Context in which independent tasks run on the workers of a Dask client.
+
+    Args:
+        client: `dask.distributed.Client`.
+
+    Returns:
+        A context manager.
+
+    Raises:
+        InputError: for a client without workers, and for a worker with another version of
+            jaxvision, jax, jaxlib or NumPy, or another kind of device, before any work.
+    """
+    wanted = _environment()
+    try:
+        found = client.run(_difference, wanted)
+    except Exception as error:  # what a worker cannot import, it cannot say in our words
+        raise InputError(
+            f"a worker cannot run jaxvision {wanted['jaxvision']}: {error}; "
+            "install the same on all machines."
+        ) from error
+    if not found:
+        raise InputError(f"{client.scheduler.address}: no workers; start at least one.")
+    for address, difference in found.items():
+        if difference:
+            raise InputError(f"worker {address} {difference}; install the same on all machines.")
+    token = _client.set(client)
+    try:
+        yield
+    finally:
+        _client.reset(token)
+
+
+@contextmanager
+def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
+    """Context in which independent tasks run on processes of this machine, or on a running
+    cluster; with neither, in this process one after another.
+
+    Args:
+        count: processes, each of one thread; 0 for none.
+        scheduler: address such as "tcp://10.0.0.1:8786", or "".
+
+    Returns:
+        A context manager.
+
+    Raises:
+        InputError: where both are given, Dask is not installed, or no scheduler answers.
+    """
+    if count and scheduler:
+        raise InputError("--workers and --scheduler exclude each other; give one.")
+    if not (count or scheduler):
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(f"workers need Dask; {_INSTALL}.") from error
+    if scheduler:
+        try:
+            client = Client(scheduler, timeout=_PATIENCE)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{scheduler}: no Dask scheduler answers; check the address.") from (
+                error
+            )
+        with client, cluster(client):
+            yield
+        return
+    with _local(count) as client, cluster(client):
+        yield
+
+
+@contextmanager
+def _local(count: int) -> "Iterator[Client]":
+    """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
+    keeps its compiled programs where this process does."""
+    import logging
+
+    import dask
+    from distributed import Client, LocalCluster
+
+    single = {
+        "NPROC": "1",  # of XLA's thread pool
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+    }
+    options = {
+        "distributed.nanny.pre-spawn-environ": single | _of_jax(),
+        "distributed.scheduler.allowed-failures": LOSSES,
+    }
+    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+    with dask.config.set(options):
+        try:
+            made = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **quiet)
+        except RuntimeError as error:
+            raise InputError(f"{count} workers could not be started ({error}).") from error
+        with made, Client(made) as client:
+            yield client
+
+
+def _of_jax() -> dict[str, str]:
+    """Variables of the environment that decide what JAX computes, and where it keeps programs."""
+    return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
+
+
+def in_order(
+    function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+) -> Iterator[Result]:
+    """Results of independent tasks in the order of the tasks, on the workers of `cluster` or here.
+
+    Args:
+        function: of a module, from what all tasks share and one item to a result; what it raises
+            is raised here.
+        shared: what all tasks need; sent to a worker once.
+        items: one for each task.
+
+    Returns:
+        The results, each as soon as it and all before it are there.
+
+    Raises:
+        InputError: for a worker of another version, and for a task that `LOSSES` workers were lost
+            with.
+
+    Example:
+        >>> list(jv.tasks.in_order(pow, 2, range(4)))
+        [1, 2, 4, 8]
+    """
+    client = _client.get()
+    if client is None:
+        for item in items:
+            yield function(shared, item)
+        return
+    yield from _on(client, function, shared, iter(items))
+
+
+def _on(
+    client: "Client",
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Iterator[Item],
+) -> Iterator[Result]:
+    import cloudpickle
+    from distributed.scheduler import KilledWorker
+
+    packed = cloudpickle.dumps(shared)
+    # The bytes go through the scheduler, which can hand them out again when a worker is lost.
+    held = client.submit(bytes, packed, pure=False)
+    task = _Task(function, _environment(), hashlib.sha256(packed).hexdigest())
+    threads = sum(client.nthreads().values())
+    waiting: deque[Future] = deque()
+
+    def hand_out(count: int) -> None:
+        for item in islice(items, count):
+            waiting.append(client.submit(task, held, item, pure=False))
+
+    hand_out(AHEAD * max(threads, 1))
+    try:
+        while waiting:
+            try:
+                result = _awaited(client, waiting[0])
+            except KilledWorker as error:
+                raise InputError(
+                    f"{LOSSES} workers were lost with one task, perhaps for want of memory; "
+                    "use fewer workers or smaller tasks."
+                ) from error
+            waiting.popleft()
+            hand_out(1)
+            yield result
+    finally:
+        client.cancel([*waiting, held])
+
+
+def _awaited(client: "Client", future: "Future") -> Any:
+    """The result, unless all workers are gone for good."""
+    missed = time.monotonic()
+    while True:
+        try:
+            return future.result(timeout=_LOOK)
+        except TimeoutError:
+            if future.done():  # the task's own
+                raise
+        if client.nthreads():
+            missed = time.monotonic()
+        elif time.monotonic() - missed > _LONELY:
+            raise InputError(
+                f"no worker has been there for {_LONELY:.0f} s; start some, and give the same "
+                "command, which goes on from what is done."
+            )
+
+
+class _Task:
+    """A function in a worker: it is sent once the worker is known to be like the client, and finds
+    what tasks share unpacked."""
+
+    def __init__(
+        self, function: Callable[..., Any], wanted: Mapping[str, Any], digest: str
+    ) -> None:
+        self.function, self.wanted, self.digest = function, wanted, digest
+
+    def __call__(self, packed: bytes, item: Any) -> Any:
+        import cloudpickle
+
+        if self.digest not in _objects:
+            difference = _difference(self.wanted)  # a worker that came later
+            if difference:
+                raise InputError(f"a worker {difference}; install the same on all machines.")
+            _objects.clear()
+            _objects[self.digest] = cloudpickle.loads(packed)
+        return self.function(_objects[self.digest], item)
+
+
+def _environment() -> dict[str, Any]:
+    """What results depend on besides the task."""
+    import jax
+
+    packages = ("jaxvision", "jax", "jaxlib", "numpy")
+    return {
+        **{name: version(name) for name in packages},
+        "device": jax.devices()[0].device_kind,
+        "machine": platform.machine(),
+        "x64": bool(jax.config.read("jax_enable_x64")),
+    }
+
+
+def _difference(wanted: Mapping[str, Any]) -> str:
+    """What a worker lacks, in words; its precision is set instead."""
+    import jax
+
+    jax.config.update("jax_enable_x64", wanted["x64"])
+    own = _environment()
+    words = [
+        f"{name} {own[name]} where {wanted[name]} is wanted"
+        for name in own
+        if own[name] != wanted[name]
+    ]
+    return f"has {', '.join(words)}" if words else ""

@@ -1,0 +1,160 @@
+"""Independent tasks give the same results on workers as alone, in the order of the tasks."""
+
+import os
+import signal
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import psutil
+import pytest
+from commands import called
+from scene_texts import BALL
+
+import jaxvision as jv
+from jaxvision import tasks
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+from jaxvision.render_command import render_to_file
+from jaxvision.scene_files import read_scene
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Three threads of this process, each a worker of its own."""
+    made = distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, processes=False, dashboard_address=":0"
+    )
+    with made, distributed.Client(made) as client:
+        yield client
+
+
+def late_first(shared, item):
+    time.sleep(0.2 if item == 0 else 0)
+    return shared["factor"] * item
+
+
+def refusing(shared, item):
+    if item == 3:
+        raise InputError(f"folder {item} has no images")
+    return item
+
+
+def test_results_come_in_the_order_of_the_tasks(client):
+    shared = {"factor": 7}
+    alone = list(tasks.in_order(late_first, shared, range(40)))
+    with jv.cluster(client):
+        assert list(tasks.in_order(late_first, shared, range(40))) == alone
+        assert list(tasks.in_order(late_first, shared, [])) == []
+    assert alone == [7 * n for n in range(40)]
+
+
+def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
+    found = []
+    with jv.cluster(client), pytest.raises(InputError, match="folder 3 has no images"):
+        found.extend(tasks.in_order(refusing, None, range(100)))
+    with jv.cluster(client):
+        some = tasks.in_order(refusing, None, range(3))
+        assert next(some) == 0
+        some.close()
+
+
+def test_a_worker_of_another_version_is_refused_before_any_work():
+    differs = "has jax 0.9.0 where 0.10.2 is wanted"
+    other = SimpleNamespace(run=lambda *_: {"tcp://a": "", "tcp://b": differs})
+    with pytest.raises(InputError, match=f"worker tcp://b {differs}"), jv.cluster(other):
+        pass
+    wanted = tasks._environment() | {"jax": "0.0.1"}
+    assert tasks._difference(wanted).endswith("where 0.0.1 is wanted")
+    assert tasks._difference(tasks._environment()) == ""
+    late = tasks._Task(refusing, wanted, "digest of another study")
+    with pytest.raises(InputError, match="a worker has jax"):
+        late(b"", 0)
+
+
+def test_a_client_that_cannot_work_is_a_sentence():
+    address = SimpleNamespace(address="tcp://nobody")
+    with (
+        pytest.raises(InputError, match="tcp://nobody: no workers"),
+        jv.cluster(SimpleNamespace(run=lambda *_: {}, scheduler=address)),
+    ):
+        pass
+
+    def lacking(*_):
+        raise ModuleNotFoundError("No module named 'jaxvision'")
+
+    with (
+        pytest.raises(InputError, match=r"a worker cannot run jaxvision .*No module named"),
+        jv.cluster(SimpleNamespace(run=lacking)),
+    ):
+        pass
+
+
+def test_without_any_worker_left_it_does_not_wait_for_ever(monkeypatch):
+    monkeypatch.setattr(tasks, "_LOOK", 0.05)
+    monkeypatch.setattr(tasks, "_LONELY", 0.2)
+    made = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
+    )
+    with made, distributed.Client(made) as client, jv.cluster(client):
+        some = tasks.in_order(late_first, {"factor": 1}, range(9))
+        assert next(some) == 0
+        made.scale(0)
+        with pytest.raises(InputError, match="no worker has been there"):
+            list(some)
+
+
+def test_wrong_options_are_sentences(tmp_path, monkeypatch):
+    asked = ("render", "cornell_box", "--out", tmp_path / "a.exr", "--workers", 2)
+    status, _, said = called(app, *asked, "--scheduler", "tcp://localhost:1")
+    assert status == 2
+    assert "--workers and --scheduler exclude each other" in said
+    monkeypatch.setattr(tasks, "_PATIENCE", 0.2)
+    status, _, said = called(app, *asked[:4], "--scheduler", "tcp://127.0.0.1:1")
+    assert status == 2
+    assert "tcp://127.0.0.1:1: no Dask scheduler answers" in said
+
+
+def test_a_picture_has_the_same_bytes(client, tmp_path):
+    (tmp_path / "ball.toml").write_text(BALL)
+    source = read_scene(tmp_path / "ball.toml")
+    settings = replace(source, render=source.render.model_copy(update={"tile": 5})).render
+    counted = []
+    render_to_file(source, tmp_path / "alone.exr", settings)
+    with jv.cluster(client):
+        render_to_file(
+            source, tmp_path / "many.exr", settings, advance=lambda *n: counted.append(n)
+        )
+    assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "many.exr").read_bytes()
+    assert counted == [(n, 10) for n in range(11)]
+
+
+def slow_tile(shared, item):
+    """A tenth of a second of arithmetic that depends on all of its past."""
+    rng = np.random.default_rng((shared, item))
+    time.sleep(0.1)
+    return rng.standard_normal(1000).cumsum()
+
+
+@pytest.mark.slow
+def test_killed_workers_are_replaced_and_nothing_is_lost_or_doubled():
+    """200 tasks on two processes, one of which is killed at 20 random moments."""
+    alone = list(tasks.in_order(slow_tile, 3, range(200)))
+    rng, found, kills = np.random.default_rng(0), [], 0
+    with tasks.workers(2):
+        until = time.monotonic()
+        for result in tasks.in_order(slow_tile, 3, range(200)):
+            found.append(result)
+            if kills < 20 and time.monotonic() > until:
+                victims = [
+                    child
+                    for child in psutil.Process(os.getpid()).children(recursive=True)
+                    if "spawn_main" in " ".join(child.cmdline())
+                ]
+                rng.choice(victims).send_signal(signal.SIGKILL)
+                kills, until = kills + 1, time.monotonic() + rng.uniform(0.1, 0.6)
+    assert kills == 20
+    np.testing.assert_array_equal(found, alone)
