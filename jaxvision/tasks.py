@@ -24,7 +24,9 @@ from .errors import InputError
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-Shared, Item, Result = TypeVar("Shared"), TypeVar("Item"), TypeVar("Result")
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 AHEAD = 4  # tasks a thread that are handed out before the first result of them is used
 LOSSES = 100  # workers that may be lost with one task before it is given up
@@ -53,14 +55,14 @@ def cluster(client: "Client") -> Iterator[None]:
     """
     wanted = _environment()
     try:
-        found = client.run(_difference, wanted)
+        found: Any = client.run(_difference, wanted)
     except Exception as error:  # what a worker cannot import, it cannot say in our words
         raise InputError(
             f"a worker cannot run jaxvision {wanted['jaxvision']}: {error}; "
             "install the same on all machines."
         ) from error
     if not found:
-        raise InputError(f"{client.scheduler.address}: no workers; start at least one.")
+        raise InputError("the Dask client has no workers; start at least one.")
     for address, difference in found.items():
         if difference:
             raise InputError(f"worker {address} {difference}; install the same on all machines.")
@@ -115,7 +117,7 @@ def _local(count: int) -> "Iterator[Client]":
     keeps its compiled programs where this process does."""
     import logging
 
-    import dask
+    from dask import config
     from distributed import Client, LocalCluster
 
     single = {
@@ -129,7 +131,7 @@ def _local(count: int) -> "Iterator[Client]":
         "distributed.scheduler.allowed-failures": LOSSES,
     }
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-    with dask.config.set(options):
+    with config.set(options):
         try:
             made = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **quiet)
         except RuntimeError as error:
@@ -186,7 +188,8 @@ def _on(
     # The bytes go through the scheduler, which can hand them out again when a worker is lost.
     held = client.submit(bytes, packed, pure=False)
     task = _Task(function, _environment(), hashlib.sha256(packed).hexdigest())
-    threads = sum(client.nthreads().values())
+    there: Any = client.nthreads()
+    threads = sum(there.values())
     waiting: deque[Future] = deque()
 
     def hand_out(count: int) -> None:
