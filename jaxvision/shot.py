@@ -108,7 +108,7 @@ def capture(
         >>> print(shot.raw.round(1).ravel())
         [100. 100. 100. 100.]
     """
-    check_bands(scene, camera.sensor)
+    _check_bands(scene, camera.sensor)
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
     certificate = None
@@ -129,16 +129,8 @@ def capture(
     return Capture(radiance, irradiance, raw, picture, certificate)
 
 
-def check_bands(scene: Scene, sensor: Sensor) -> None:
-    """Checks that a sensor measures the bands of a scene.
-
-    Args:
-        scene: its materials and lights.
-        sensor: its spectra: of photons, of filters and of the quantum efficiency.
-
-    Raises:
-        ValueError: if they have different numbers of bands, neither of which is one.
-    """
+def _check_bands(scene: Scene, sensor: Sensor) -> None:
+    """`ValueError` if scene and sensor have unequal numbers of bands, neither of which is one."""
     materials = [surface.material for surface in scene.surfaces]
     shining = [s.emission for s in scene.surfaces if s.emission is not None]
     if scene.ambient is not None:
