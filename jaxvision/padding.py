@@ -8,8 +8,8 @@ picture. Along one axis
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
 with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
-The names are those of Szeliski, Computer Vision, section 3.2. OpenCV's default, c b | a b c d |
-c b, is not among them: make it by `numpy.pad` with mode "reflect" before the filter.
+The names are those of Szeliski, Computer Vision, section 3.2; "reflect_101" is OpenCV's, whose
+default it is.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,6 +36,7 @@ BORDERS = {
     "clamp": 'a a | a b c d | d d; numpy "edge", scipy "nearest"',
     "wrap": 'c d | a b c d | a b; numpy "wrap", scipy "grid-wrap"',
     "mirror": 'b a | a b c d | d c; numpy "symmetric", scipy "reflect"',
+    "reflect_101": 'c b | a b c d | c b; OpenCV\'s default, numpy "reflect", scipy "mirror"',
     "extend": (
         '2a-c 2a-b | a b c d | 2d-c 2d-b; numpy "reflect" with reflect_type="odd", '
         'scipy.signal padtype "odd"'
@@ -43,12 +44,6 @@ BORDERS = {
     "normalised_zero": "zero, and the filter divides by that of a picture of ones; not in numpy",
 }
 
-
-# A border that users of other libraries look for here.
-_NOT_AMONG_THEM = (
-    'c b | a b c d | c b (OpenCV\'s default, numpy "reflect", scipy "mirror") is none of them: '
-    "numpy.pad the picture first"
-)
 _REFUSALS = {
     "constant": 'needs a fill, which this filter lacks: pad the picture first, or use "zero"',
     "normalised_zero": "divides by the sum of the weights, and these have no sum to divide by",
@@ -84,9 +79,7 @@ def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
     """
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
-        raise ValueError(
-            f"border must be one of the following, got {border!r}. {known}. {_NOT_AMONG_THEM}."
-        )
+        raise ValueError(f"border must be one of the following, got {border!r}. {known}.")
     if border in refused:
         raise ValueError(f'border "{border}" {_REFUSALS[border]}.')
 
@@ -135,6 +128,9 @@ def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
     elif border == "mirror":
         source = i % (2 * n)
         source = np.minimum(source, 2 * n - 1 - source)
+    elif border == "reflect_101" and n > 1:
+        source = i % (2 * n - 2)
+        source = np.minimum(source, 2 * n - 2 - source)
     elif border == "extend" and n > 1:
         # f rises by f[n-1] - f[0] every n - 1 samples; every second stretch is reversed
         stretch, offset = np.divmod(i, n - 1)
@@ -145,7 +141,7 @@ def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
         last = np.where(inside, 0.0, np.where(turned, 1 + stretch, stretch))
     else:
         source = np.clip(i, 0, n - 1)
-        if border not in ("clamp", "extend"):
+        if border not in ("clamp", "extend", "reflect_101"):
             own = inside.astype(float)
     return Ghosts(source, own, first, last)
 

@@ -100,3 +100,17 @@ def test_every_public_name_has_one_entry():
         assert all(
             getattr(sys.modules[n.rpartition(".")[0]], n.rpartition(".")[2]) for n in entries
         )
+
+
+def test_hooks_before_a_commit_run_what_ci_runs():
+    hooks = re.findall(r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text())
+    run = (ROOT / ".ci" / "run").read_text()
+    linted = re.findall(
+        r"^\.venv/bin/((?:ruff|pyright).*?)(?: --pythonpath .*)?$", run, re.MULTILINE
+    )
+    assert hooks == linted
+    named = re.findall(
+        r"`((?:jaxvision|fitting)/[\w/]+(?:\.py)?/?)`", (ROOT / "CONTRIBUTING.md").read_text()
+    )
+    assert named
+    assert not [place for place in named if not (ROOT / place).exists()]

@@ -15,12 +15,13 @@ H, W = 7, 6
 PLANE, IMAGE = RNG.normal(size=(H, W)), RNG.normal(size=(2, H, W, 3))
 STACK = np.abs(RNG.normal(size=(4, 3, H, W)))
 KERNEL = np.abs(RNG.normal(size=(4, 3)))
-LINEAR = ("zero", "clamp", "wrap", "mirror", "extend")
+LINEAR = ("zero", "clamp", "wrap", "mirror", "reflect_101", "extend")
 NUMPY = {
     "zero": {"mode": "constant"},
     "clamp": {"mode": "edge"},
     "wrap": {"mode": "wrap"},
     "mirror": {"mode": "symmetric"},
+    "reflect_101": {"mode": "reflect"},
     "extend": {"mode": "reflect", "reflect_type": "odd"},
 }
 

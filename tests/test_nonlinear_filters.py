@@ -15,7 +15,9 @@ from jaxvision.filters.nonlocal_means import nonlocal_means_filter
 
 RNG = np.random.default_rng(9)
 SCIPY = {"zero": "constant", "clamp": "nearest", "wrap": "wrap", "mirror": "reflect"}
+SCIPY["reflect_101"] = "mirror"
 NUMPY = {"zero": "constant", "clamp": "edge", "wrap": "wrap", "mirror": "symmetric"}
+NUMPY["reflect_101"] = "reflect"
 COLOUR = RNG.random((11, 13, 3))
 GREY = COLOUR[..., 0].copy()
 CODES = RNG.integers(0, 256, size=(11, 13), dtype=np.uint8)

@@ -18,6 +18,7 @@ NUMPY = {
     "clamp": {"mode": "edge"},
     "wrap": {"mode": "wrap"},
     "mirror": {"mode": "symmetric"},
+    "reflect_101": {"mode": "reflect"},
     "extend": {"mode": "reflect", "reflect_type": "odd"},
 }
 
@@ -119,7 +120,7 @@ def test_unknown_border_names_all_of_them_in_three_languages():
     words = str(error.value)
     assert all(f'"{name}"' in words for name in BORDERS)
     assert all(name in words for name in ("numpy", "scipy", '"edge"', '"symmetric"', '"reflect"'))
-    assert 'scipy "mirror") is none of them' in words
+    assert 'numpy "reflect", scipy "mirror"' in words
 
 
 @pytest.mark.parametrize("shape", [(3,), (0, 4), (2, 3, 0), ()])

@@ -1,6 +1,6 @@
 """What lies beyond the border
 
-The seven borders at which every filter works, by what they continue a picture with.
+The eight borders at which every filter works, by what they continue a picture with.
 """
 
 import jax.numpy as jnp

@@ -333,9 +333,8 @@ def _per_image(
 
 
 def _continued(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
-    if border == "in_phase":
-        return jnp.pad(plane, reach, mode="reflect")
-    return pad(plane, ((reach, reach), (reach, reach)), border=border)
+    as_is = "reflect_101" if border == "in_phase" else border
+    return pad(plane, ((reach, reach), (reach, reach)), border=as_is)
 
 
 class _Shifted(NamedTuple):

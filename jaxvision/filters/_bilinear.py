@@ -99,7 +99,7 @@ def _shape(image: Any, kernel: Any, *, border: str, **_: Any) -> Any:
 
 
 # g[p] = sum over i of kernel[i] image[p + i - anchor]; `border` "none", "zero", "clamp", "wrap",
-# "mirror" or "extend", `method` "conv", "direct" or "fft".
+# "mirror", "reflect_101" or "extend", `method` "conv", "direct" or "fft".
 correlate_stack: Callable[..., Result] = bilinear(
     "jaxvision_correlate",
     _implementation,

@@ -98,7 +98,7 @@ def per_pixel_matrix(
     Args:
         kernels: (kh, kw, h, w), one kernel a pixel, no unit.
         anchor: (row, column) of the entry on the pixel; None takes the middle.
-        border: "zero", "clamp", "wrap", "mirror" or "extend".
+        border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
         The matrix (h w, h w), without an offset.

@@ -88,7 +88,7 @@ def correlate_per_pixel(
         picture: (h, w) or (..., h, w, bands), any unit.
         kernels: (kh, kw, h, w), each tap a map of weights; no unit, or any.
         anchor: (row, column) of the entry on the pixel; None takes the middle.
-        border: "zero", "clamp", "wrap", "mirror" or "extend".
+        border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
         The picture's shape; its unit times the kernels'.
@@ -162,7 +162,7 @@ def radial_blur(
         scale: (h, w) in pixels, the second argument of the profile.
         profile: weight as a function of the distance () in pixels and the scale (h, w).
         radius: in pixels, at least 0: the knob; the kernel counts as 0 beyond it.
-        border: "zero", "clamp", "wrap", "mirror" or "extend".
+        border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
         The picture's shape and unit.
