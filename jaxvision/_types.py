@@ -206,6 +206,51 @@ def check_tile(
         )
 
 
+WIDE = 88  # columns of a printed record
+SHORT = 12  # numbers of an array that are printed one by one
+
+
+class Shown(eqx.Module):
+    """A record that prints its numbers: an array of more than a few as its shape and range. What is
+    absent is not printed."""
+
+    def __repr__(self) -> str:
+        return _shown(self)
+
+
+def _shown(value: Any, indent: str = "") -> str:
+    if isinstance(value, eqx.Module):
+        kept = [(f.name, getattr(value, f.name)) for f in fields(value) if f.repr]
+        given = [(f"{name}=", one) for name, one in kept if one is not None]
+        return _listed(f"{type(value).__name__}(", given, ")", indent)
+    if isinstance(value, tuple | list) and any(isinstance(one, eqx.Module) for one in value):
+        return _listed("(", [("", one) for one in value], ",)" if len(value) == 1 else ")", indent)
+    if not isinstance(value, jax.Array | np.ndarray):
+        return eqx.tree_pformat(value)
+    if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
+        return eqx.tree_pformat(value)
+    numbers = np.asarray(value)
+    if numbers.size <= SHORT:
+        return _written(numbers)
+    return f"{numbers.dtype}{list(numbers.shape)} from {numbers.min():.4g} to {numbers.max():.4g}"
+
+
+def _written(numbers: np.ndarray) -> str:
+    if numbers.ndim == 0:
+        return f"{numbers:.6g}"
+    return f"[{', '.join(map(_written, numbers))}]"
+
+
+def _listed(head: str, given: list[tuple[str, Any]], tail: str, indent: str) -> str:
+    """On one line where it fits, else one entry a line."""
+    line = head + ", ".join(name + _shown(one) for name, one in given) + tail
+    if len(indent) + len(line) <= WIDE and "\n" not in line:
+        return line
+    inner = indent + "  "
+    entries = "".join(f"\n{inner}{name}{_shown(one, inner)}," for name, one in given)
+    return f"{head}{entries}\n{indent}{tail.lstrip(',')}"
+
+
 def is_known(x: Any) -> bool:
     """Whether the numbers of `x` are known: while it is traced they are not."""
     return not isinstance(x, Tracer)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
 from ._band_count import band_count
-from ._types import Image, Key, Scalar
+from ._types import Image, Key, Scalar, Shown
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
@@ -30,7 +30,7 @@ Renderer = Callable[[Scene, View], Image]
 _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
-class Capture(eqx.Module):
+class Capture(Shown):
     """Every stage of one picture.
 
     Attributes:
@@ -120,6 +120,8 @@ def capture(
         pruned = prune(scene, camera, tolerance, **asked)
         assert isinstance(pruned.camera, Camera)
         scene, camera, samples = pruned.scene, pruned.camera, pruned.samples
+        if isinstance(integrator, Paths) and pruned.depth is not None:
+            integrator = replace(integrator, depth=pruned.depth)
         motion = None if pruned.moments is None else motion
         certificate = pruned.certificate
     renderer = _renderer(integrator, key, rule, samples)

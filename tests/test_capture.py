@@ -354,6 +354,9 @@ def test_what_bounces_is_what_the_integrator_finds():
     assert shot.radiance.mean() > 0.1
     np.testing.assert_allclose(shot.irradiance, sensor_irradiance(camera.view, shot.radiance))
     np.testing.assert_allclose(shot.raw, 3 * shot.irradiance, rtol=1e-12)
+    cut = capture(key, room, camera, integrator=paths, tolerance="0.001DN")
+    assert cut.certificate is not None
+    np.testing.assert_allclose(cut.raw, shot.raw, atol=1e-3)
     flat = capture(None, room, camera, integrator=lambda scene, view: jnp.ones((10, 12, 3)))
     np.testing.assert_array_equal(flat.radiance, 1)
 

@@ -9,6 +9,7 @@ import pytest
 from beartype import beartype
 from jaxtyping import TypeCheckError, jaxtyped
 
+import jaxvision as jv
 from jaxvision._groups import group_by_structure, take
 from jaxvision._types import (
     Colour,
@@ -110,3 +111,21 @@ def test_groups_keep_order_and_take_finds_each_member():
             if among:
                 assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), found, material))
         assert not take(members, group, jnp.asarray(-1))[1]
+
+
+def test_records_print_their_numbers():
+    ball = jv.Surface(jv.Sphere([0, 0.5, 0], 1 / 3), jv.Lambert([0.25]))
+    assert repr(ball) == (
+        "Surface(\n"
+        "  shape=Sphere(centre=[0, 0.5, 0], radius=0.333333),\n"
+        "  material=Lambert(diffuse=[0.25]),\n"
+        "  two_sided=False,\n"
+        ")"
+    )
+    assert repr(jv.Sensor(gain=2.0)) == "Sensor(gain=2)"  # what is absent is not printed
+    wide = jv.PointLight([0, 0, 1], np.linspace(2, 5, 31).astype(np.float32))
+    assert repr(wide) == "PointLight(position=[0, 0, 1], intensity=float32[31] from 2 to 5)"
+    assert "Dielectric(eta=[1.5])" in repr(
+        jv.TorranceSparrow([0.1], [0.2], 0.3, interface=jv.Dielectric([1.5]))
+    )
+    jax.jit(lambda sphere: repr(sphere))(ball.shape)  # without numbers while they are traced

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Scalar, Shown, as_float, check_fields
 
 
-class Dielectric(eqx.Module):
+class Dielectric(Shown):
     """A clear material.
 
     Attributes:
@@ -28,7 +28,7 @@ class Dielectric(eqx.Module):
         check_fields(self, eta=AMOUNT)
 
 
-class Conductor(eqx.Module):
+class Conductor(Shown):
     """A metal of the relative complex index eta + i k.
 
     Attributes:
@@ -43,7 +43,7 @@ class Conductor(eqx.Module):
         check_fields(self, eta=AMOUNT, k=AMOUNT)
 
 
-class Schlick(eqx.Module):
+class Schlick(Shown):
     """Schlick's approximation.
 
     Attributes:

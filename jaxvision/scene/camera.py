@@ -1,14 +1,12 @@
 """A camera: view, sensor and development."""
 
-import equinox as eqx
-
-from .._types import check_fields
+from .._types import Shown, check_fields
 from .developments import Development
 from .sensors import Sensor
 from .views import View
 
 
-class Camera(eqx.Module):
+class Camera(Shown):
     """Where each pixel looks, how light is measured, and how raw data become a picture.
 
     Attributes:

@@ -11,6 +11,7 @@ from .._types import (
     Colour,
     Range,
     Scalar,
+    Shown,
     as_float,
     as_optional_float,
     check_choice,
@@ -26,7 +27,7 @@ SUBSAMPLINGS = ("4:4:4", "4:2:0")
 ROUNDINGS = ("straight_through", "cubic")
 
 
-class Demosaicing(eqx.Module):
+class Demosaicing(Shown):
     """Interpolation of the bands that a pixel of a mosaic sensor does not measure.
 
     Attributes:
@@ -43,7 +44,7 @@ class Demosaicing(eqx.Module):
         check_choice("Demosaicing.method", self.method, DEMOSAICINGS)
 
 
-class WhiteBalance(eqx.Module):
+class WhiteBalance(Shown):
     """White balance by known gains.
 
     Attributes:
@@ -56,7 +57,7 @@ class WhiteBalance(eqx.Module):
         check_fields(self, gains=POSITIVE)
 
 
-class GreyWorld(eqx.Module):
+class GreyWorld(Shown):
     """White balance whose gains make the picture grey on average.
 
     Attributes:
@@ -69,7 +70,7 @@ class GreyWorld(eqx.Module):
         check_fields(self, norm=Range(1))
 
 
-class NeutralPatch(eqx.Module):
+class NeutralPatch(Shown):
     """White balance whose gains make a rectangle of the picture grey.
 
     Attributes:
@@ -92,7 +93,7 @@ class NeutralPatch(eqx.Module):
 WhiteBalancing = WhiteBalance | GreyWorld | NeutralPatch
 
 
-class Bilateral(eqx.Module):
+class Bilateral(Shown):
     """Denoising by a bilateral filter, which preserves edges.
 
     Attributes:
@@ -110,7 +111,7 @@ class Bilateral(eqx.Module):
         check_count("Bilateral.radius", self.radius, 0)
 
 
-class NonLocalMeans(eqx.Module):
+class NonLocalMeans(Shown):
     """Denoising by averages over similar patches.
 
     Attributes:
@@ -134,7 +135,7 @@ class NonLocalMeans(eqx.Module):
 Denoising = Bilateral | NonLocalMeans
 
 
-class Reinhard(eqx.Module):
+class Reinhard(Shown):
     """Tone mapping by x / (1 + x).
 
     Attributes:
@@ -147,11 +148,11 @@ class Reinhard(eqx.Module):
         check_fields(self, white=POSITIVE)
 
 
-class Filmic(eqx.Module):
+class Filmic(Shown):
     """Tone mapping by the ACES film curve, `point_ops.filmic`."""
 
 
-class ToneCurve(eqx.Module):
+class ToneCurve(Shown):
     """Tone mapping by a monotone spline through given points.
 
     Attributes:
@@ -172,7 +173,7 @@ class ToneCurve(eqx.Module):
 ToneMap = Reinhard | Filmic | ToneCurve
 
 
-class Gamma(eqx.Module):
+class Gamma(Shown):
     """Encoding by x ** (1 / gamma).
 
     Attributes:
@@ -185,14 +186,14 @@ class Gamma(eqx.Module):
         check_fields(self, gamma=POSITIVE)
 
 
-class SRGB(eqx.Module):
+class SRGB(Shown):
     """The piecewise sRGB encoding of IEC 61966-2-1."""
 
 
 ToneEncoding = Gamma | SRGB
 
 
-class UnsharpMask(eqx.Module):
+class UnsharpMask(Shown):
     """Sharpening by an unsharp mask.
 
     Attributes:
@@ -210,7 +211,7 @@ class UnsharpMask(eqx.Module):
         check_count("UnsharpMask.size", self.size, 1, odd=True)
 
 
-class JPEG(eqx.Module):
+class JPEG(Shown):
     """The loss of JPEG compression.
 
     Attributes:
@@ -229,7 +230,7 @@ class JPEG(eqx.Module):
         check_choice("JPEG.rounding", self.rounding, ROUNDINGS)
 
 
-class Development(eqx.Module):
+class Development(Shown):
     """The steps from raw data to a picture, in the order of the fields; `None` leaves a step out.
 
     Attributes:

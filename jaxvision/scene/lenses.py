@@ -10,6 +10,7 @@ from .._types import (
     Colour,
     Range,
     Scalar,
+    Shown,
     as_float,
     as_optional_float,
     check_count,
@@ -20,11 +21,11 @@ from .._types import (
 _WIDEST_STOP = 1 - 1e-6
 
 
-class CircularAperture(eqx.Module):
+class CircularAperture(Shown):
     """A round aperture that fills the lens's diameter."""
 
 
-class PolygonalAperture(eqx.Module):
+class PolygonalAperture(Shown):
     """The aperture of an iris: a regular polygon with corners on the lens's diameter.
 
     Attributes:
@@ -40,7 +41,7 @@ class PolygonalAperture(eqx.Module):
         check_fields(self, angle=FINITE)
 
 
-class RectangularAperture(eqx.Module):
+class RectangularAperture(Shown):
     """A slit or square along the camera's right and down axes.
 
     Attributes:
@@ -55,7 +56,7 @@ class RectangularAperture(eqx.Module):
         check_fields(self, width=POSITIVE, height=POSITIVE)
 
 
-class AnnularAperture(eqx.Module):
+class AnnularAperture(Shown):
     """A round aperture with a central round stop, as in a mirror lens.
 
     Attributes:
@@ -71,7 +72,7 @@ class AnnularAperture(eqx.Module):
 Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularAperture
 
 
-class Rim(eqx.Module):
+class Rim(Shown):
     """A round edge in front of the aperture, of the front element, that cuts off oblique light.
 
     Attributes:
@@ -86,7 +87,7 @@ class Rim(eqx.Module):
         check_fields(self, distance=NOT_NEGATIVE, diameter=POSITIVE)
 
 
-class Diffraction(eqx.Module):
+class Diffraction(Shown):
     """Diffraction at a round aperture, which spreads each point into an Airy pattern.
 
     Attributes:
@@ -104,7 +105,7 @@ class Diffraction(eqx.Module):
         check_count("Diffraction.size", self.size, 1, odd=True)
 
 
-class Distortion(eqx.Module):
+class Distortion(Shown):
     """Polynomial distortion: where the lens images a ray that an ideal lens images at (x, y).
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .._types import AMOUNT, Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, Shown, as_float, check_fields
 
 
-class Light(eqx.Module):
+class Light(Shown):
     """Base of every kind of light; the record and the equations of a kind share a file in
     `lights/`.
 
@@ -19,7 +19,7 @@ class Light(eqx.Module):
     spectra: ClassVar[tuple[str, ...]] = ()
 
 
-class AmbientLight(eqx.Module):
+class AmbientLight(Shown):
     """Uniform light from all directions, the L_a of Phong shading.
 
     Attributes:

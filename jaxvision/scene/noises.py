@@ -6,7 +6,7 @@ field, the value and the allowed range. Traced values pass unchecked and have a 
 
 import equinox as eqx
 
-from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields
+from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, Shown, as_float, check_fields
 
 _OF_TEMPERATURE = {
     "rate": NOT_NEGATIVE,
@@ -15,7 +15,7 @@ _OF_TEMPERATURE = {
 }
 
 
-class DoublingDarkCurrent(eqx.Module):
+class DoublingDarkCurrent(Shown):
     """Dark current that doubles at equal steps of temperature: I = rate 2^((T - T_ref) / doubling).
 
     Attributes:
@@ -37,7 +37,7 @@ class DoublingDarkCurrent(eqx.Module):
         check_fields(self, **_OF_TEMPERATURE, doubling=POSITIVE)
 
 
-class ArrheniusDarkCurrent(eqx.Module):
+class ArrheniusDarkCurrent(Shown):
     """Dark current of thermal generation: I = rate exp(-(E / k) (1 / T - 1 / T_ref)).
 
     Attributes:
@@ -60,7 +60,7 @@ class ArrheniusDarkCurrent(eqx.Module):
 DarkCurrent = DoublingDarkCurrent | ArrheniusDarkCurrent
 
 
-class HotPixels(eqx.Module):
+class HotPixels(Shown):
     """Pixels with excess dark current, which is distributed exponentially.
 
     Attributes:
@@ -75,11 +75,11 @@ class HotPixels(eqx.Module):
         check_fields(self, fraction=FRACTION, rate=NOT_NEGATIVE)
 
 
-class PoissonShotNoise(eqx.Module):
+class PoissonShotNoise(Shown):
     """Electrons are counted exactly: a Poisson draw replaces the mean."""
 
 
-class FastPoissonShotNoise(eqx.Module):
+class FastPoissonShotNoise(Shown):
     """Electrons are counted by inverting the Poisson distribution.
 
     Draws whole numbers, many times faster than `PoissonShotNoise`, with gradients along the draw.
@@ -88,7 +88,7 @@ class FastPoissonShotNoise(eqx.Module):
     """
 
 
-class GaussianShotNoise(eqx.Module):
+class GaussianShotNoise(Shown):
     """A Gaussian draw of variance equal to the mean.
 
     Accurate from about 20 electrons up; below, draws can be negative.
@@ -98,7 +98,7 @@ class GaussianShotNoise(eqx.Module):
 ShotNoise = PoissonShotNoise | FastPoissonShotNoise | GaussianShotNoise
 
 
-class ResetNoise(eqx.Module):
+class ResetNoise(Shown):
     """The kT/C noise of a sense node reset before each read-out without correlated sampling.
 
     Attributes:
@@ -113,7 +113,7 @@ class ResetNoise(eqx.Module):
         check_fields(self, capacitance=NOT_NEGATIVE, temperature=NOT_NEGATIVE)
 
 
-class HeavyTailedReadNoise(eqx.Module):
+class HeavyTailedReadNoise(Shown):
     """Read noise with a longer tail than a Gaussian: a mixture of two Gaussians.
 
     Attributes:
@@ -130,7 +130,7 @@ class HeavyTailedReadNoise(eqx.Module):
         check_fields(self, rms=NOT_NEGATIVE, tail_rms=NOT_NEGATIVE, tail_fraction=FRACTION)
 
 
-class TelegraphNoise(eqx.Module):
+class TelegraphNoise(Shown):
     """Pixels with a trap that is occupied half of the time.
 
     Under correlated double sampling such a pixel is off by -amplitude, 0 or +amplitude in 1, 2 and
@@ -148,7 +148,7 @@ class TelegraphNoise(eqx.Module):
         check_fields(self, fraction=FRACTION, amplitude=NOT_NEGATIVE)
 
 
-class Banding(eqx.Module):
+class Banding(Shown):
     """A sinusoidal offset over the rows, with a random phase in each frame.
 
     Attributes:

@@ -18,6 +18,7 @@ from .._types import (
     Colour,
     Range,
     Scalar,
+    Shown,
     as_float,
     as_optional_float,
     check_count,
@@ -37,7 +38,7 @@ from .noises import (
 )
 
 
-class PhotonConversion(eqx.Module):
+class PhotonConversion(Shown):
     """Conversion of irradiance to photons: mu_p = lambda E A t / (h c), EMVA 1288.
 
     Attributes:
@@ -52,7 +53,7 @@ class PhotonConversion(eqx.Module):
         check_fields(self, wavelength=POSITIVE, pixel_area=POSITIVE)
 
 
-class PixelAperture(eqx.Module):
+class PixelAperture(Shown):
     """The square in the middle of each pixel that gathers light.
 
     Attributes:
@@ -72,7 +73,7 @@ class PixelAperture(eqx.Module):
         check_count("PixelAperture.oversampling", self.oversampling, 1)
 
 
-class ColourFilter(eqx.Module):
+class ColourFilter(Shown):
     """A filter over each pixel, which then measures one number: a weighted sum of the bands.
 
     Attributes:
@@ -95,7 +96,7 @@ class ColourFilter(eqx.Module):
         )
 
 
-class ChargeTransfer(eqx.Module):
+class ChargeTransfer(Shown):
     """Charge that a CCD leaves behind at each transfer towards its read-out.
 
     The read-out lies before the first row and column.
@@ -118,7 +119,7 @@ class ChargeTransfer(eqx.Module):
         check_count("ChargeTransfer.trail", self.trail, 1)
 
 
-class RollingShutter(eqx.Module):
+class RollingShutter(Shown):
     """Each row begins and ends its exposure later than the row above.
 
     Attributes:
@@ -135,7 +136,7 @@ def _number_or_record(x: Any) -> Any:
     return x if isinstance(x, eqx.Module) else as_optional_float(x)
 
 
-class Sensor(eqx.Module):
+class Sensor(Shown):
     """An image sensor after EMVA 1288, CCD or CMOS. Every effect is optional; `None` leaves it out.
 
     The fields are in the order of the light's path: from light to electrons, in the pixel (from

@@ -6,10 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_fields
+from .._types import AMOUNT, Scalar, Shown, as_float, as_optional_float, check_fields
 
 
-class Sphere(eqx.Module):
+class Sphere(Shown):
     """A sphere; its front is the outside.
 
     Attributes:
@@ -24,7 +24,7 @@ class Sphere(eqx.Module):
         check_fields(self, radius=AMOUNT)
 
 
-class Plane(eqx.Module):
+class Plane(Shown):
     """An unbounded plane; its front is the side to which the normal points.
 
     Attributes:
@@ -39,7 +39,7 @@ class Plane(eqx.Module):
         check_fields(self)
 
 
-class Disc(eqx.Module):
+class Disc(Shown):
     """A flat disc; its front is the side to which the normal points.
 
     Attributes:
@@ -56,7 +56,7 @@ class Disc(eqx.Module):
         check_fields(self, radius=AMOUNT)
 
 
-class Quad(eqx.Module):
+class Quad(Shown):
     """A parallelogram; its front is the side of edge_u x edge_v.
 
     Attributes:
@@ -73,7 +73,7 @@ class Quad(eqx.Module):
         check_fields(self)
 
 
-class Box(eqx.Module):
+class Box(Shown):
     """A box; its front is the outside.
 
     Attributes:
@@ -101,7 +101,7 @@ def _as_indices(x: Any) -> Array:
     return array.astype(jnp.int32)
 
 
-class TriangleMesh(eqx.Module):
+class TriangleMesh(Shown):
     """Triangles; the front of each is the side from which its vertices turn counterclockwise.
 
     A triangle without area is never hit, and a vertex index out of range counts as the nearest in

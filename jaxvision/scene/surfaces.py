@@ -5,12 +5,12 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from .._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
+from .._types import AMOUNT, Colour, Shown, as_optional_float, check_count, check_fields, check_kind
 from .light import AmbientLight, Light
 from .shapes import Shape
 
 
-class Material(eqx.Module):
+class Material(Shown):
     """Base of every family of BRDFs; the record and the equations of a family share a file in
     `brdf/`.
 
@@ -24,7 +24,7 @@ class Material(eqx.Module):
     neutral_spectra: ClassVar[tuple[str, ...]] = ()
 
 
-class Surface(eqx.Module):
+class Surface(Shown):
     """A shape, its material and its emission.
 
     Attributes:
@@ -52,7 +52,7 @@ def _as_optional_tuple(values: Iterable[Any] | None) -> tuple[Any, ...] | None:
     return None if values is None else tuple(values)
 
 
-class Scene(eqx.Module):
+class Scene(Shown):
     """Surfaces and the lights on them.
 
     All spectra share one number of bands. This is checked here for the k_d of materials, emissions,

@@ -9,6 +9,7 @@ from .._types import (
     POSITIVE,
     Range,
     Scalar,
+    Shown,
     as_float,
     as_optional_float,
     check_count,
@@ -19,7 +20,7 @@ from .._types import (
 from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
 
 
-class Orthographic(eqx.Module):
+class Orthographic(Shown):
     """Parallel (telecentric) projection.
 
     Attributes:
@@ -41,7 +42,7 @@ class Orthographic(eqx.Module):
         _check_view(self)
 
 
-class Pinhole(eqx.Module):
+class Pinhole(Shown):
     """Central projection through a small hole: everything is in focus.
 
     Attributes:
@@ -68,7 +69,7 @@ class Pinhole(eqx.Module):
         _check_view(self, focal_length=POSITIVE)
 
 
-class ThinLens(eqx.Module):
+class ThinLens(Shown):
     """Central projection through a lens that is in focus at one distance.
 
     The sensor stands where the lens law images the plane in focus.
