@@ -21,7 +21,7 @@ from jaxvision.errors import InputError, nearest
 from .likelihoods import Likelihood, with_values
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, replaced
-from .statement import argument_names, as_arrays, check_names, finite_data, placed
+from .statement import argument_names, as_arrays, check_names, finite_data, placed, placed_like
 
 Values = dict[str, Array]
 Vector = Float[Array, " parameters"]
@@ -121,10 +121,10 @@ class Problem(eqx.Module):
         self.predict = predict
         self.asks = argument_names(predict)
         check_names(self, parameters)
-        data = finite_data(data)
-        missing = np.isnan(data)
-        self.data = jnp.asarray(np.where(missing, 0, data))
-        self.present = jnp.asarray(~missing) if missing.any() else None
+        known = finite_data(data)
+        missing = np.isnan(known)
+        self.data = placed_like(data, np.where(missing, 0, known))
+        self.present = placed_like(data, ~missing) if missing.any() else None
         _check_shapes(self)
 
     def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxvision.errors import InputError, nearest
 
@@ -84,6 +85,23 @@ def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
         if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
             raise InputError(f"predict takes *{name}: name each argument after what it is given.")
     return tuple(found)
+
+
+def placed_like(given: Any, values: np.ndarray) -> Array:
+    """An array on the devices of another, so that data shared out among several stay so.
+
+    Args:
+        given: data as the user gave them.
+        values: of their shape.
+
+    Returns:
+        `values`, on the devices of `given` if that is an array of JAX.
+    """
+    return (
+        jax.device_put(values, given.sharding)
+        if isinstance(given, jax.Array)
+        else (jnp.asarray(values))
+    )
 
 
 def finite_data(data: Any) -> np.ndarray:
