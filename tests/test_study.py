@@ -134,6 +134,11 @@ def test_a_study_goes_on_where_it_was_and_tries_again_what_failed(cameras):
     assert not any(one.failed for one in again.outcomes)
     assert again.outcomes[0] == found.outcomes[0]
     asked.clear()
+    study(paths, tmp := out.parent / "numbers", Settings("noise", reports=False))
+    assert not (tmp / "a" / "report.html").exists()
+    assert json.loads((tmp / "a" / "results.json").read_text())["sections"][0]["estimates"]
+    assert 'href="a/results.json"' in (tmp / "study.html").read_text()
+    asked.clear()
     study(paths, out, Settings("noise", seed=1))
     assert asked == ["a", "b", "c"]
     image = paths[2] / "flat_0_1.png"

@@ -18,8 +18,9 @@ from jaxvision.io import replaced_on_success, write_image
 
 from .. import folders
 from ..inference.estimates import Estimate
-from ..report.page import write_report
+from ..report.page import as_json, write_report
 from ..report.progress import Progress
+from ..report.section import Section
 from ..rig import Rig, load_rig
 
 Kind = Literal["noise", "response", "brdf", "joint"]
@@ -30,6 +31,7 @@ TITLES: dict[Kind, str] = {
     "joint": "Joint calibration",
 }
 REMEMBERED = "outcome.json"
+RESULTS = "results.json"
 
 
 @dataclass(frozen=True)
@@ -79,10 +81,17 @@ class Settings:
     Attributes:
         kind: of calibration.
         seed: of every draw.
+        reports: whether each folder's report is drawn, which takes most of the time.
     """
 
     kind: Kind
     seed: int = 0
+    reports: bool = True
+
+    @property
+    def shown(self) -> str:
+        """What a folder's results are read in."""
+        return "report.html" if self.reports else RESULTS
 
 
 def digest_of(path: Path) -> str:
@@ -206,14 +215,7 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
         folder.out.mkdir(parents=True, exist_ok=True)
         for name, pixels in images.items():
             write_image(folder.out / name, pixels)
-        title = f"{TITLES[settings.kind]}: {folder.camera}"
-        write_report(
-            folder.out,
-            sections,
-            title=title,
-            seed=settings.seed,
-            settings={"input": folder.path.name, **asdict(settings)},
-        )
+        _report(settings, folder, sections)
         found = replace(
             known,
             estimates=tuple(one for section in sections for one in section.estimates),
@@ -221,6 +223,17 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
         )
     _remember(settings, folder, found)
     return found
+
+
+def _report(settings: Settings, folder: Folder, sections: list[Section]) -> None:
+    own = {"input": folder.path.name, **asdict(settings)}
+    if settings.reports:
+        title = f"{TITLES[settings.kind]}: {folder.camera}"
+        write_report(folder.out, sections, title=title, seed=settings.seed, settings=own)
+        return
+    with replaced_on_success(folder.out / RESULTS) as whole:
+        text = as_json(sections, seed=settings.seed, settings=own)
+        whole.write_text(text, encoding="utf-8")
 
 
 @contextmanager

@@ -26,6 +26,8 @@ def page(
     found: xr.Dataset,
     quantities: Sequence[Compared],
     drifting: Sequence[Drift],
+    *,
+    shown: str = "report.html",
 ) -> str:
     """The page.
 
@@ -35,6 +37,7 @@ def page(
         found: from `table`.
         quantities: from `compared`, in their units.
         drifting: from `drifts`.
+        shown: the file of a folder's results.
 
     Returns:
         HTML with the figures inside, as SVG.
@@ -58,6 +61,7 @@ def page(
         outcomes=outcomes,
         quantities=quantities,
         drifting=drifting,
+        shown=shown,
         unlike=unlike,
         figures=[(one, Markup(_svg(one, found))) for one in drawn],
         left_out=max(len(quantities) - MOST, 0),

@@ -81,7 +81,8 @@ def study(
     write_table(out / "study.nc", found)
     title = f"{TITLES[settings.kind]} of {len(every)} folders"
     with replaced_on_success(out / "study.html") as whole:
-        text = page(title, result.outcomes, found, result.quantities, result.drifts)
+        parts = result.outcomes, found, result.quantities, result.drifts
+        text = page(title, *parts, shown=settings.shown)
         whole.write_text(text, encoding="utf-8")
     return result
 
