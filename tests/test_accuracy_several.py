@@ -13,9 +13,11 @@ from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
 from jaxvision.accuracy.scene_settings import checked_error
+from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of
 from jaxvision.accuracy.tables import as_dict, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
+from jaxvision.scene_files import read_scene
 
 SIZE = 400
 DRAWS = Knob("n", "draws", "", (4, 16, 64, 256), (1024, 4096), -0.5, random=True, whole=True)
@@ -180,6 +182,33 @@ def test_wrong_commands_are_sentences(scene, arguments, sentence):
     status, _, error = run(*(str(scene) if word == "BALL" else word for word in arguments))
     assert status == 2
     assert sentence in error
+
+
+def test_a_turned_order_is_the_order_that_is_rendered_with(tmp_path):
+    """Whatever other knobs stand at: a rule brings its own order only when it is turned itself."""
+    lamp = """
+[[light]]
+kind = "rectangle"
+corner = [-0.5, -1.5, 3]
+edge_u = [0, 1, 0]
+edge_v = [1, 0, 0]
+radiance = [5, 5, 4]
+
+[render]
+integrator = "direct"
+order = 2
+"""
+    (tmp_path / "lamp.toml").write_text(BALL + lamp)
+    source = read_scene(tmp_path / "lamp.toml")
+    names = knobs_of(source, source.render)
+    assert {"order", "rule"} <= set(names)
+    base = base_of(source.render, names)
+    assert entry_of(source.render, base | {"order": 16}).order == 16
+    turned = entry_of(source.render, base | {"rule": "monte_carlo"})
+    assert (turned.rule, turned.order) == ("monte_carlo", 64)
+    by_chance = source.render.model_copy(update={"rule": "monte_carlo", "order": 4})
+    base = base_of(by_chance, knobs_of(source, by_chance))
+    assert entry_of(by_chance, base | {"light samples": 16}).order == 16
 
 
 @pytest.mark.slow

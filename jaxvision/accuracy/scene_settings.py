@@ -25,7 +25,7 @@ from .curves import asked_knobs, curve, in_turn
 from .knobs import KNOBS
 from .records import Curve, Knob, Problem
 from .reference import DRAWS, FIRST_SEED
-from .scenes import entry_of, knobs_of, scene_problem
+from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock
 from .several import Combination, combined
 from .spread import next_error
@@ -95,7 +95,7 @@ def measured(
     problem = scene_problem(source, settings=settings, expand=expand, seconds=seconds, clock=clock)
 
     def measure(name: str, share: float) -> Curve:
-        turned = _with_base(KNOBS[name], problem.settings[name])
+        turned = _with_base(KNOBS[name], problem.settings.get(name))
         return curve(problem, turned, seconds=share, metrics=metrics, clock=clock)
 
     return problem, in_turn(chosen, measure, seconds=until - now(), clock=clock)
@@ -103,7 +103,9 @@ def measured(
 
 def _with_base(knob: Knob, base: Any) -> Knob:
     """The knob with the setting at which it stands while others are turned among its settings."""
-    if isinstance(base, str) or base in knob.settings or base >= min(knob.reference):
+    if base is None or isinstance(base, str) or base in knob.settings:
+        return knob
+    if base >= min(knob.reference):
         return knob
     return replace(knob, settings=tuple(sorted({*knob.settings, base})))
 
@@ -190,8 +192,9 @@ def _found(
     clock: Clock | None,
 ) -> tuple[dict[str, Any], tuple[Curve, ...]]:
     expand = None if pruned is None else pruned.expand
+    names = tuple(name for name in knobs_of(source, own) if name not in APART)
     problem, curves = measured(
-        source, own, seconds=(1 - CHECK) * seconds, expand=expand, clock=clock
+        source, own, names=names, seconds=(1 - CHECK) * seconds, expand=expand, clock=clock
     )
     if any(one.stopped == "interrupted" for one in curves):
         raise KeyboardInterrupt

@@ -28,6 +28,7 @@ PROBE = 64  # pixels along each side, of those that are computed
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
 SCALING = 0.05  # of the time for everything, that one more program may take to scale times
 FEW = 16  # samples of a problem whose other knobs are turned
+APART = ("rule",)  # compared at a number of samples of its own, whatever the other knobs stand at
 _ABOUT = (
     "Times are those of the whole picture, errors root mean squares over its pixels relative to "
     "that of the picture."
@@ -88,7 +89,7 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
     """What the knobs of a scene file are set to while another is turned; samples are few."""
     found = {}
-    for name in names:
+    for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)
         found[name] = min(value, FEW) if name == "samples" else value
     return found
