@@ -153,13 +153,14 @@ def _apart(
         lit = swept(source, bodies, reach)
         # first along fixed directions, then by search for what is left
         high, low = heights(lit, DIRECTIONS), -heights(bodies, -DIRECTIONS)
+        clear = np.zeros(len(receiver), bool)
         for start in range(0, len(receiver), _AT_ONCE):
-            i, j = receiver[start : start + _AT_ONCE], occluder[start : start + _AT_ONCE]
-            clear = (low[j] - high[i]).max(1) > tolerance
-            rest = np.flatnonzero(~clear)
-            found = gap(taken(lit, i[rest]), taken(bodies, j[rest]), enough=tolerance)
-            clear[rest] = found > tolerance
-            may[k, i[clear], j[clear]] = False
+            part = slice(start, start + _AT_ONCE)
+            clear[part] = (low[occluder[part]] - high[receiver[part]]).max(1) > tolerance
+        rest = np.flatnonzero(~clear)
+        found = gap(taken(lit, receiver[rest]), taken(bodies, occluder[rest]), enough=tolerance)
+        clear[rest] = found > tolerance
+        may[k, receiver[clear], occluder[clear]] = False
 
 
 def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:

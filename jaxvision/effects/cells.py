@@ -262,6 +262,11 @@ def _of_mesh(shape: TriangleMesh) -> Parts:
     return [centre, np.maximum.reduceat(reach, first), axis, np.minimum(spread, np.pi)]
 
 
+def part_of(cells: Cells, surface: int) -> slice:
+    """The cells of a surface, which stand side by side."""
+    return slice(*np.searchsorted(cells.surface, [surface, surface + 1]))
+
+
 def bodies_of(cells: Cells) -> Bodies:
     """The ball about each cell; an endless one reaches beyond any number."""
     return Bodies(

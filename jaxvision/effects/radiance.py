@@ -18,7 +18,7 @@ from ..brdf.torrance_sparrow import TorranceSparrow
 from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
 from .bodies import body_of, heights, numbers, stacked
 from .bounces import Onward
-from .cells import eye_of, in_view
+from .cells import eye_of, in_view, part_of
 from .certificate import RADIANCE, Effect
 from .extent import extent_change
 from .illumination import times
@@ -27,10 +27,8 @@ from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
     ambient_reflected,
-    cells_on,
     emitted,
     geometry_of,
-    lobe_sent,
     looked_at,
     pictured,
     sent,
@@ -229,12 +227,17 @@ def _all_lights(
 ) -> np.ndarray:
     """The sum over all lights of what the cells of a surface make of them, (bands,) in the
     picture."""
-    part, none = cells_on(sums, i), np.zeros(sums.k_body.shape[1])
-    own = sum((of_light(k) for k in range(len(sums.sources))), none)
+    none = np.zeros((1, sums.k_body.shape[1]))
+    return _of_cells(sums, onward, i, sum((of_light(k) for k in range(len(sums.sources))), none))
+
+
+def _of_cells(sums: Sums, onward: Onward, i: int, sent: np.ndarray) -> np.ndarray:
+    """What the cells of one surface send, (c_i, bands), in the picture, (bands,)."""
+    part = part_of(sums.cells, i)
     if onward.depth is None:
-        return np.max(own, axis=0, initial=0, where=sums.seen[part, None])
-    cells = np.zeros((len(sums.seen), len(none)))
-    cells[part] = own
+        return np.max(sent, axis=0, initial=0, where=sums.seen[part, None])
+    cells = np.zeros((len(sums.seen), sent.shape[1]))
+    cells[part] = sent
     return pictured(sums, onward(cells))
 
 
@@ -256,7 +259,7 @@ def _with(draft: Draft, i: int, **fields: Any) -> Draft:
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """The lobe's own light; a Lambertian of the same k_d remains."""
     material = sums.surfaces[i].low.material
-    amount = _all_lights(sums, onward, i, lambda k: lobe_sent(sums, k, on=i))
+    amount = _of_cells(sums, onward, i, sums.lobes[part_of(sums.cells, i)])
     plain = _is_plain_without_lobe(material)
     why = f"the lobe of {type(material).__name__}"
     if not plain:
@@ -280,7 +283,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
     def of_light(k: int) -> np.ndarray:
         _, whole = geometry_of(sums, sums.sources[k], sums.nearest[k], full)
-        own = whole[cells_on(sums, i), None]
+        own = whole[part_of(sums.cells, i), None]
         return times(own, times(sums.k_lobe[i], sums.spectrum[k])[None])
 
     amount = _all_lights(sums, onward, i, of_light) * (1 - least)
@@ -296,7 +299,7 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
     def of_light(k: int) -> np.ndarray:
-        part = cells_on(sums, i)
+        part = part_of(sums.cells, i)
         even = times(sums.body[k, part, None], times(plain, sums.spectrum[k])[None])
         return even + times(sums.facing[k, part, None], times(grazing, sums.spectrum[k])[None])
 

@@ -17,10 +17,11 @@ from jaxtyping import Array
 from ..brdf.dichromatic import Dichromatic
 from ..brdf.oren_nayar import OrenNayar
 from ..scene import Camera, Scene
+from .cells import part_of
 from .certificate import RADIANCE, Effect
 from .illumination import times
 from .stages import Draft, Row
-from .sums import Sums, cells_on
+from .sums import Sums
 
 _DECADES = 7  # residuals from 0.1 to 1e-7 of the picture, one row each
 _ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
@@ -90,7 +91,7 @@ def _terms(sums: Sums) -> Terms:
     """The terms of each surface in view, and of the lights that may be seen."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
-        own = cells_on(sums, i)
+        own = part_of(sums.cells, i)
         part = np.arange(own.start, own.stop)[sums.seen[own]]
         if not part.size:
             continue

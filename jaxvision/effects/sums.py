@@ -36,6 +36,7 @@ class Sums(NamedTuple):
         body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
             light's spectrum.
         facing: (l, c) the suprema of E, of a facing surface.
+        lobes: (c, bands) W m^-2 sr^-1, the most that the lobe of each cell makes of all lights.
         k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
         own: (n, bands) W m^-2 sr^-1, emission and reflected ambient light.
         spectrum: (l, bands) of each light.
@@ -57,6 +58,7 @@ class Sums(NamedTuple):
     body: np.ndarray
     lobe: np.ndarray
     facing: np.ndarray
+    lobes: np.ndarray
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
@@ -98,7 +100,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
     body, lobe, facing = _geometry(sources, nearest, reflections, cells, eye)
-    bands = _bands(scene, sources)
+    bands = _bands(scene, sources, reflections)
     table = _Table(len(surfaces), bands)
     k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
     k_lobe = table.filled(
@@ -112,6 +114,9 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     spectrum = _Table(len(sources), bands).filled(
         (k, own.spectrum) for k, own in enumerate(sources)
     )
+    lobes = np.zeros((len(cells.radius), bands))
+    for k in range(len(sources)):
+        lobes += times(lobe[k][:, None], times(k_lobe, spectrum[k])[cells.surface])
     visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
     extended = np.array([source.extended for source in sources], bool)
     shown = extended[:, None] & (k_mirror > 0).any(1)
@@ -129,6 +134,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         body,
         lobe,
         facing,
+        lobes,
         k_body,
         k_lobe,
         k_mirror,
@@ -158,11 +164,11 @@ class _Table(NamedTuple):
         return table
 
 
-def _bands(scene: Ends[Scene], sources: Sequence[Source]) -> int:
+def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[Reflection]) -> int:
     """How many bands a picture of the scene has."""
     counts = [len(source.spectrum) for source in sources]
+    counts += [len(reflection.body) for reflection in reflections]
     for surface in scene.low.surfaces:
-        counts += [len(reflection_of(Ends(surface.material, surface.material)).body)]
         counts += [] if surface.emission is None else [surface.emission.shape[-1]]
         names = surface.material.spectra + surface.material.neutral_spectra
         counts += [getattr(surface.material, name).shape[-1] for name in names]
@@ -290,11 +296,6 @@ def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
     return np.maximum.reduceat(values, first, axis=-1)
 
 
-def cells_on(sums: Sums, i: int) -> slice:
-    """The cells of a surface, which stand side by side."""
-    return slice(*np.searchsorted(sums.cells.surface, [i, i + 1]))
-
-
 def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = None) -> np.ndarray:
     """The most that each cell makes of one light.
 
@@ -316,12 +317,8 @@ def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = No
     return total if only is None else np.where(only[:, None], total, 0)
 
 
-def lobe_sent(sums: Sums, k: int, *, on: int | None = None) -> np.ndarray:
-    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1; `on`: of the
-    cells of one surface."""
-    if on is not None:
-        own = times(sums.k_lobe[on], sums.spectrum[k])
-        return times(sums.lobe[k, cells_on(sums, on), None], own)
+def lobe_sent(sums: Sums, k: int) -> np.ndarray:
+    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
     return times(sums.lobe[k][:, None], own)
 

@@ -28,7 +28,7 @@ from .bodies import (
     taken,
     unit,
 )
-from .cells import Cells, Eye, bodies_of, plane_between
+from .cells import Cells, Eye, bodies_of, part_of, plane_between
 from .illumination import Source
 from .stages import Ends
 
@@ -130,7 +130,7 @@ def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
         if surface.low.shape is surface.high.shape and isinstance(shape, Sphere | Box):
-            part = cells.surface == i
+            part = part_of(cells, i)
             away = cells.centre[part] - numbers(shape.centre)
             side[part] = np.sign((away * cells.axis[part]).sum(1))
     return side
@@ -198,14 +198,19 @@ def in_umbra(
     if not bounded.any():
         return dark
     none = np.zeros((1, 3)), np.zeros(1)
-    whole, parts = stacked([none if body is None else body for body in found]), bodies_of(cells)
+    balls = np.array([isinstance(surface.low.shape, Sphere) for surface in surfaces])
+    whole, deep = stacked([none if body is None else body for body in found]), _DEEP * tolerance
     for j in range(len(surfaces)) if occluders is None else occluders:
         for k, source in enumerate(sources):
             shadow = _shadow_of(surfaces[j].of("shape"), source, tolerance)
-            if shadow is not None:
-                least = np.maximum(shadow.least(whole)[cells.surface], shadow.least(parts))
-                inside = bounded & (cells.surface != j) & (least >= -tolerance).all(1)
-                dark[k] |= inside & _beyond(cells, surfaces, shadow, least[:, 0], _DEEP * tolerance)
+            if shadow is None:
+                continue
+            farthest = heights(whole, shadow.normals[:1])[:, 0] - shadow.offsets[0]
+            some = (farthest > deep)[cells.surface] & bounded & (cells.surface != j) & ~dark[k]
+            there = Cells(*(x[some] for x in cells))
+            least = np.maximum(shadow.least(whole)[there.surface], shadow.least(bodies_of(there)))
+            inside = (least >= -tolerance).all(1)
+            dark[k, some] = inside & _beyond(there, balls[there.surface], shadow, least[:, 0], deep)
     return dark
 
 
@@ -277,17 +282,12 @@ def _rim(shape: Shape) -> np.ndarray:
 
 
 def _beyond(
-    cells: Cells,
-    surfaces: Sequence[Ends[Surface]],
-    shadow: _Shadow,
-    least: np.ndarray,
-    deep: float,
+    cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: float
 ) -> np.ndarray:
     """(c,) whether a cell is beyond the occluder and not in its plane, where nothing tells which of
-    the two is in front; a ball or a flat cell may touch it."""
+    the two is in front; a cell of a ball, or a flat one, may touch it."""
     normal, offset = shadow.normals[0], shadow.offsets[0]
     lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))
-    balls = np.array([isinstance(surface.low.shape, Sphere) for surface in surfaces])
-    share = np.where(balls[cells.surface], 1.0, np.where(cells.spread == 0, lean, 0.0))
+    share = np.where(of_ball, 1.0, np.where(cells.spread == 0, lean, 0.0))
     reach = share * np.where(np.isinf(cells.radius), 0, cells.radius)
     return np.maximum(least, cells.centre @ normal - offset + reach) > deep

@@ -54,32 +54,43 @@ def smooth(bands):
 
 FAR = jv.RectangleLight([-0.5, -0.5, 90], [0, 1, 0], [1, 0, 0], [8000.0] * 3)
 DARK = jv.PointLight([0.5, 0, 2], [0.0] * 3)
-# name: (the scene, the same where the effect was never there, least share of time that is saved)
+FINE = 1024  # a small picture of a few shapes spends a third of its time before the first pixel
+# name: (the scene, the same where the effect was never there, least share of time that is saved,
+# pixels along each side)
 CASES = {
-    "31 smooth bands": (smooth(31), smooth(3), 8.0),
+    "31 smooth bands": (smooth(31), smooth(3), 8.0, SIDE),
     "far lamp, order 8": (
         replace(room(FAR), occluders=()),
         replace(room(small_light(FAR)), occluders=()),
         30.0,
+        SIDE,
     ),
-    "shadows in a convex room": (room(POINT), replace(room(POINT), occluders=()), 1.4),
+    "shadows in a convex room": (room(POINT), replace(room(POINT), occluders=()), 1.4, FINE),
     "lamp without power": (
         replace(room([POINT, DARK]), occluders=()),
         replace(room(POINT), occluders=()),
         1.1,
+        FINE,
     ),
     "lobe of weight 0": (
         replace(room(POINT, jv.Phong([0.25] * 3, [0.0] * 3, 9.0)), occluders=()),
         replace(room(POINT), occluders=()),
         1.05,
+        FINE,
     ),
 }
 
 
-def drawn(scene, expand=None):
+def of_side(view, side):
+    """The same picture of so many pixels along its longer side, and square."""
+    scale = max(view.resolution) / side
+    return replace(view, resolution=(side, side), pixel_pitch=view.pixel_pitch * scale)
+
+
+def drawn(scene, view, expand=None):
     compiled = jax.jit(jv.render)
     table = None if expand is None else jnp.asarray(expand.T, jnp.float32)
-    whole = jv.as_dtype((scene, VIEW), jnp.float32)
+    whole = jv.as_dtype((scene, view), jnp.float32)
     if table is None:
         return lambda: compiled(*whole)
     join = jax.jit(jnp.matmul)
@@ -88,15 +99,16 @@ def drawn(scene, expand=None):
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_left_out_is_not_paid_for(name):
-    scene, never, least = CASES[name]
+    scene, never, least, side = CASES[name]
     pruned = effects.prune(scene, VIEW, "0.1%", level=float(jv.render(scene, VIEW).max()))
+    view = of_side(VIEW, side)
     rivals = {
-        "with": drawn(scene),
-        "pruned": drawn(pruned.scene),
-        "never there": drawn(never),
+        "with": drawn(scene, view),
+        "pruned": drawn(pruned.scene, view),
+        "never there": drawn(never, view),
     }
     if pruned.expand is not None:
-        rivals["pruned, all bands"] = drawn(pruned.scene, pruned.expand)
+        rivals["pruned, all bands"] = drawn(pruned.scene, view, pruned.expand)
     _, seconds = in_turns(rivals, rounds=ROUNDS)
     counts = [effects.equations(own, VIEW) for own in (scene, pruned.scene, never)]
     for (rival, taken), count in zip(seconds.items(), [*counts, counts[1]], strict=False):
@@ -104,6 +116,13 @@ def test_what_is_left_out_is_not_paid_for(name):
     print(f"{name}: saves x{seconds['with'] / seconds['pruned']:.2f}; {pruned.certificate.total:g}")
     assert seconds["with"] >= least * seconds["pruned"]
     assert counts[1] <= counts[0]
+
+
+def of_processor(call):
+    """s, which the load of a machine lengthens, but never shortens."""
+    start = time.process_time()
+    call()
+    return time.process_time() - start
 
 
 @pytest.mark.parametrize(("surfaces", "allowed"), [(15, 0.5), (300, 1.0)])
@@ -116,9 +135,7 @@ def test_inspection_is_quick(surfaces, allowed):
     scene = room([POINT, FAR, DARK])
     scene = replace(scene, surfaces=(*scene.surfaces, *balls))
     effects.inspect(scene, VIEW)
-    start = time.process_time()
-    effects.inspect(scene, VIEW)
-    taken = time.process_time() - start
+    taken = min(of_processor(lambda: effects.inspect(scene, VIEW)) for _ in range(3))
     print(f"inspect, {surfaces} surfaces, 3 lights: {taken:.3f} s of the processor")
     assert taken <= allowed
 
@@ -136,24 +153,29 @@ SCENES = {
 }
 
 
+def kind_of(scene):
+    """What tells one program from another: its records, and the sizes of their numbers."""
+    return jax.tree.structure(scene), *(leaf.shape for leaf in jax.tree.leaves(scene))
+
+
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("tolerance", ["0%", "1%"])
-def test_what_is_pruned_is_never_slower(name, tolerance):
+def test_what_is_pruned_is_never_slower(name):
     """By at most 3 %; where nothing may go it is the same program."""
     scene, view = SCENES[name]()
-    scale = max(view.resolution) / SIDE
-    view = replace(view, resolution=(SIDE, SIDE), pixel_pitch=view.pixel_pitch * scale)
-    pruned = effects.prune(scene, view, tolerance)
-    counts = [effects.equations(own, view) for own in (scene, pruned.scene)]
-    print(f"{name}, {tolerance}: {len(pruned.certificate.dropped)} gone, {counts} equations")
-    assert counts[1] <= counts[0]
-    if jax.tree.structure(pruned.scene) == jax.tree.structure(scene) and counts[0] == counts[1]:
+    view, compiled = of_side(view, SIDE), jax.jit(jv.render)
+    known, rivals = {kind_of(scene)}, {"with": partial(compiled, scene, view)}
+    whole = effects.equations(scene, view)
+    for tolerance, level in (("0%", 1.0), ("1%", None)):
+        pruned = effects.prune(scene, view, tolerance, level=level)
+        count = effects.equations(pruned.scene, view)
+        print(f"{name}, {tolerance}: {len(pruned.certificate.dropped)} gone, {whole} {count}")
+        assert count <= whole
+        if kind_of(pruned.scene) not in known:
+            known.add(kind_of(pruned.scene))
+            rivals[tolerance] = partial(compiled, pruned.scene, view)
+    if len(rivals) == 1:
         return
-    compiled = jax.jit(jv.render)
-    rivals = {
-        "with": lambda: compiled(scene, view),
-        "pruned": lambda: compiled(pruned.scene, view),
-    }
     _, seconds = in_turns(rivals, rounds=ROUNDS)
-    print(f"{name}, {tolerance}: x{seconds['with'] / seconds['pruned']:.3f}")
-    assert seconds["pruned"] <= 1.03 * seconds["with"]
+    for tolerance in (rival for rival in rivals if rival != "with"):
+        print(f"{name}, {tolerance}: x{seconds['with'] / seconds[tolerance]:.3f}")
+        assert seconds[tolerance] <= 1.03 * seconds["with"]
