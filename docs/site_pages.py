@@ -105,6 +105,9 @@ def reference_pages(folder):
         if inner:
             text += ["Parts of this room", "-" * 18, "", *inner]
         write(folder / f"{page}.rst", "\n".join(text))
+    for page in folder.glob("*.rst"):
+        if page.stem not in pages:
+            page.unlink()  # of a room that is no more
     return pages
 
 

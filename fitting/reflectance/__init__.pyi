@@ -5,3 +5,7 @@ from .from_images.from_memory import (
     SphereGeometry as SphereGeometry,
     from_photographs as from_photographs,
 )
+from .stereo import (
+    Stereo as Stereo,
+    photometric_stereo as photometric_stereo,
+)

@@ -1,0 +1,182 @@
+"""Normals and albedo from photographs under different lights, in closed form, pixel by pixel.
+
+A matte surface under a distant light of direction l and irradiance E reads m = E rho n.l, with n
+its unit normal and rho its albedo in the unit of the readings over that of E. With g = rho n that
+is linear, so that three lights give g and more give it by least squares (Woodham, Optical
+Engineering 19, 1980). Attached and cast shadows, clipped pixels and highlights break it: they are
+readings that no g explains together with the others.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+
+from jaxvision.errors import InputError
+
+ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
+FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
+NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
+FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
+
+
+@dataclass(frozen=True)
+class Stereo:
+    """What photographs tell of each pixel.
+
+    Attributes:
+        normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights count.
+        albedo: (h, w) readings over irradiance.
+        normal_sd: (h, w) rad, the standard deviation of the normal's direction, root mean square
+            over the two ways it may tilt; NaN where only three lights count: no residual is left.
+        albedo_sd: (h, w) likewise, in the albedo's unit.
+        used: (h, w) how many lights count.
+    """
+
+    normals: Float[np.ndarray, "h w 3"]
+    albedo: Float[np.ndarray, "h w"]
+    normal_sd: Float[np.ndarray, "h w"]
+    albedo_sd: Float[np.ndarray, "h w"]
+    used: Int[np.ndarray, "h w"]
+
+
+def photometric_stereo(
+    images: ArrayLike,
+    lights: ArrayLike,
+    *,
+    intensities: ArrayLike | None = None,
+    lowest: float = 0.0,
+    highest: float = np.inf,
+    robust: bool = True,
+) -> Stereo:
+    """Normals, albedo and their errors from photographs of one still view under distant lights.
+
+    Args:
+        images: (lights, h, w) linear readings without black level, in any unit.
+        lights: (lights, 3) unit vectors toward the lights, in any axes.
+        intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
+            None for 1.
+        lowest: readings at or below count as shadow and are left out, in the unit of the images.
+        highest: readings at or above count as clipped and are left out, likewise.
+        robust: also leave out what the other readings contradict, as highlights and cast shadows:
+            beyond 2.5 standard deviations of the fit of least absolute residuals. It takes five
+            lights that count; pixels with fewer keep them all.
+
+    Returns:
+        Normals, albedo, and standard deviations from the residuals of each pixel.
+
+    Raises:
+        InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
+
+    Example:
+        >>> import numpy as np
+        >>> from fitting.reflectance import photometric_stereo
+        >>> lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1.0]])
+        >>> readings = 100 * lights @ [0.0, 0.0, 1.0]  # a plane that faces the camera
+        >>> found = photometric_stereo(readings[:, None, None], lights)
+        >>> print(found.normals[0, 0].round(6) + 0.0, found.albedo[0, 0].round(6))
+        [0. 0. 1.] 100.0
+    """
+    stack, directions, irradiance = _checked(images, lights, intensities)
+    rows = directions * irradiance[:, None]
+    readings = stack.reshape(len(stack), -1)
+    counts = (readings > lowest) & (readings < highest)
+    if robust:
+        counts = _consistent(rows, readings, counts)
+    g, spread, used = _least_squares(rows, readings, counts.astype(float))
+    albedo = np.linalg.norm(g, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals = g / albedo[:, None]
+        along = np.einsum("pi,pij,pj->p", normals, spread, normals)
+        aside = (np.trace(spread, axis1=-2, axis2=-1) - along) / 2
+        normal_sd, albedo_sd = np.sqrt(aside) / albedo, np.sqrt(along)
+    shape = stack.shape[1:]
+    return Stereo(
+        normals.reshape(*shape, 3),
+        albedo.reshape(shape),
+        normal_sd.reshape(shape),
+        albedo_sd.reshape(shape),
+        used.reshape(shape),
+    )
+
+
+def _checked(
+    images: ArrayLike, lights: ArrayLike, intensities: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    stack, directions = np.asarray(images, float), np.asarray(lights, float)
+    if stack.ndim != 3 or directions.shape != (len(stack), 3):
+        raise InputError(
+            f"images (lights, h, w) and lights (lights, 3) do not agree: got {stack.shape} and "
+            f"{directions.shape}; give one direction an image, and one channel at a time."
+        )
+    irradiance = np.ones(len(stack)) if intensities is None else np.asarray(intensities, float)
+    if irradiance.shape != (len(stack),) or not (irradiance > 0).all():
+        raise InputError(f"intensities must be {len(stack)} numbers above 0, got {irradiance}.")
+    lengths = np.linalg.norm(directions, axis=1)
+    if not np.allclose(lengths, 1, atol=1e-3):
+        raise InputError(f"lights must be unit vectors, got lengths {lengths.round(4)}.")
+    strengths = np.linalg.svd(directions, compute_uv=False)
+    if len(stack) < 3 or strengths[2] < FLAT * strengths[0]:
+        raise InputError("normals need three lights that do not lie in one plane; add a light.")
+    return stack, directions, irradiance
+
+
+def _solved(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    weights: Float[np.ndarray, "lights pixels"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted least squares of each pixel: g, and the inverse of the normal matrix; NaN where the
+    lights that count do not determine g."""
+    matrix = np.einsum("kp,ki,kj->pij", weights, rows, rows)
+    known = np.linalg.cond(matrix) < FLAT**-2
+    inverse = np.full_like(matrix, np.nan)
+    inverse[known] = np.linalg.inv(matrix[known])
+    right = np.einsum("kp,ki,kp->pi", weights, rows, np.where(weights > 0, readings, 0))
+    return np.einsum("pij,pj->pi", inverse, right), inverse
+
+
+def _least_squares(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    weights: Float[np.ndarray, "lights pixels"],
+) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
+    """g, its covariance by the scatter of the residuals, and how many readings count."""
+    g, inverse = _solved(rows, readings, weights)
+    used = weights.sum(axis=0).astype(int)
+    residuals = np.where(weights > 0, readings - rows @ g.T, 0)
+    free = np.where(used > 3, used - 3, np.nan)
+    return g, inverse * ((residuals**2).sum(axis=0) / free)[:, None, None], used
+
+
+def _consistent(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    counts: Bool[np.ndarray, "lights pixels"],
+) -> Bool[np.ndarray, "lights pixels"]:
+    """The readings near the fit of least absolute residuals, where five or more count."""
+    used = counts.sum(axis=0)
+    weights = counts.astype(float)
+    size = np.abs(np.where(counts, readings, 0)).max(axis=0)
+    least = np.where(size > 0, 1e-6 * size, 1.0)
+    residuals = np.zeros_like(readings)
+    for _ in range(ROUNDS):
+        g, _ = _solved(rows, readings, weights)
+        residuals = np.where(counts, np.abs(readings - rows @ g.T), np.nan)
+        weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
+        weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))
+    scale = NORMAL_MAD * _upper_median(residuals, used)
+    near = counts & ~(residuals > FAR * np.maximum(scale, least))
+    enough = (used >= 5) & (near.sum(axis=0) >= 3)
+    return np.where(enough, near, counts)
+
+
+def _upper_median(
+    residuals: Float[np.ndarray, "lights pixels"], used: Int[np.ndarray, " pixels"]
+) -> Float[np.ndarray, " pixels"]:
+    """The median of the residuals that are not 0 by construction: three are, of least absolute
+    residuals in three unknowns."""
+    ordered = np.sort(residuals, axis=0)  # NaN last
+    place = np.clip(3 + (used - 3) // 2, 0, len(ordered) - 1)
+    return np.take_along_axis(ordered, place[None], axis=0)[0]

@@ -1,0 +1,89 @@
+"""Normals of a ball from its shading: exact without noise, among shadows and highlights, and with
+standard deviations that hold."""
+
+import numpy as np
+import pytest
+
+from fitting.reflectance import photometric_stereo
+from jaxvision.errors import InputError
+
+RNG = np.random.default_rng(12)
+TURNS = 2 * np.pi * np.arange(12) / 12
+LIGHTS = np.stack([0.5 * np.cos(TURNS), 0.5 * np.sin(TURNS), np.full(12, np.sqrt(0.75))], axis=1)
+E = RNG.uniform(0.5, 2.0, 12)
+y, x = np.mgrid[-0.8:0.8:17j, -0.8:0.8:17j]
+NORMALS = np.stack([x, -y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.04))], axis=-1)
+NORMALS /= np.linalg.norm(NORMALS, axis=-1, keepdims=True)
+RHO = 100 + 50 * x
+READ = E[:, None, None] * RHO * np.maximum(np.einsum("kc,hwc->khw", LIGHTS, NORMALS), 0)
+
+
+def angles(found):
+    return np.arccos(np.clip((found.normals * NORMALS).sum(-1), -1, 1))
+
+
+def test_without_noise_normals_and_albedo_are_exact():
+    found = photometric_stereo(READ, LIGHTS, intensities=E, robust=False)
+    np.testing.assert_allclose(found.albedo, RHO, rtol=1e-12)
+    assert angles(found).max() < 1e-7
+    np.testing.assert_array_equal(found.used, (READ > 0).sum(axis=0))  # attached shadows are out
+
+
+def test_highlights_and_cast_shadows_are_left_out():
+    broken, hit = READ.copy(), RNG.integers(0, 12, (2, 17, 17))
+    rows, columns = np.indices((17, 17))
+    broken[hit[0], rows, columns] *= 4
+    broken[hit[1], rows, columns] *= 0.2
+    broken += RNG.normal(0, 0.2, broken.shape)
+    plain = photometric_stereo(broken, LIGHTS, intensities=E, robust=False)
+    found = photometric_stereo(broken, LIGHTS, intensities=E)
+    lit = (READ > 0).sum(axis=0) >= 9  # two broken readings among six would be a third
+    assert np.median(angles(plain)[lit]) > 0.1
+    assert np.quantile(angles(found)[lit], 0.98) < 0.02
+    clipped = np.minimum(READ, 120.0)
+    found = photometric_stereo(clipped, LIGHTS, intensities=E, highest=120.0, robust=False)
+    assert angles(found)[found.used >= 3].max() < 1e-6
+
+
+def test_standard_deviations_hold():
+    whole = np.broadcast_to(READ[:, 8:9, 8:9], (12, 60, 60))
+    found = photometric_stereo(
+        whole + RNG.normal(0, 2.0, whole.shape), LIGHTS, intensities=E, robust=False
+    )
+    z = (found.albedo - RHO[8, 8]) / found.albedo_sd
+    longer = ((found.normal_sd * found.albedo) ** 2).mean() / RHO[8, 8]  # noise aside of n, in |g|
+    assert abs(z.mean() - longer / found.albedo_sd.mean()) < 0.06
+    assert abs(np.abs(z).mean() - 0.873) < 0.04  # of Student's t with 9 degrees of freedom
+    tilt = np.arccos(np.clip(found.normals @ NORMALS[8, 8], -1, 1))
+    expected = 2 * (found.normal_sd**2).mean()  # two ways to tilt
+    np.testing.assert_allclose((tilt**2).mean(), expected, rtol=0.06)
+
+
+def test_pixels_with_too_few_lights_are_nan_and_three_have_no_error():
+    dark = READ.copy()
+    dark[2:, 0, 0] = 0
+    dark[3:, 8, 8] = 0
+    found = photometric_stereo(dark, LIGHTS, intensities=E)
+    assert np.isnan(found.normals[0, 0]).all()
+    assert np.isfinite(found.normals[8, 8]).all()
+    assert np.isnan(found.normal_sd[8, 8])
+
+
+@pytest.mark.parametrize(
+    ("images", "lights", "options", "said"),
+    [
+        (READ, LIGHTS[:4], {}, "do not agree"),
+        (READ[:2], LIGHTS[:2], {}, "one plane; add a light"),
+        (
+            READ[:4],
+            np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]]),
+            {},
+            "one plane",
+        ),
+        (READ, 2 * LIGHTS, {}, "unit vectors"),
+        (READ, LIGHTS, {"intensities": np.zeros(12)}, "above 0"),
+    ],
+)
+def test_bad_input_is_a_sentence(images, lights, options, said):
+    with pytest.raises(InputError, match=said):
+        photometric_stereo(images, lights, **options)
