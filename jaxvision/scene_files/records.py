@@ -1,5 +1,6 @@
 """The surfaces, lights and camera of a scene file as records."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -151,7 +152,8 @@ def _camera_axes(entry: camera_schema.Camera) -> np.ndarray:
         raise InputError("position and target are one point; move one of them.")
     if np.linalg.norm(np.cross(forward, entry.up)) <= 1e-9 * np.linalg.norm(forward):
         raise InputError("up lies along the line of sight; give another direction.")
-    return np.asarray(look_at(*map(jnp.asarray, (entry.position, entry.target, entry.up))))
+    points = map(jnp.asarray, (entry.position, entry.target, entry.up))
+    return np.asarray(jax.jit(look_at)(*points))  # one small program, not twenty
 
 
 def _sky(entry: light_schema.EnvironmentEntry, bands: Bands, folder: Folder) -> np.ndarray:
