@@ -16,6 +16,7 @@ import typer
 
 from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers
 from jaxvision.errors import InputError
+from jaxvision.interrupts import ending_on_interrupt
 from jaxvision.memory import keep_memory
 from jaxvision.programs import keep_programs
 
@@ -331,9 +332,15 @@ def accuracy(
         show(problem, curves, command=command, out=folder, as_json=as_json)
 
 
-def main() -> None:
-    """Entry point. Calibration needs double precision, so it is asked for here, never on import of
-    the package, and by the environment, since JAX itself is imported only where it is needed."""
+def start() -> None:
+    """Runs the command. Calibration needs double precision, so it is asked for here, never on
+    import of the package, and by the environment, since JAX itself is imported only where it is
+    needed."""
     os.environ["JAX_ENABLE_X64"] = "1"
     keep_memory()
     app()
+
+
+def main() -> None:
+    """Entry point."""
+    ending_on_interrupt("jaxvision-fit", start)

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
+from jaxtyping import Array, Bool
 
 from ._numerics import difference_of_products, power
 from ._types import Scalars
@@ -29,6 +30,12 @@ def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
         return jnp.asarray(value), 0.0
     nearest = np.asarray(float(known), dtype)
     return jnp.asarray(nearest), float(known - Fraction(float(nearest)))
+
+
+def is_above(x: Scalars, limit: Fraction) -> Bool[Array, "..."]:
+    """Whether x lies above a limit that need be no number of its dtype."""
+    nearest = np.asarray(float(limit), x.dtype)
+    return x >= nearest if Fraction(float(nearest)) > limit else x > nearest
 
 
 def exact_inverse(value: Scalars | float, dtype: DTypeLike) -> Exponent:

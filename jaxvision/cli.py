@@ -24,6 +24,7 @@ from .command_line import (
     failures_as_sentences,
 )
 from .errors import InputError
+from .interrupts import ending_on_interrupt
 from .memory import keep_memory
 from .programs import keep_programs
 
@@ -378,10 +379,15 @@ def _prepare() -> None:
     jax.config.update("jax_enable_x64", True)
 
 
-def main() -> None:
-    """Entry point."""
+def start() -> None:
+    """Runs the command."""
     keep_memory()
     app()
+
+
+def main() -> None:
+    """Entry point."""
+    ending_on_interrupt("jaxvision", start)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import typer
 
 from . import __version__
 from .errors import InputError
+from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
@@ -80,6 +81,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     Raises:
         typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
     """
+    say_if_interrupted(interrupted)
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: print(
@@ -93,7 +95,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
         sentence = f"{where}: {error.strerror or error}; choose another path or make room."
         leave(command, sentence, 2)
     except KeyboardInterrupt as interrupt:
-        leave(command, str(interrupt) or interrupted, 130)
+        is_said()
+        leave(command, str(interrupt) or interrupted, INTERRUPTED)
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .interrupts import removed_if_interrupted
 
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
 JPEG_FORMATS = (".jpg", ".jpeg")
@@ -45,15 +46,16 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
         raise _unwritable(path, error) from error
     os.close(handle)
     partial = Path(name)
-    try:
-        yield partial
+    with removed_if_interrupted(partial):
         try:
-            partial.chmod(0o644)
-            partial.replace(path)
-        except OSError as error:
-            raise _unwritable(path, error) from error
-    finally:
-        partial.unlink(missing_ok=True)
+            yield partial
+            try:
+                partial.chmod(0o644)
+                partial.replace(path)
+            except OSError as error:
+                raise _unwritable(path, error) from error
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:

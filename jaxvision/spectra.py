@@ -214,8 +214,10 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     cold, kelvin = temperature <= 0, or_one(temperature)
     x = float(_H_C_OVER_K) / (wavelengths * kelvin)
     rare = jnp.exp(-x) * (1 - _lost_of_exponent(x, wavelengths, kelvin))
-    scaled = 2**20 * wavelengths  # exact, and its fifth power is in range
-    radiance = (_TWO_H_C_SQUARED * 2.0**100) / scaled**5 * rare / -jnp.expm1(-x)
+    scaled = 2**20 * wavelengths  # exact; its fifth power is in range, but the square of that not
+    square = scaled * scaled
+    per_wave = (_TWO_H_C_SQUARED * 2.0**100) / square / square / scaled
+    radiance = per_wave * rare / -jnp.expm1(-x)
     return jnp.where(cold, 0, radiance)
 
 
@@ -228,6 +230,25 @@ def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) 
     lost = lost - x * difference_of_products(wavelengths, kelvin * one, product, one)
     lost = (lost + float(_H_C_OVER_K - Fraction(float(nearest)))) / product
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(lost), lost, 0))
+
+
+def _in_x(constant: str, x: str, y: str) -> tuple[float, float, float]:
+    """Coefficients of constant + x x_D + y y_D on the daylight locus y_D = -3 x_D^2 + 2.87 x_D -
+    0.275, which would cancel 300 times over if x_D and y_D were rounded first."""
+    c, a, b = Fraction(constant), Fraction(x), Fraction(y)
+    return float(c - b * Fraction("0.275")), float(a + b * Fraction("2.87")), float(-3 * b)
+
+
+def _roots(polynomial: tuple[float, float, float]) -> tuple[float, float]:
+    first, second = np.polynomial.polynomial.polyroots(polynomial)
+    return float(first), float(second)
+
+
+_DAYLIGHT = (  # CIE 15:2018, equations 4.3: the divisor, the numerators of M_1 and M_2
+    _in_x("0.0241", "0.2562", "-0.7341"),
+    _in_x("-1.3515", "-1.7703", "5.9114"),
+    _in_x("0.0300", "-31.4424", "30.0717"),
+)
 
 
 @takes_numbers
@@ -248,11 +269,17 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
         CIE 15:2018, section 4.1.2.
     """
     inverse = 1e3 / jnp.clip(temperature, 4000, 25000)
-    low = 0.244063 + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
-    high = 0.237040 + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
-    x = jnp.where(temperature <= 7000, low, high)
-    y = -3 * x**2 + 2.870 * x - 0.275
-    divisor = 0.0241 + 0.2562 * x - 0.7341 * y
-    m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / divisor
-    m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / divisor
+    cool = temperature <= 7000
+
+    def above(x_0: float) -> Scalar:
+        """x - x_0, of CIE's polynomials in 1 / T for either half of the range."""
+        low = (0.244063 - x_0) + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
+        high = (0.237040 - x_0) + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
+        return jnp.where(cool, low, high)
+
+    def factored(polynomial: tuple[float, float, float]) -> Scalar:
+        first, second = _roots(polynomial)
+        return polynomial[2] * (above(first) * above(second))
+
+    m1, m2 = (factored(part) / factored(_DAYLIGHT[0]) for part in _DAYLIGHT[1:])
     return basis[:, 0] + m1 * basis[:, 1] + m2 * basis[:, 2]

@@ -11,6 +11,7 @@ from jaxvision import accuracy, effects
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
+    "jaxvision.interrupts",
     "jaxvision.io",
     "jaxvision.plots.inline",
     "jaxvision.plots.inspection",

@@ -31,7 +31,7 @@ FLOORS = [
     {"rendering"},
     {"matting", "transport", "development"},
     {"effects"},
-    {"shot", "scene_checks"},
+    {"shot", "scene_checks", "interrupts"},
     {"_shipped"},
     {"io", "toml_files", "command_line", "tasks"},
     {"record_files"},
@@ -40,6 +40,7 @@ FLOORS = [
     {"render_command"},
     {"accuracy"},
     {"cli"},
+    {"__main__"},
 ]
 PHYSICS = set.union(*FLOORS[2:16])
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
@@ -52,6 +53,7 @@ FITTING_FLOORS = [
     {"folders"},
     {"study", "commands"},
     {"cli"},
+    {"__main__"},
 ]
 NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}
 NEVER_ON_IMPORT = [

@@ -25,7 +25,12 @@ def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
     return _log_ndtr(z)
 
 
-_log_ndtr = jax.jit(special.log_ndtr)  # one program, and one trace for each shape
+@jax.jit  # one program, and one trace for each shape
+def _log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Above the mean from the small probability beyond, which JAX's own rounds to eps."""
+    above = z > 1
+    below = special.log_ndtr(jnp.where(above, -z, z))
+    return jnp.where(above, jnp.log1p(-jnp.exp(jnp.where(above, below, -1))), below)
 
 
 @log_ndtr.defjvp

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..interrupts import is_handled, raised_interrupts
 from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms
@@ -87,11 +88,13 @@ def curve(
         found = Reference(None, 0.0, how), np.asarray(given, np.float64)
     stopped = ""
     try:
-        _look(session)
-        if found is None:
-            found = random_reference(session) if turned.random else paired_reference(session)
-        _take_turns(session, seeds)
+        with raised_interrupts():
+            _look(session)
+            if found is None:
+                found = random_reference(session) if turned.random else paired_reference(session)
+            _take_turns(session, seeds)
     except KeyboardInterrupt:
+        is_handled()
         stopped = "interrupted"
     run = [s for s in turned.settings if s in session.points and session.points[s].results]
     if not run:

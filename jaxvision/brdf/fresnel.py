@@ -173,5 +173,8 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
     """
-    rest = 1 - jnp.clip(cos_theta, 0, 1)
-    return f0 + (1 - f0) * (jnp.square(jnp.square(rest)) * rest)
+    c = jnp.clip(cos_theta, 0, 1)
+    rest = 1 - c
+    lost = (1 - rest) - c  # by the rounding of the difference, whose fifth power has it five times
+    fourth = jnp.square(jnp.square(rest))
+    return f0 + (1 - f0) * (fourth * (rest + 5 * lost))

@@ -29,7 +29,7 @@ def rgb_to_ycbcr(
         ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
             codes.
     """
-    matrix, zero = _ycbcr(standard, levels, bits)
+    matrix, _, zero = _ycbcr(standard, levels, bits)
     centred = by_constant(rgb, matrix)
     return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
 
@@ -53,21 +53,25 @@ def ycbcr_to_rgb(
         ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
             codes.
     """
-    matrix, zero = _ycbcr(standard, levels, bits)
+    _, inverse, zero = _ycbcr(standard, levels, bits)
     ycbcr = checked(ycbcr)
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
-    return by_constant(centred, np.linalg.inv(matrix))
+    return by_constant(centred, inverse)
 
 
-def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix from R'G'B' and the offset added to its result."""
+def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The matrix from R'G'B', its inverse, and the offset added to its result."""
     check_choice("levels", levels, ("full", "legal"))
     check_count("bits", bits, 8)
     luma = np.asarray(luma_weights(standard))
     red, _, blue = np.eye(3)
-    rows = [luma, (blue - luma) / (2 - 2 * luma[2]), (red - luma) / (2 - 2 * luma[0])]
+    of_blue, of_red = 2 - 2 * luma[2], 2 - 2 * luma[0]
+    matrix = np.stack([luma, (blue - luma) / of_blue, (red - luma) / of_red])
+    # solved by hand: what a solver leaves of a 0 would be all there is of a dark primary
+    green = -np.array([of_blue * luma[2], of_red * luma[0]]) / luma[1]
+    inverse = np.array([[1, 0, of_red], [1, *green], [1, of_blue, 0]])
     if levels == "full":
-        return np.stack(rows), np.zeros(3)
+        return matrix, inverse, np.zeros(3)
     step = 2 ** (bits - 8) / (2**bits - 1)
     scale = np.array([219, 224, 224]) * step
-    return scale[:, None] * np.stack(rows), np.array([16, 128, 128]) * step
+    return scale[:, None] * matrix, inverse / scale, np.array([16, 128, 128]) * step

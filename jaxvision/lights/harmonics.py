@@ -29,7 +29,7 @@ def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
     """
     d = as_vec(direction)
     x, y, z = d.x, d.y, d.z
-    c0, c1, c2 = 0.5 / np.sqrt(np.pi), np.sqrt(0.75 / np.pi), np.sqrt(3.75 / np.pi)
+    c0, c1, c2 = (float(np.sqrt(share / np.pi)) for share in (0.25, 0.75, 3.75))
     return jnp.stack(
         [
             jnp.full_like(x, c0),
@@ -38,7 +38,7 @@ def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
             c1 * x,
             c2 * x * y,
             c2 * y * z,
-            c2 / np.sqrt(12) * (3 * z * z - 1),
+            c2 / 12**0.5 * (3 * z * z - 1),
             c2 * x * z,
             c2 / 2 * (x * x - y * y),
         ]

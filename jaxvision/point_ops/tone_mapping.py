@@ -85,11 +85,12 @@ def filmic(x: Scalars) -> Scalars:
     """
     positive = jnp.maximum(as_relative(x), 0)
     # both sides over x^2 where x is large, so that nothing overflows
-    small = jnp.minimum(positive, 1)
-    large = 1 / jnp.maximum(positive, 1)
+    dark = positive < 1
+    small = jnp.where(dark, positive, 1)
+    large = 1 / jnp.where(dark, 1, positive)
     low = small * (2.51 * small + 0.03) / (small * (2.43 * small + 0.59) + 0.14)
     high = (2.51 + 0.03 * large) / (2.43 + large * (0.59 + 0.14 * large))
-    return jnp.minimum(jnp.where(positive < 1, low, high), 1)
+    return jnp.minimum(jnp.where(dark, low, high), 1)
 
 
 @takes_numbers

@@ -25,6 +25,7 @@ from jaxtyping import Float
 from ..colour_spaces import luminance
 from ..effects import Pruned, explain
 from ..errors import InputError
+from ..interrupts import say_if_interrupted
 from ..io import check_writable, write_exr, write_image
 from ..point_ops import srgb_encode
 from ..scene import View
@@ -79,6 +80,8 @@ def render_to_file(
     unfinished = out.with_name(out.name + ".partial")
     _check_room(out, unfinished, source)
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
+    interrupted = f"{out}: interrupted; the same command goes on from there."
+    say_if_interrupted(interrupted)
     try:
         with whole(source, settings, pruned, unfinished, fresh, advance) as rows:
             write_exr(
@@ -91,9 +94,7 @@ def render_to_file(
             if preview is not None:
                 write_image(preview, _display(rows, source))
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"{out}: interrupted; the same command goes on from there."
-        ) from None
+        raise KeyboardInterrupt(interrupted) from None
 
 
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:

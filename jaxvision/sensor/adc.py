@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from .._arguments import takes_numbers
 from .._numerics import with_gradient_of
+from .._powers import exp2
 from .._types import Key, Scalar, Scalars, Spectrum, check_range
 from ..scene import Sensor
 from .fixed_pattern import column_gains
@@ -72,4 +73,4 @@ def largest_number(bits: Scalar) -> Scalar:
     Returns:
         () DN.
     """
-    return jnp.round(jnp.exp2(bits)) - 1
+    return jnp.round(exp2(bits)) - 1

@@ -171,11 +171,12 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
     mean, variance = moments
     noisy = ~(variance <= 0)
     sigma = jnp.sqrt(jnp.where(noisy, variance, 1))
+    # at an end the slopes of the mean's side, here and in `_outside`, whose sum is the true one
     clipped = mean
     if low is not None:
-        clipped = jnp.maximum(clipped, low)
+        clipped = jnp.where(clipped < low, low, clipped)
     if high is not None:
-        clipped = jnp.minimum(clipped, high)
+        clipped = jnp.where(clipped > high, high, clipped)
     if low is None or high is None:
         moved, spread = _at_one_end(mean, sigma, clipped, low=low, high=high)
     else:
@@ -194,7 +195,7 @@ def _at_one_end(
     else:
         return mean, sigma * sigma
     inside = _inside(mean, sigma, end, sign)
-    moved = clipped + sign * sigma * tail_mean(-jnp.abs(inside))
+    moved = clipped + sign * sigma * tail_mean(_outside(inside))
     return moved, sigma * sigma * tail_variance(inside)
 
 
@@ -209,7 +210,7 @@ def _at_both_ends(
     series, as here everything would cancel.
     """
     p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
-    moved = clipped + sigma * (tail_mean(-jnp.abs(p)) - tail_mean(-jnp.abs(q)))
+    moved = clipped + sigma * (tail_mean(_outside(p)) - tail_mean(_outside(q)))
     near, far = jnp.minimum(p, q), jnp.maximum(p, q)
     lost = tail_mean(-far)
     both = tail_square(-far) + (near + far) * lost - tail_mean(near) * lost
@@ -233,6 +234,11 @@ def _inside(mean: Scalars, sigma: Scalars, end: Scalar, sign: int) -> Scalars:
     """How far inside an end the mean lies, in standard deviations; `sign` 1 for the low end."""
     clips = ~jnp.isinf(end)
     return jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
+
+
+def _outside(inside: Scalars) -> Scalars:
+    """-|inside|, in standard deviations."""
+    return jnp.where(inside < 0, inside, -inside)
 
 
 def _charge(sensor: Sensor, irradiance: Light) -> Moments:

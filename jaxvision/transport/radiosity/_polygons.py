@@ -21,12 +21,12 @@ Value = TypeVar("Value", Vec, Scalar)
 FAR = 5.0
 
 
-def is_far(point: Vec, corners: Polygon) -> Bool[Array, ""]:
-    """Whether the polygon, corners in m, is more than `FAR` times its size away from the point."""
+def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, ""]:
+    """Whether the polygon, corners in m, is more than `reach` of its sizes away from the point."""
     a, b, c, d = (corner - point for corner in corners)
     four, one, other = a + b + c + d, c - a, d - b
     square = jnp.maximum(dot(one, one), dot(other, other)) / 2
-    return dot(four, four) > (4 * FAR) ** 2 * square
+    return dot(four, four) > (4 * reach) ** 2 * square
 
 
 def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:

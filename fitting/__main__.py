@@ -1,0 +1,14 @@
+"""The `jaxvision-fit` command, `python -m fitting`: an interrupt ends it while it imports, too."""
+
+from importlib import import_module
+
+from jaxvision.interrupts import ending_on_interrupt
+
+
+def main() -> None:
+    """Entry point."""
+    ending_on_interrupt("jaxvision-fit", lambda: import_module("fitting.cli").start())
+
+
+if __name__ == "__main__":
+    main()

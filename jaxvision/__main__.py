@@ -1,0 +1,14 @@
+"""The `jaxvision` command, `python -m jaxvision`: an interrupt ends it while it imports, too."""
+
+from importlib import import_module
+
+from .interrupts import ending_on_interrupt
+
+
+def main() -> None:
+    """Entry point."""
+    ending_on_interrupt("jaxvision", lambda: import_module("jaxvision.cli").start())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""An interrupt ends a command at once, whatever it is doing, with one line and status 130.
+
+Python's own way is to raise `KeyboardInterrupt` wherever it happens to be: not before XLA has
+compiled or computed, which may take minutes; in a callback, where it is lost; or while a compiled
+library is imported, which may crash the process, as may its end while XLA's threads still work. So
+a thread beside the command sees the signal, prints the line and ends the process. What a command
+writes is complete at every moment, as it must be for `kill -9`, and the same command goes on from
+there. Only where a command asks for it, to keep what it has measured, is the exception raised.
+
+Nothing here is slow to import: a command comes here before it imports anything else.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+MOMENT = 1.0  # s after which a command that has not noticed yet the exception it asked for says so
+INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
+
+
+class _Ending:
+    """How an interrupt of this process ends.
+
+    Attributes:
+        sentence: what to say.
+        unfinished: files to remove.
+        seen: set by the signal.
+        said: set when the sentence is on its way to standard error.
+        raised: set where the exception is wanted.
+        handled: set by who has caught it and ends by itself.
+    """
+
+    def __init__(self) -> None:
+        self.sentence = "interrupted."
+        self.unfinished: set[Path] = set()
+        self.seen, self.said, self.raised, self.handled = (threading.Event() for _ in range(4))
+
+
+_ending = _Ending()
+
+
+def say_if_interrupted(sentence: str) -> None:
+    """Sets the line that an interrupt prints from now on.
+
+    Args:
+        sentence: after the command's name and a colon.
+    """
+    _ending.sentence = sentence
+
+
+def is_said() -> None:
+    """Tells that the command itself says how it ended."""
+    _ending.said.set()
+
+
+def is_handled() -> None:
+    """Tells that the command has caught the exception, keeps what it has, and ends by itself; a
+    second interrupt ends it at once."""
+    _ending.handled.set()
+
+
+@contextmanager
+def raised_interrupts() -> Iterator[None]:
+    """Context in which an interrupt raises `KeyboardInterrupt`, for those who catch it.
+
+    Returns:
+        A context manager.
+    """
+    _ending.raised.set()
+    try:
+        yield
+    finally:
+        _ending.raised.clear()
+
+
+@contextmanager
+def removed_if_interrupted(file: Path) -> Iterator[None]:
+    """Context at whose end a file is complete or gone; an interrupt removes it.
+
+    Args:
+        file: that is being written.
+
+    Returns:
+        A context manager.
+    """
+    _ending.unfinished.add(file)
+    try:
+        yield
+    finally:
+        _ending.unfinished.discard(file)
+
+
+def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
+    """Does a command's work; an interrupt meanwhile ends the process.
+
+    Args:
+        command: its name, the beginning of the line.
+        work: what it does, the imports included.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(command, reader), daemon=True).start()
+    signal.signal(signal.SIGINT, _raise_where_wanted)
+    try:
+        work()
+    except KeyboardInterrupt:
+        _ending.seen.set()
+    except SystemExit:
+        if not _ending.seen.is_set():
+            raise
+    if _ending.seen.is_set():
+        _leave(command)
+
+
+def _raise_where_wanted(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    _ending.seen.set()  # which the thread may do later
+    if _ending.raised.is_set():
+        raise KeyboardInterrupt
+
+
+def _watch(command: str, reader: int) -> None:
+    """Ends the process at a signal; where the exception is raised, at a second one."""
+    _wait_for_interrupt(reader)
+    _ending.seen.set()
+    if _ending.raised.is_set():
+        again = threading.Event()
+
+        def listen() -> None:
+            _wait_for_interrupt(reader)
+            again.set()
+
+        threading.Thread(target=listen, daemon=True).start()
+        if not again.wait(MOMENT) and not _ending.handled.is_set():
+            wait = "interrupted; ends with what runs now, at once if interrupted again."
+            print(f"{command}: {wait}", file=sys.stderr)
+        again.wait()
+    _leave(command)
+
+
+def _wait_for_interrupt(reader: int) -> None:
+    while os.read(reader, 1)[0] != signal.SIGINT:
+        pass
+
+
+def _leave(command: str) -> None:
+    """Ends the process without tearing down what threads still use."""
+    if not _ending.said.is_set():
+        _ending.said.set()
+        print(f"{command}: {_ending.sentence}", file=sys.stderr)
+    for file in tuple(_ending.unfinished):
+        file.unlink(missing_ok=True)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(INTERRUPTED)

@@ -1,0 +1,546 @@
+"""Public functions that have no row in the table: what they are, and the tests that check them.
+
+Where the numbers matter every function is named; of files, words, figures and commands a pattern
+names a module.
+"""
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+
+from public_names import functions
+
+import fitting
+import jaxvision
+
+FILES = "read, check or write files and tables: numbers are stored, not computed"
+WORDS = "words, tables and pages made of results"
+FIGURES = "figures made of results"
+COMMANDS = "commands, and simulations that run other functions"
+CLOCK = "errors and times of other functions, measured where they run"
+BOUNDS = "bounds in float64, checked against pictures with and without each effect"
+CHOICES = "selects, arranges or decides; its numbers are whole, or those that went in"
+TABLES = "tables in float64, checked against SciPy, NumPy or closed forms"
+DRAWS = "draws, checked by their distribution; their parts stand in the table"
+SOLVERS = "iterates to a tolerance of its own, checked against known optima and posteriors"
+STATISTICS = "statistics in float64, checked against simulations, closed forms and other packages"
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Functions of one kind.
+
+    Attributes:
+        kind: why they have no row.
+        tests: files in `tests/`, without their ending, that check them.
+        names: one a line: `module: function function`, or a pattern.
+    """
+
+    kind: str
+    tests: str
+    names: str
+
+    @property
+    def rooms(self) -> str:
+        """The modules, or what several share."""
+        found = sorted({name.rpartition(".")[0] for name in covered_names(self)})
+        depth = {name: 2 if name.startswith("fitting") else 1 for name in found}
+        heads = sorted({".".join(name.split(".")[: depth[name]]) for name in found})
+        return ", ".join(f"`{head}`" for head in heads)
+
+
+@cache
+def _public() -> dict[str, None]:
+    names = [*functions(jaxvision), *functions(fitting)]
+    return dict.fromkeys(sorted(name.removeprefix("jaxvision.") for name in names))
+
+
+def _named(group: Elsewhere) -> list[str]:
+    """The functions that fit a group; `ValueError` for a name that fits none."""
+    found: list[str] = []
+    for line in filter(None, map(str.strip, group.names.split("\n"))):
+        module, colon, names = line.partition(": ")
+        for pattern in [f"{module}.{name}" for name in names.split()] if colon else [line]:
+            known = [pattern] if pattern in _public() else []
+            fit = known or [name for name in _public() if fnmatchcase(name, pattern)]
+            if not fit:
+                raise ValueError(f"no public function is called {pattern}")
+            found += fit
+    return list(dict.fromkeys(found))
+
+
+@cache
+def _by_group() -> dict[Elsewhere, tuple[str, ...]]:
+    """A function belongs to the first group that names it."""
+    taken: set[str] = set()
+    groups = {}
+    for group in ELSEWHERE:
+        groups[group] = tuple(name for name in _named(group) if name not in taken)
+        taken |= set(groups[group])
+    return groups
+
+
+def covered_names(group: Elsewhere) -> tuple[str, ...]:
+    """The functions of a group."""
+    return _by_group()[group]
+
+
+ELSEWHERE = (
+    Elsewhere(
+        FILES,
+        "test_camera_files test_record_files",
+        """
+            camera_files.*
+            material_files.*
+            record_files.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_io test_lights_environment",
+        """
+            io.*
+            lights.environment_tables.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_mesh_files",
+        """
+            mesh_files.*
+            geometry.checks.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_measured_files",
+        """
+            measured_files.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_scene_files",
+        """
+            scene_files.*
+            toml_files.*
+            scene_checks.*
+            errors.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_rig test_from_memory",
+        """
+            fitting.rig.*
+            fitting.observation.*
+            fitting.photographs.*
+            *.from_memory.*
+            fitting.reflectance.paths.*
+            fitting.reflectance.names.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_photon_transfer test_joint test_response test_reflectance",
+        """
+            fitting.*.read.*
+            fitting.noise.levels_table.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_fitted_material test_record_files",
+        """
+            fitting.reflectance.material.*
+            fitting.noise.sensor.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
+        "test_colour_spaces test_spectra",
+        """
+            colour_data.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_study",
+        """
+            fitting.study.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_cli test_tasks",
+        """
+            fitting.folders.*
+            tasks.*
+        """,
+    ),
+    Elsewhere(
+        WORDS,
+        "test_report",
+        """
+            fitting.*.findings.*
+            fitting.*.section.*
+            fitting.report.*
+            fitting.checks.section.*
+            fitting.fits.words.*
+            fitting.demo.section.*
+            fitting.fits.section.*
+        """,
+    ),
+    Elsewhere(
+        WORDS,
+        "test_accuracy test_accuracy_several",
+        """
+            accuracy.pages.*
+            accuracy.console.*
+            accuracy.tables.*
+        """,
+    ),
+    Elsewhere(
+        FIGURES,
+        "test_report test_inspect",
+        """
+            fitting.*.figures.*
+            plots.*
+            accuracy.plots.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_cli test_render_command",
+        """
+            command_line.*
+            interrupts.*
+            render_command.*
+            fitting.commands.*
+            memory.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_programs",
+        """
+            programs.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_lab test_seeds",
+        """
+            fitting.demo.compare.*
+            fitting.demo.lab.*
+        """,
+    ),
+    Elsewhere(
+        COMMANDS,
+        "test_checks",
+        """
+            fitting.checks.command.*
+            fitting.checks.coverage.*
+            fitting.checks.noise.*
+            fitting.checks.problem.*
+            fitting.checks.reflectance.*
+            fitting.checks.response.*
+            fitting.checks.simulations.*
+        """,
+    ),
+    Elsewhere(
+        CLOCK,
+        "test_accuracy test_accuracy_knobs test_accuracy_several",
+        """
+            accuracy.*
+        """,
+    ),
+    Elsewhere(
+        CLOCK,
+        "test_fit_accuracy",
+        """
+            fitting.accuracy.*
+        """,
+    ),
+    Elsewhere(
+        BOUNDS,
+        "test_effects test_effects_sensor test_effects_optics test_effects_bodies",
+        """
+            effects.*
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_sensor_light",
+        """
+            sensor.shutter: exposed
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_own_kinds test_lights",
+        """
+            brdf._registry: is_body is_delta register register_delta
+            brdf._specular: one_way
+            lights._registry: can_be_seen register register_extended
+            lights._samples: lights_by_rule rule_for rule_of_each rules_of split_by_rule
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_colour_filters test_padding",
+        """
+            colour_filters: as_pattern bayer check_pattern sites
+            padding: as_planes check_border check_picture ghosts
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_rendering test_transport_paths",
+        """
+            rendering.direct: direct_along sorted_scene
+            rendering.pixel_loop: each in_blocks mean_of_samples numbers_of photograph
+            shading: lighting reflected_radiance
+            shadows: clear
+            transport.paths: path_along
+            transport.radiosity.gather: radiosity_along radiosity_rays
+            transport.ray_tree: ray_tree_along
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_geometry_shapes",
+        """
+            geometry._bounds: ball_around
+            geometry._places: has_area
+            geometry._size: offset_length reach_of
+            geometry.box: box_hit
+            geometry.flat: disc_hit plane_hit quad_hit
+            geometry.nearest: blocked
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_radiosity",
+        """
+            transport.radiosity._trapped: trapping_surface
+            transport.radiosity.patches: plan_patches
+            transport.radiosity.solve: shoot
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_types",
+        """
+            _types: as_dtype
+        """,
+    ),
+    Elsewhere(
+        TABLES,
+        "test_hemisphere test_accuracy_knobs",
+        """
+            _quadrature: gauss_legendre
+            hemisphere: product_nodes
+            lights._nodes: square_nodes
+            lights.orders: order_for
+        """,
+    ),
+    Elsewhere(
+        TABLES,
+        "test_filters_named test_filters_varying",
+        """
+            filters.kernels: binomial_kernel blur_sigmas box_kernel derivative_kernels gaussian_size
+            filters.kernels: laplacian_kernel
+            filters.matrix: filter_matrix per_pixel_matrix
+            filters.scipy_operators: scipy_matrix scipy_operator
+        """,
+    ),
+    Elsewhere(
+        DRAWS,
+        "test_sensor_noise test_random",
+        """
+            sensor.raw: collect
+        """,
+    ),
+    Elsewhere(
+        DRAWS,
+        "test_transport_light test_transport_paths test_hemisphere",
+        """
+            hemisphere_integral: lit_radiance
+            lights.incidence: irradiance
+            transport.light_paths: light_traced
+            transport.paths: path_radiance path_sample path_traced path_traced_pixels
+            transport.radiosity.gather: radiosity_image
+            transport.radiosity.solution: radiosity
+            transport.ray_tree: ray_traced ray_tree_radiances
+        """,
+    ),
+    Elsewhere(
+        SOLVERS,
+        "test_matting",
+        """
+            matting.foreground: estimate_foreground
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
+        "test_integral",
+        """
+            filters.integral: integral_image
+        """,
+    ),
+    Elsewhere(
+        SOLVERS,
+        "test_posterior test_nuts test_convergence test_importance",
+        """
+            fitting.inference.blocks: begun length next_length stacked store
+            fitting.inference.convergence: autocorrelation_times effective_draws split_r_hat
+            fitting.inference.emcee_run: enough_walkers for_group run_ensemble
+            fitting.inference.fingerprint: fingerprint
+            fitting.inference.importance: gaussian_miss laplace_where_it_holds
+            fitting.inference.nuts: nuts require_blackjax
+            fitting.inference.posterior: convergence_in_words estimates evaluate_density laplace
+            fitting.inference.posterior: laplace_or_emcee sample
+        """,
+    ),
+    Elsewhere(
+        SOLVERS,
+        "test_solvers test_search test_varpro test_fit",
+        """
+            fitting.inference.bounded: minimise_in_box
+            fitting.inference.least_squares: minimise_residuals
+            fitting.inference.newton: minimise
+            fitting.inference.search: given_start negative_log_density search spread_starts start_at
+            fitting.inference.separable: first_knots fit_amplitudes fit_separable
+            fitting.inference.separable: non_negative_amplitudes
+        """,
+    ),
+    Elsewhere(
+        SOLVERS,
+        "test_problem test_plan_and_budget test_called_for",
+        """
+            fitting.fits.budget: budget
+            fitting.fits.called_for: called_for
+            fitting.fits.information: expected_information slope_of with_inputs
+            fitting.fits.plan: in_words plan
+            fitting.fits.solve: fit
+            fitting.fits.widening: predicted_at residuals_at widening without_shared
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_likelihoods test_parameters test_problem test_clustering test_diagnostics",
+        """
+            fitting.inference.clustering: cluster_robust curvature_stretch
+            fitting.inference.design: ranked
+            fitting.inference.diagnostics: identifiability listed
+            fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
+            fitting.inference.estimates: sampled_estimate
+            fitting.inference.likelihoods: is_concrete names_within require_positive
+            fitting.inference.likelihoods: with_noise_scaled with_values
+            fitting.inference.misfit: judge
+            fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
+            fitting.inference.parameters: scaled_ends to_natural to_unconstrained
+            fitting.inference.priors: support
+            fitting.inference.problem: give least_squares_residuals likelihood_at log_density
+            fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
+            fitting.inference.problem: values_at values_from
+            fitting.inference.records: head is_path reach read replaced
+            fitting.inference.statement: argument_names as_arrays check_names finite_data placed
+            fitting.inference.statement: placed_like
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_noise test_emva1288 test_photon_transfer test_noise_shared",
+        """
+            fitting.noise.calibration: calibrate sheet_estimate
+            fitting.noise.choice: choose_model dark_scatter
+            fitting.noise.emva1288: derived_figures evaluate linearity_deviation linearity_errors
+            fitting.noise.emva1288: ranges sheet statistics
+            fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet needed_window
+            fitting.noise.fit: noise_data shared_lines start_vector window_of
+            fitting.noise.levels: linear_levels rounding_step saturation_index
+            fitting.noise.model: compressed cost expected_electrons level_moments log_density
+            fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
+            fitting.noise.model: scatter_prior
+            fitting.noise.pattern: fitted_pattern pattern_variance population_variance
+            fitting.noise.pattern: standard_pattern
+            fitting.noise.quantised: quantised_moments window_for
+            fitting.noise.regressions: chi_square line line_misfit surprise through_origin
+            fitting.noise.sampling: sampling_errors
+            fitting.noise.shared: drift fixed_lines shared_variance temporal_lines
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_response_curve test_response_gamma test_response",
+        """
+            fitting.response.calibration: calibrate radiance_images
+            fitting.response.code_bins: code_bins interval_variance
+            fitting.response.code_pairs: pair_statistics total
+            fitting.response.curve: fit_response_curve slope_error
+            fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
+            fitting.response.pilot: fit_noise fit_pilot on_bins rising
+            fitting.response.pixel_noise: noise_variance
+            fitting.response.places: clear_of_clipping layout_of steepness_classes tiles_of
+            fitting.response.radiance_map: merge
+            fitting.response.repeats: over_exposures over_tiles widened
+            fitting.response.solve: at_centres inverse roughness shutter_basis solve spread_of_times
+            fitting.response.weights: cells_of hat_rule noise_rule observe weighted_mean
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_joint test_joint_nuts test_joint_left_out test_stated_errors",
+        """
+            fitting.joint.calibration: calibrate is_determined
+            fitting.joint.cells: cell_width local_geometry make_grid pixels_at reduce_images
+            fitting.joint.fit: fit_channel image_errors predicted_cells
+            fitting.joint.freedom: degrees_of_freedom laplace_miss
+            fitting.joint.left_out: small widest without
+            fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
+            fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted signal
+            fitting.joint.model: stored values_at weights
+            fitting.joint.prediction: predict score
+            fitting.joint.start: first_noise first_reflectance parameters scatter_scales
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_brdf_fit test_comparison test_fitted_material",
+        """
+            fitting.reflectance.from_files.calibration: amplitudes calibrate log_density
+            fitting.reflectance.from_files.calibration: parameter_space
+            fitting.reflectance.from_files.errors: best distinguished errors prediction_of_held_out
+            fitting.reflectance.from_files.errors: weight_by_incidence
+            fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
+            fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
+            fitting.reflectance.models: shape_of shape_range unit_brdf unit_shading
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_reflectance test_reflectance_plan test_spread test_stated_errors test_comparison",
+        """
+            fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
+            fitting.reflectance.from_images.comparison: compare comparison_table difference
+            fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
+            fitting.reflectance.from_images.comparison: squares_by_light verdict
+            fitting.reflectance.from_images.fit: fit_channel predicted_image project
+            fitting.reflectance.from_images.fit: robust_covariance
+            fitting.reflectance.from_images.geometry_cells: average group saturated_only
+            fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope
+            fitting.reflectance.from_images.model: linear_signal lobe log_likelihoods
+            fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
+            fitting.reflectance.from_images.model: predicted_dn residuals scores_and_slopes
+            fitting.reflectance.from_images.plan: added_information plan plan_section
+            fitting.reflectance.from_images.posterior: channel_posterior composite
+            fitting.reflectance.from_images.posterior: composite_log_density
+            fitting.reflectance.from_images.samples: lobe_geometry make_samples select
+            fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
+            fitting.reflectance.from_images.spread: sensor_spread variance
+            fitting.reflectance.from_images.stated: stated_errors with_stated_errors
+        """,
+    ),
+)

@@ -1,0 +1,122 @@
+"""What the registry holds of one function, and how its arguments are drawn."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers drawn between two ends.
+
+    Attributes:
+        low, high: the ends, of which the sign counts where `log`.
+        log: uniform in the logarithm of the size.
+        signed: of either sign.
+    """
+
+    low: float
+    high: float
+    log: bool = True
+    signed: bool = False
+
+    def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        u = rng.uniform(size=n)
+        if not self.log:
+            return self.low + (self.high - self.low) * u
+        size = np.exp(np.log(self.low) + np.log(self.high / self.low) * u)
+        return size * rng.choice([-1.0, 1.0], size=n) if self.signed else size
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Vectors of independent components."""
+
+    of: Range
+    count: int = 3
+
+    def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        return np.stack([self.of.draw(rng, n) for _ in range(self.count)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Unit vectors, rounded where they are used; `above`: of positive z, half of them uniform in
+    its logarithm; `least`: of z from there on."""
+
+    above: bool = False
+    least: float = 0.0
+
+    def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        if not self.above and not self.least:
+            v = rng.normal(size=(n, 3))
+            return v / np.linalg.norm(v, axis=-1, keepdims=True)
+        flat = rng.uniform(self.least, 1, size=n)
+        grazing = (rng.uniform(size=n) < 0.5) & self.above
+        z = np.where(grazing, Range(1e-3, 1).draw(rng, n), flat)
+        turn, sine = rng.uniform(0, 2 * np.pi, size=n), np.sqrt(1 - z * z)
+        return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """Whole numbers from `low` to `high`."""
+
+    low: int
+    high: int
+
+    def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        return rng.integers(self.low, self.high + 1, size=n).astype(float)
+
+
+FRACTION = Range(0, 1, log=False)
+RELATIVE = Range(1e-6, 1.0)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row of the table: a function beside an oracle.
+
+    Attributes:
+        name: of the public function, below `jaxvision` (or `fitting`, with that word before it).
+        call: of ONE point's arrays, to one array or a tuple of them.
+        oracle: `oracle(m, *arguments)` of many points, to as many arrays as there are `parts`.
+        domain: how each argument is drawn: `Range`, `Columns`, `Unit`.
+        hard: arguments at which a naive formula breaks.
+        bound: units in the last place that float32 and float64 may be off.
+        form: what distinguishes the row from others of the function.
+        parts: what the results are called.
+        conditioned: in units of the last place times 1 + sum |x df/dx| / |f|, because the result
+            is a difference, or an exponential, of what was rounded; `note` says which.
+        gradient: the error that a slope in float32 may have, relative; None for none.
+        turn: of a part called "hue": `turn(m)`, which makes no difference.
+        of_digits: the oracle needs functions that only mpmath has; fewer points are drawn.
+        precisions: in which it is measured.
+        note: what a reader should know.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    oracle: Callable[..., Any]
+    domain: tuple[Any, ...]
+    hard: tuple[tuple[Any, ...], ...] = ()
+    bound: float = 4.0
+    form: str = ""
+    parts: tuple[str, ...] = ("",)
+    conditioned: bool = False
+    gradient: float | None = 1e-5
+    turn: Callable[..., Any] | None = None
+    of_digits: bool = False
+    precisions: tuple[str, ...] = ("float32", "float64")
+    note: str = ""
+
+    @property
+    def title(self) -> str:
+        return f"{self.name} ({self.form})" if self.form else self.name
+
+    @property
+    def is_curve(self) -> bool:
+        """Whether it is a function of one variable."""
+        return len(self.domain) == 1 and isinstance(self.domain[0], Range) and not self.of_digits

@@ -1,0 +1,192 @@
+"""The table of floating-point errors of every public function, as a page for `docs/`.
+
+    python tests/stability/table.py [--out docs/errors.md] [--only WORD] [--kept DIR]
+
+Each function of `registry/` that has an oracle is measured in float32 and float64: over its hard
+cases, and over points drawn from its domain (1e6 in float32 for a function of one variable, 1e5 for
+several, 300 where the oracle needs mpmath; a fifth of that in float64); 60 digits look at the
+worst again. Compositions are measured in float32 against themselves in float64. About nine minutes
+of one core; `--compositions` adds those that take seconds to compile. `--kept` holds what has been
+measured, so that a killed run goes on, with a checksum of all results, which must not depend on the
+number of threads.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+import zlib
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+
+os.environ.setdefault("JAX_ENABLE_X64", "1")
+sys.path.append(str(Path(__file__).parents[1]))
+
+import registry
+from measure import CURVE, SEVERAL, SLOW, Row, measured
+from registry.composed import COMPOSED
+from registry.elsewhere import ELSEWHERE, covered_names
+from registry.entry import Entry
+from test_api import LONG
+from widened import calls, widened
+
+HEAD = """# Floating-point errors, function by function
+
+Written by `python tests/stability/table.py`. The error of a result is in units of the last place
+(ULP): the distance of neighbouring numbers of its precision at the true value, 2^-23 and 2^-52 of
+it at most. Each oracle is written from the definition, apart from the library
+(`tests/stability/registry/`), in 64 binary digits or 60 decimal ones, for the very numbers that the
+function is given. Points: hard cases, and {curve:,} drawn from the domain in
+float32 for a function of one variable, {several:,} for several ({slow} where the oracle needs
+mpmath). A result below the smallest normal number may be 0.
+
+- *worst*, *mean*: ULP, in float32 and float64. Rows marked † are over 1 + Σ |x ∂f/∂x| / |f|: there
+  the result is a difference, or an exponential, of rounded numbers, and no formula does better.
+- *slope*: the largest relative error of a derivative over the hard cases, float32 and float64
+  (relative to the largest slope by the same argument, or to a hundredth of f / x).
+- *jit*, *one*: the largest ULP between compiled and eager, and between `vmap` and a loop, float32.
+- *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true one
+  is finite: {non_finite} of {points:,} points; slopes: {endless}.
+
+## Beside an oracle
+
+| function | float32 worst | mean | float64 worst | mean | slope | jit | one | bound | |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+"""
+SECOND = """
+## Compositions
+
+Float32 against the same function in float64 on the example of `tests/examples/`, whose formula
+other tests check: ULP of the largest number of the result, and of each number itself.
+
+| function | of the largest | of each | bound |
+| --- | --- | --- | --- |
+"""
+THIRD = """
+## Elsewhere
+
+Functions without a floating-point result of their own, draws, and solvers that stop at a stated
+tolerance: what they are, how many, and the tests that check them.
+
+| functions | | tests |
+| --- | --- | --- |
+"""
+
+
+def number(x):
+    return "–" if x != x else "0" if x == 0 else f"{x:.2g}" if x < 100 else f"{x:.0f}"
+
+
+def line(title, rows):
+    by = {row.dtype: row for row in rows}
+    one = rows[0]
+    narrow, wide = by.get("float32"), by.get("float64")
+    cells = [title + (" †" if one.entry.conditioned else "")]
+    for row in (narrow, wide):
+        cells += ["–", "–"] if row is None else [number(row.worst), number(row.mean)]
+    slopes = [f"{row.gradient:.0e}" if row.gradient == row.gradient else "–" for row in rows]
+    cells.append(" / ".join(slopes) if one.entry.gradient is not None else "–")
+    cells += [number(one.compiled), number(one.one_by_one), number(one.entry.bound)]
+    return "| " + " | ".join([*cells, one.entry.note]) + " |"
+
+
+class Kept:
+    """Results by name, in a folder or for this run alone.
+
+    Attributes:
+        folder: of one file a name; None to keep nothing.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def of(self, name: str, measure):
+        """What was kept under a name, else what `measure()` gives, lists of plain numbers."""
+        file = None if self.folder is None else self.folder / f"{zlib.crc32(name.encode())}.json"
+        if file is not None and file.exists():
+            return json.loads(file.read_text())
+        found = measure()
+        print(f"{time.process_time():6.1f} s  {name}", file=sys.stderr, flush=True)
+        if file is not None:
+            part = file.with_suffix(".part")
+            part.write_text(json.dumps(found))
+            part.replace(file)
+        return found
+
+
+def numbers_of(entry: Entry, dtype: str) -> list[dict]:
+    """The rows of a function in one precision, without the function."""
+    rows = measured(entry, dtype, eager=dtype == entry.precisions[0])
+    names = [field.name for field in fields(Row) if field.name != "entry"]
+    return [{name: getattr(row, name) for name in names} for row in rows]
+
+
+def all_rows(only: str, kept: Kept) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for entry in registry.every_entry():
+        for dtype in entry.precisions if only in entry.title else ():
+            numbers = kept.of(f"{entry.title} {dtype}", partial(numbers_of, entry, dtype))
+            for row in (Row(entry=entry, **known) for known in numbers):
+                found.setdefault(f"`{entry.title}` {row.part}".strip(), []).append(row)
+    return found
+
+
+def page(rows, composed):
+    every = [row for several in rows.values() for row in several]
+    wrong = [row for row in every if not row.holds]
+    outside = f"{len(wrong)} rows lie outside." if wrong else "no row lies outside."
+    text = HEAD.format(
+        curve=CURVE,
+        several=SEVERAL,
+        slow=SLOW,
+        outside=outside,
+        non_finite=sum(row.non_finite for row in every),
+        points=sum(row.points for row in every),
+        endless=sum(row.endless_slopes for row in every),
+    )
+    text += "\n".join(line(title, several) for title, several in rows.items()) + "\n"
+    text += SECOND
+    text += "".join(
+        f"| `{name}` | {number(largest)} | {number(each)} | {number(COMPOSED[name])} |\n"
+        for name, (largest, each, _) in composed.items()
+    )
+    text += THIRD
+    for group in ELSEWHERE:
+        count, tests = len(covered_names(group)), ", ".join(f"`{t}`" for t in group.tests.split())
+        text += f"| {count} of {group.rooms} | {group.kind} | {tests} |\n"
+    return text
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--compositions", action="store_true")
+    parser.add_argument("--kept", type=Path)
+    asked = parser.parse_args(arguments)
+    kept = Kept(asked.kept)
+    rows = all_rows(asked.only, kept)
+    composed = {}
+    for name, call in calls().items():
+        wanted = name in COMPOSED and asked.only in name
+        if wanted and (asked.compositions or name not in LONG):
+            composed[name] = kept.of(f"composed {name}", partial(widened, name, call))
+    text = page(rows, composed)
+    if asked.out:
+        asked.out.write_text(text)
+    else:
+        print(text)
+    wrong = [row for several in rows.values() for row in several if not row.holds]
+    for row in wrong:
+        print(f"outside its bound: {row.entry.title} {row.part} {row.dtype}", file=sys.stderr)
+    for name, (largest, _, kept) in composed.items():
+        if largest > COMPOSED[name] or not kept:
+            print(f"outside its bound: {name} {largest:.3g} ULP, float32: {kept}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""An interrupt ends a command at once, with one line and status 130, and tears no file."""
+
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+HEAD = """
+import signal, sys, time
+from pathlib import Path
+from jaxvision.interrupts import (
+    ending_on_interrupt, is_handled, raised_interrupts, removed_if_interrupted, say_if_interrupted
+)
+def ready():
+    print("ready", flush=True)
+"""
+
+
+def interrupted(work, *arguments, times=1):
+    """(status, standard output, standard error, seconds from the first signal to the end)."""
+    script = f"{HEAD}\ndef work():\n{work}\nending_on_interrupt('name', work)"
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    process.stdout.readline()  # ready
+    time.sleep(0.1)
+    begun = time.monotonic()
+    for _ in range(times):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.2 if times > 1 else 0)
+    out, error = process.communicate(timeout=60)
+    return process.returncode, out, error, time.monotonic() - begun
+
+
+def test_what_never_returns_to_python_ends_with_one_line():
+    work = "    import ctypes; ready()\n    ctypes.CDLL(None).sleep(30)"
+    status, _, error, seconds = interrupted(work)
+    assert (status, error) == (130, "name: interrupted.\n")
+    assert seconds < 20  # not those 30
+
+
+def test_a_file_that_is_being_written_is_removed_and_the_line_says_how_to_go_on(tmp_path):
+    file, kept = tmp_path / "half", tmp_path / "kept"
+    work = """
+    half, kept = map(Path, sys.argv[1:])
+    kept.write_text("all")
+    say_if_interrupted("stopped; go on.")
+    with removed_if_interrupted(half):
+        half.write_text("ha")
+        ready()
+        time.sleep(30)
+"""
+    status, _, error, _ = interrupted(work, file, kept)
+    assert (status, error) == (130, "name: stopped; go on.\n")
+    assert not file.exists()
+    assert kept.exists()
+
+
+def test_who_asks_for_the_exception_keeps_what_there_is():
+    work = """
+    try:
+        with raised_interrupts():
+            ready()
+            time.sleep(30)
+    except KeyboardInterrupt:
+        is_handled()
+        print("what there is")
+"""
+    status, out, _, _ = interrupted(work)
+    assert (status, out) == (130, "what there is\n")
+
+
+def test_a_second_interrupt_ends_also_who_asked():
+    work = """
+    with raised_interrupts():
+        ready()
+        while True:
+            try:
+                time.sleep(30)
+            except KeyboardInterrupt:
+                pass
+"""
+    status, _, error, seconds = interrupted(work, times=2)
+    assert (status, error) == (130, "name: interrupted.\n")
+    assert seconds < 20
+
+
+def test_without_an_interrupt_nothing_changes():
+    script = f"{HEAD}\nending_on_interrupt('name', lambda: sys.exit(3))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (3, b"")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", range(20))
+def test_a_render_ends_at_any_moment(tmp_path, moment):
+    """Among imports, tracing, compilation, computation and writing."""
+    delay = random.Random(moment).uniform(0.5, 12)
+    words = ["render", "cornell_box", "--out", str(tmp_path / "box.exr"), "--samples", "1"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "jaxvision", *words], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        process.wait(delay)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=10)
+        assert process.returncode == 130
+        assert error.count("\n") == 1
+        assert "interrupted" in error
+        assert not list(tmp_path.glob(".partial-*"))
