@@ -301,6 +301,9 @@ def effects(
             help="Also by estimates, which are no proof: probe what long paths add.",
         ),
     ] = False,
+    timed: Annotated[
+        bool, typer.Option("--time", help="Measure what each takes of a picture's time.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Say what each effect of a scene and a camera can change in the picture, at most."""
@@ -316,12 +319,14 @@ def effects(
     goal = None
     if tolerance:
         goal = parse(tolerance, place=place)
+        if timed:
+            raise InputError("--time lists all effects as they are; leave --tolerance out.")
     source = read_scene(file)
     bands: Any = source.wavelengths
     sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
     if goal is None:
-        found = inspected(source, source.render, **asked)
+        found = inspected(source, source.render, time=timed, **asked)
         print(json.dumps([_told(e) for e in found], indent=2) if as_json else listed(found))
         return
     pruned = pruned_for(source, source.render, goal, **asked)

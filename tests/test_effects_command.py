@@ -43,6 +43,17 @@ def test_effects_are_listed(scene):
     assert found["shadows[0]"]["rank"] == "exact"
 
 
+def test_what_each_takes_is_measured(scene):
+    """A program for each effect but those that stay: what is absent, what has no lesser one."""
+    status, said, _ = run("effects", scene, "--json", "--time")
+    found = {effect["name"]: effect["seconds"] for effect in json.loads(said)}
+    assert status == 0
+    assert isinstance(found["lights[1]"], float)
+    assert found["ambient"] is None
+    status, said, _ = run("effects", scene, "--tolerance", "1%", "--time")
+    assert status == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -2,7 +2,8 @@
 
     certificate   the records: effects, tolerances, and what was dropped with its bound
     stages        how a stage of the camera plugs in
-    pruning       `inspect` and `prune`; `choice` decides, `boxes` reads what a fit may change
+    pruning       `inspect` and `prune`; `choice` decides, `boxes` reads what a fit may change,
+                  `seconds` measures what each effect takes
     radiance      the rows of a scene: lights, shadows, lobes, emission, ambient light; `extent`,
                   `bounces` and `spectra` those of area lights, of paths and of bands; `probes`
                   estimates what long paths add

@@ -111,6 +111,8 @@ class Effect:
             measured; 0 where it goes with another effect.
         free: whether a fit may change it, so that it is never dropped.
         rare: expected number of pixels that it changes by any amount.
+        seconds: s of a picture that go with it, as `inspect(..., time=True)` measured them on this
+            machine; None: not measured.
     """
 
     name: str
@@ -123,6 +125,7 @@ class Effect:
     saves: float = 0.0
     free: bool = False
     rare: float = 0.0
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ class Choice:
             return False
         if rows[0].ladder == "bands" and not self._take_bands(draft):
             return False
-        if _bands_of(draft) != _bands_of(self.draft):
+        if bands_of(draft) != bands_of(self.draft):
             return False
         self.draft, self.total, self.estimated = draft, proved, estimated
         self.place, self.rare = place, rare
@@ -222,7 +222,7 @@ def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
     return word in f"{words} transmission quantum_efficiency infrared_cut wavelength".split()
 
 
-def _bands_of(draft: Draft) -> int:
+def bands_of(draft: Draft) -> int:
     """How many bands the picture has by what is left: neutral mirrors alone do not say."""
     counts = [1]
     for surface in draft.surfaces:

@@ -18,6 +18,7 @@ from .development import development_stage
 from .moments import scene_rows
 from .motion import motion_stage
 from .optics import optics_stage
+from .seconds import seconds_of
 from .sensor import sensor_stage
 from .stages import QUICKLY, Draft, Ends, Row
 
@@ -74,6 +75,7 @@ def inspect(
     moments: int = 8,
     depth: int | None = None,
     estimates: bool = False,
+    time: bool = False,
 ) -> tuple[Effect, ...]:
     """Every effect of a scene and a camera, and the most that it does to the picture.
 
@@ -88,6 +90,9 @@ def inspect(
         depth: pieces of the longest path that is followed, as `transport.Paths` counts them; None:
             direct light, as `render` shows it.
         estimates: whether what long paths add is also estimated, by a small picture.
+        time: whether the seconds of a picture that go with each effect are measured, too: with it
+            and without, in turns, at no more than 256 pixels along each side. Each compiles a
+            program of its own.
 
     Returns:
         One `Effect` each, its bound in the unit of its stage: W m^-2 sr^-1 of a scene, W m^-2 of a
@@ -119,15 +124,33 @@ def inspect(
         whole=isinstance(camera, Camera),
         estimates=estimates,
     )
-    named = frozenset(free or ())
+    named, taken = frozenset(free or ()), [None] * len(chain.rows)
+    whole = isinstance(camera, Camera)
+    if time:
+        start = _start(scene, _camera_of(camera), samples, motion, moments, depth)
+        taken = seconds_of(chain.rows, start, scene, whole=whole)
     return tuple(
         replace(
             row.effect,
             saves=row.saves,
             free=any(concerns(name, row.effect.name) for name in named),
+            seconds=seconds,
         )
-        for row in chain.rows
+        for row, seconds in zip(chain.rows, taken, strict=True)
     )
+
+
+def _start(
+    scene: Scene,
+    camera: Camera,
+    samples: PixelSamples | None,
+    motion: Any,
+    moments: int,
+    depth: Any,
+) -> Draft:
+    """All of it."""
+    everything = scene.surfaces, scene.lights, frozenset[int](), scene.ambient, camera
+    return Draft(*everything, samples, motion, moments, depth)
 
 
 def prune(
@@ -194,17 +217,7 @@ def prune(
             raise InputError(f"the level of a relative tolerance must be above 0, got {level:g}.")
     else:
         level = None
-    start = Draft(
-        scene.surfaces,
-        scene.lights,
-        frozenset(),
-        scene.ambient,
-        own,
-        samples,
-        motion,
-        moments,
-        depth,
-    )
+    start = _start(scene, own, samples, motion, moments, depth)
     while True:
         choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
         choice.decide()

@@ -59,6 +59,7 @@ def inspected(
     camera: Camera | None = None,
     free: Box | None = None,
     estimates: bool = False,
+    time: bool = False,
 ) -> tuple[Effect, ...]:
     """The effects of a scene file.
 
@@ -68,13 +69,16 @@ def inspected(
         camera: whose sensor stands behind the scene's view, or None.
         free: as in `effects.inspect`, in the unit of each field.
         estimates: whether long paths are probed, too.
+        time: whether the seconds that go with each are measured; of direct light and of paths.
 
     Returns:
         One `Effect` each.
     """
+    if time and settings.integrator not in ("direct", "path"):
+        raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
-    asked = _asked(settings)
-    return effects.inspect(source.scene, seen, free=free, estimates=estimates, **asked)
+    asked = _asked(settings) | {"free": free, "estimates": estimates, "time": time}
+    return effects.inspect(source.scene, seen, **asked)
 
 
 def pruned_for(
@@ -146,14 +150,19 @@ def box_of(free: Sequence[str]) -> Box:
 
 
 def listed(found: Iterable[Effect]) -> str:
-    """Effects as lines of text, each bound in its own unit, places in pixels."""
-    rows = [("effect", "bound", "", "pixels", "saves", "rank", "why")]
+    """Effects as lines of text, each bound in its own unit, places in pixels, what was measured of
+    their time in ms."""
+    found = list(found)
+    timed = any(effect.seconds is not None for effect in found)
+    rows = [("effect", "bound", "", "pixels", "ms" if timed else "saves", "rank", "why")]
     for effect in found:
         none = math.isinf(effect.bound)
         bound, unit = ("none", "") if none else (f"{effect.bound:.3g}", effect.unit)
         why = effect.why if effect.present else "absent"
-        numbers = f"{effect.place:.2g}", f"{100 * effect.saves:.0f} %"
-        rows.append((effect.name, bound, unit, *numbers, effect.rank, why))
+        taken = f"{100 * effect.saves:.0f} %"
+        if timed:
+            taken = "" if effect.seconds is None else f"{1e3 * effect.seconds:.2f}"
+        rows.append((effect.name, bound, unit, f"{effect.place:.2g}", taken, effect.rank, why))
     widths = [max(len(row[i]) for row in rows) for i in range(6)]
     return "\n".join(
         "  ".join([*(c.ljust(w) for c, w in zip(row[:6], widths, strict=True)), row[6]]).rstrip()

@@ -1,0 +1,181 @@
+"""Seconds of a picture that go with each effect, measured: with it and without, in turns.
+
+A picture is four programs, each of its own records: the scene as rays see it, the lens, the sensor
+and the development. Leaving an effect out changes the records of some of them; the difference of
+what they take is what goes with it. Programs of the same records and sizes are compiled and run
+once for all effects. s.
+"""
+
+import time
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..development import develop
+from ..optics import sensor_irradiance
+from ..rendering import PixelSamples, render
+from ..scene import Scene, View
+from ..sensor import raw_image
+from ..transport import Paths, path_traced
+from .choice import bands_of, finished
+from .spectra import with_bands
+from .stages import Draft, Row
+
+_SIDE = 256  # pixels along the longer side of what is measured
+_TURNS = 5
+_LONGEST = 20.0  # s of turns, after which no other one begins
+
+
+class _Part(NamedTuple):
+    """One program of a picture: what tells it from others, a call, and how often a picture calls
+    it."""
+
+    kind: Hashable
+    run: Callable[[], Any]
+    times: int
+
+
+def seconds_of(
+    rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool
+) -> list[float | None]:
+    """What a picture takes less without each effect.
+
+    Args:
+        rows: of all effects.
+        start: what nothing has been left out of.
+        scene: the same.
+        whole: whether a sensor and a development follow the lens.
+
+    Returns:
+        s for each row, below 0 where the picture takes longer without; None where nothing can be
+        left out on its own. Effects that go together share what they save.
+    """
+    view = start.camera.view
+    scale = max(max(view.resolution) / _SIDE, 1.0)
+    small = view.resolution
+    if scale > 1:  # even, for mosaics
+        small = tuple(max(2 * round(n / scale / 2), 2) for n in small)
+    coarse = replace(view, resolution=small, pixel_pitch=view.pixel_pitch * scale)
+    start = replace(start, camera=replace(start.camera, view=coarse))
+    parties = [_party(row, rows) for row in rows]
+    drafts = [_without(party, start) for party in parties]
+    calls = _Calls(scene, start, whole=whole)
+    full = calls.parts(start)
+    found = [None if draft is None else calls.parts(draft) for draft in drafts]
+    taken = _in_turns({part.kind: part.run for parts in (full, *found) for part in parts or ()})
+    pixels = np.prod(view.resolution) / np.prod(small)
+
+    def seconds(parts: Sequence[_Part]) -> float:
+        return sum(part.times * taken[part.kind] for part in parts) * float(pixels)
+
+    return [
+        None if parts is None else (seconds(full) - seconds(parts)) / len(party)
+        for parts, party in zip(found, parties, strict=True)
+    ]
+
+
+def _party(row: Row, rows: Sequence[Row]) -> list[Row]:
+    return [own for own in rows if own.together == row.together] if row.together else [row]
+
+
+def _without(party: Sequence[Row], start: Draft) -> Draft | None:
+    draft = start
+    for row in party:
+        if row.drop is None or row.needs or not row.effect.present:
+            return None
+        draft = row.drop(draft)
+    return draft if bands_of(draft) == bands_of(start) else None
+
+
+class _Calls:
+    """The programs of drafts, on the light of the whole picture."""
+
+    def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
+        self.scene, self.whole = scene, whole
+        rows, columns = start.camera.view.resolution
+        light = jnp.ones((rows, columns, bands_of(start)), start.camera.view.pixel_pitch.dtype)
+        self.radiance = light
+        if whole:
+            self.irradiance = _lens(start.camera.view, light)
+            self.raw = _sensor(start.camera.sensor, self.irradiance)
+
+    def parts(self, draft: Draft) -> list[_Part]:
+        camera, sensor = draft.camera, draft.camera.sensor
+        left = finished(self.scene, draft)
+        if draft.bands is not None:
+            kept, expand = draft.bands
+            left = with_bands(left, kept, len(expand))
+        aperture = sensor.pixel_aperture
+        fine = 1 if aperture is None else aperture.oversampling**2
+        moments = 1 if draft.motion is None else draft.moments or 1
+        samples = draft.samples
+        rays = 1 if samples is None else samples.count
+        samples = None if samples is None else replace(samples, count=1)
+        seen = left, camera.view, samples
+        found = [
+            _part("scene", _picture, seen, fine * moments * rays, depth=draft.depth),
+            _part("lens", _lens, (camera.view, self.radiance), fine * moments),
+        ]
+        if self.whole:
+            found.append(_part("sensor", _sensor, (sensor, self.irradiance)))
+        if self.whole and camera.development is not None:
+            found.append(_part("development", _developed, (self.raw, camera.development)))
+        return found
+
+
+def _part(
+    name: str, function: Callable[..., Any], records: tuple, times: int = 1, **static: Any
+) -> _Part:
+    leaves, tree = jax.tree.flatten(records)
+    kind = name, tree, *map(np.shape, leaves), *static.items()
+    return _Part(kind, lambda: function(*records, **static), times)
+
+
+def _in_turns(runs: dict[Hashable, Callable[[], Any]]) -> dict[Hashable, float]:
+    """s, the median of each; the first calls, which compile, do not count."""
+    found: dict[Hashable, list[float]] = {kind: [] for kind in runs}
+    for run in runs.values():
+        jax.block_until_ready(run())
+    start = time.perf_counter()
+    for turn in range(_TURNS):
+        if turn and time.perf_counter() - start > _LONGEST:
+            break
+        for kind, run in runs.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(run())
+            found[kind].append(time.perf_counter() - begin)
+    return {kind: float(np.median(seconds)) for kind, seconds in found.items()}
+
+
+@jax.jit
+def _direct(scene: Scene, view: View, samples: PixelSamples | None) -> jax.Array:
+    return render(scene, view, samples=samples)
+
+
+def _paths(scene: Scene, view: View, depth: int) -> jax.Array:
+    return path_traced(jax.random.key(0), scene, view, method=Paths(1, depth)).radiance
+
+
+_traced = jax.jit(_paths, static_argnames="depth")
+
+
+def _picture(
+    scene: Scene, view: View, samples: PixelSamples | None, *, depth: int | None
+) -> jax.Array:
+    if depth is None:
+        return _direct(scene, view, samples)
+    return _traced(scene, view, depth=depth)
+
+
+_lens = jax.jit(sensor_irradiance)
+_developed = jax.jit(develop)
+
+
+@jax.jit
+def _sensor(sensor: Any, irradiance: jax.Array) -> jax.Array:
+    frame, die = jax.random.split(jax.random.key(0))
+    return raw_image(frame, sensor, irradiance, die_key=die)
