@@ -179,6 +179,13 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(
+        STATISTICS,
+        "test_photometric_stereo",
+        """
+            fitting.reflectance.stereo: photometric_stereo
+        """,
+    ),
+    Elsewhere(
         WORDS,
         "test_report",
         """
