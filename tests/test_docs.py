@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 from page_blocks import blocks, run
 from public_names import defined
@@ -83,7 +84,8 @@ def test_the_gallery_is_no_smaller_than_promised_and_light():
 @pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_pictures_are_drawn(script, tmp_path):
-    drawn = module("draw_gallery").draw(script, tmp_path)
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as a user
+        drawn = module("draw_gallery").draw(script, tmp_path)
     assert drawn.stat().st_size > 0.5 * script.with_suffix(".png").stat().st_size
 
 
