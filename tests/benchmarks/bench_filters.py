@@ -3,13 +3,10 @@
     pytest tests/benchmarks/bench_filters.py -m benchmark -s
 
 All in one process, taking turns, warmed up, compile time apart, results shown equal. OpenCV and
-XLA share the same cores. Large pictures page-fault on every call with the default allocator; run
-again with MALLOC_TOP_PAD_, MALLOC_TRIM_THRESHOLD_ and MALLOC_MMAP_THRESHOLD_ set to 1000000000 for
-the tuned figure.
+XLA share the same cores.
 """
 
 import os
-import time
 import warnings
 from collections.abc import Callable
 
@@ -18,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
+from turns import in_turns
 
 from jaxvision import filters
 
@@ -27,35 +25,16 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]
 
 
-def interleaved(
-    rivals: dict[str, Callable[[], object]], budget: float = 6.0
-) -> dict[str, tuple[float, float]]:
-    """(median ms, ms of the first call) of each, the rounds taking turns in random order."""
-    first, once = {}, {}
-    for name, run in rivals.items():
-        for seconds in (first, once):
-            start = time.perf_counter()
-            run()
-            seconds[name] = time.perf_counter() - start
-    rounds = int(np.clip(budget / sum(once.values()), 5, 60))
-    taken: dict[str, list[float]] = {name: [] for name in rivals}
-    rng = np.random.default_rng(0)
-    for _ in range(rounds):
-        for name in rng.permutation(list(rivals)):
-            start = time.perf_counter()
-            rivals[name]()
-            taken[name].append(time.perf_counter() - start)
-    return {name: (1e3 * float(np.median(t)), 1e3 * first[name]) for name, t in taken.items()}
-
-
-def table(title: str, figures: dict[str, tuple[float, float]]) -> None:
-    ours, first = figures["jaxvision"]
+def table(title: str, rivals: dict[str, Callable[[], object]], *, rounds: int = 31) -> None:
+    first, seconds = in_turns(rivals, rounds=rounds, title=title)
+    ours = seconds["jaxvision"]
     others = "  ".join(
-        f"{name} {ms:8.2f} ms (ours / it {ours / ms:5.2f})"
-        for name, (ms, _) in figures.items()
+        f"{name} {1e3 * taken:8.2f} ms (ours / it {ours / taken:5.2f})"
+        for name, taken in seconds.items()
         if name != "jaxvision"
     )
-    print(f"{title:34s} jaxvision {ours:8.2f} ms, first {first:6.0f} ms   {others}")
+    took = f"jaxvision {1e3 * ours:8.2f} ms, first {first['jaxvision']:5.2f} s"
+    print(f"{title:34s} {took}   {others}")
 
 
 def picture(rows: int, columns: int, bands: int = 3) -> np.ndarray:
@@ -90,14 +69,14 @@ def test_separable(shape, size):
         )
         same.append("scipy")
     agree(rivals, same)
-    table(f"separable {shape} k {size}", interleaved(rivals))
+    table(f"separable {shape} k {size}", rivals)
     if shape == (512, 512):
         kornia, t = _kornia(f)
         pair = {
             "jaxvision": rivals["jaxvision"],
             "kornia": lambda: kornia.filters.gaussian_blur2d(t, (size, size), (sigma, sigma)),
         }
-        table(f"separable {shape} k {size}", interleaved(pair))
+        table(f"separable {shape} k {size}", pair)
 
 
 def _kornia(f):
@@ -123,7 +102,7 @@ def test_non_separable(size):
     if size <= 7:
         rivals["scipy"] = lambda: ndimage.correlate(f, k[:, :, None], mode="reflect")
     agree(rivals, ["opencv"])
-    table(f"non-separable 512 k {size}", interleaved(rivals))
+    table(f"non-separable 512 k {size}", rivals)
 
 
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 11, 13, 15, 17, 21, 31])
@@ -136,7 +115,7 @@ def test_methods(size):
     rivals = {"jaxvision": wait(filters.correlate, x, k)}
     rivals |= {m: wait(filters.correlate, x, k, method=m) for m in ("direct", "fft")}
     rivals["separable, rank 1"] = wait(filters.correlate, x, rank_one, method="separable")
-    table(f"methods 512 k {size}", interleaved(rivals, 3.0))
+    table(f"methods 512 k {size}", rivals)
 
 
 @pytest.mark.parametrize("size", [7, 15, 31])
@@ -160,7 +139,7 @@ def test_gradient(size):
     other = jax.jit(jax.grad(lambda f: (plain(f) ** 2).sum()))
     rivals = {"jaxvision": wait(ours, x), "plain autodiff": wait(other, x)}
     agree(rivals, ["plain autodiff"], 1e-5)
-    table(f"gradient 512 k {size}", interleaved(rivals))
+    table(f"gradient 512 k {size}", rivals)
 
 
 @pytest.mark.parametrize("members", [8, 16])
@@ -191,7 +170,7 @@ def test_shift_variant(members):
     agree(rivals, ["opencv bank"])
     truth = np.asarray(rivals["exact radial"]())
     error = np.abs(np.asarray(rivals["jaxvision"]()) - truth).max()
-    table(f"varying Gaussian, {members}: error {error:.1e}", interleaved(rivals))
+    table(f"varying Gaussian, {members}: error {error:.1e}", rivals)
 
 
 def test_small_call():
@@ -203,4 +182,4 @@ def test_small_call():
         "gaussian": wait(filters.gaussian, x, 1.0),
         "uint8": wait(filters.correlate, (255 * f).astype(np.uint8), k),
     }
-    table("16 x 16, one call", interleaved(rivals, 0.1))
+    table("16 x 16, one call", rivals)

@@ -44,7 +44,7 @@ def test_against_opencv_and_scikit_image(side):
         apart = np.abs(np.asarray(mine(), int) - np.asarray(theirs(), int)).max()
         jax.clear_caches()
         rivals = {"ours": mine, "peer": theirs}
-        first, seconds = in_turns(rivals, rounds=ROUNDS)
+        first, seconds = in_turns(rivals, rounds=ROUNDS, title=name)
         fast, peer = seconds["ours"], seconds["peer"]
         print(
             f"{name:16s} {1e3 * fast:8.3f} ms {1e3 * peer:6.3f} ms {fast / peer:6.2f} "

@@ -4,13 +4,13 @@ epsilon and confidence: time, and error against the true matte.
     pytest tests/benchmarks/bench_matting.py -m benchmark -s
 """
 
-import time
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from turns import in_turns
 
 from jaxvision.matting import closed_form_matte, estimate_foreground
 
@@ -33,20 +33,9 @@ def scene(side: int) -> tuple[np.ndarray, ...]:
     return seen, trimap, alpha
 
 
-def timed(run: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    jax.block_until_ready(run())
-    return time.perf_counter() - start
-
-
 def table(rivals: dict[str, Callable[[], object]], note: Callable[[str], str]) -> dict[str, float]:
-    """Median seconds of each, the rounds taking turns; the first call is printed apart."""
-    first = {name: timed(run) for name, run in rivals.items()}
-    warm = {name: [] for name in rivals}
-    for _ in range(ROUNDS):
-        for name, run in rivals.items():
-            warm[name].append(timed(run))
-    seconds = {name: float(np.median(taken)) for name, taken in warm.items()}
+    """Median seconds of each; the first call is printed apart."""
+    first, seconds = in_turns(rivals, rounds=ROUNDS)
     for name, s in seconds.items():
         print(
             f"  {name:12s} {1e3 * s:8.1f} ms   {s / seconds['pymatting']:5.2f} of pymatting   "

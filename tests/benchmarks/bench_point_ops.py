@@ -46,7 +46,7 @@ def report(
     first = np.asarray(next(iter(rivals.values()))())
     for name, run in rivals.items():
         np.testing.assert_allclose(np.asarray(run()), first, atol=tolerance, err_msg=name)
-    _, seconds = in_turns(rivals, rounds=ROUNDS)
+    _, seconds = in_turns(rivals, rounds=ROUNDS, title=title)
     best = min(s for name, s in seconds.items() if not name.startswith("ours"))
     for name, s in seconds.items():
         print(f"  {title:24s} {name:12s} {1e3 * s:8.2f} ms   {s / best:5.2f} of the best peer")

@@ -1,28 +1,50 @@
-"""Rivals timed in turns, so that what else the machine does meets all of them alike."""
+"""Rivals timed in turns, so that what else the machine does meets all of them alike. Freed memory
+is kept for the next large array, of all rivals, as the commands do.
+"""
 
+import json
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import numpy as np
 
+from jaxvision import keep_memory
+
 _SETTLED = 0.05  # s: by then the last rival's threads, which spin while they wait, are asleep
+KEPT = "JAXVISION_BENCHMARKS"  # names the file to which every measurement is added
+
+keep_memory()
 
 
 def in_turns(
-    rivals: dict[str, Callable[[], object]], *, rounds: int
+    rivals: dict[str, Callable[[], object]],
+    *,
+    rounds: int,
+    title: str = "",
+    settled: float = _SETTLED,
+    errors: dict[str, float] | None = None,
 ) -> tuple[dict[str, float], dict[str, float]]:
     """(seconds of the first call, median seconds of the later ones) of each. A rival's turn begins
-    with calls that do not count, until it has the cores and the cache to itself."""
+    with calls that do not count, for `settled` seconds, until it has the cores and the cache to
+    itself. `title` tells several comparisons of one test apart; `errors`, where they fall as one by
+    the square root of the time, say what times are to be compared at."""
     first, seconds = {}, {name: [] for name in rivals}
     for name, run in rivals.items():
         first[name] = _seconds(run)
     for _ in range(rounds):
         for name, run in rivals.items():
             begin = time.perf_counter()
-            while time.perf_counter() - begin < _SETTLED:
+            while time.perf_counter() - begin < settled:
                 _seconds(run)
             seconds[name].append(_seconds(run))
+    if KEPT in os.environ:
+        test = os.environ["PYTEST_CURRENT_TEST"].rpartition("/")[2].removesuffix(" (call)")
+        kept = {"test": test, "title": title, "seconds": seconds, "errors": errors}
+        with Path(os.environ[KEPT]).open("a") as file:
+            file.write(json.dumps(kept) + "\n")
     return first, {name: float(np.median(taken)) for name, taken in seconds.items()}
 
 

@@ -1,0 +1,185 @@
+"""What a user waits for, beside a peer that does the same: runs the benchmarks of the rows below, a
+process each, and writes `docs/speed.md`.
+
+    python tests/benchmarks/speed.py [--only WORD] [--kept FILE] [--out docs/speed.md]
+
+Killed, it goes on with the rows that `--kept` lacks; delete the file to measure anew. The whole
+takes about a quarter of an hour on two cores. Peers come with `pip install '.[bench]'`; Mitsuba
+needs `DRJIT_LIBLLVM_PATH`. A row whose peer is not there says so.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+from turns import KEPT
+
+from jaxvision.accuracy.scene_settings import machine
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+PEERS = ("mitsuba", "opencv-python-headless", "numpy", "pymatting")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparison.
+
+    Attributes:
+        about: what is done.
+        test: of which benchmark.
+        ours, peer: names of the rivals there; peer None: nobody does the same.
+        title: tells several comparisons of that test apart.
+    """
+
+    about: str
+    test: str
+    ours: str
+    peer: str | None
+    title: str = ""
+
+
+def _rows() -> list[Row]:
+    first, path = "bench_first_picture.py::test_first_picture", "bench_path_tracing.py"
+    box = "Cornell box, 256 x 256, 64 paths a pixel"
+    rows = [
+        Row(f"{box}: new process, nothing kept", first, "ours, first", "Mitsuba, first"),
+        Row(f"{box}: new process, second time", first, "ours, again", "Mitsuba, again"),
+    ]
+    for package, command in (("jaxvision", "jaxvision"), ("fitting", "jaxvision-fit")):
+        test = f"bench_first_picture.py::test_help_and_a_wrong_path[{package}]"
+        rows.append(Row(f"`{command} --help`", test, "help", None))
+        rows.append(Row(f"`{command}`, a wrong path", test, "a wrong path", None))
+    for rival in ("lights", "balance"):
+        test, about = f"{path}::test_cornell_box", f"{box}: warm, equal error, {rival}"
+        rows.append(Row(about, test, f"ours, {rival}", "Mitsuba path"))
+    direct = "bench_direct_light.py::test_the_{}_beside_mitsuba"
+    for shadows in (True, False):
+        test = direct.format("sum_over_three_points") + f"[{shadows}]"
+        about = f"direct light, 512 x 512, {'with' if shadows else 'without'} shadows"
+        rows.append(Row(about, test, "jaxvision", "Mitsuba"))
+    test = direct.format("gradient_in_the_reflectance")
+    rows.append(Row("its gradient in the reflectances", test, "jaxvision", "Mitsuba"))
+    for subdivisions in (3, 5, 6):
+        test = f"bench_mesh.py::test_mesh_rays_beside_mitsuba[{subdivisions}]"
+        about = f"rays on a mesh of {20 * 4**subdivisions:,} triangles"
+        rows.append(Row(about, test, "jaxvision", "Mitsuba"))
+    for number, side in enumerate((512, 2048)):
+        for size in (7, 15):
+            test = f"bench_filters.py::test_separable[shape{number}-{size}]"
+            title = f"separable {(side, side)} k {size}"
+            about = f"separable filter, {side} x {side} x 3, {size} taps"
+            rows.append(Row(about, test, "jaxvision", "opencv", title))
+    for size in (7, 15):
+        test = f"bench_filters.py::test_non_separable[{size}]"
+        about = f"filter of {size} x {size} taps, 512 x 512 x 3"
+        rows.append(Row(about, test, "jaxvision", "opencv", f"non-separable 512 k {size}"))
+    for side in (512, 2048):
+        test = f"bench_histogram.py::test_against_opencv_and_scikit_image[{side}]"
+        for title in ("histogram", "equalise", "CLAHE 8 x 8"):
+            rows.append(Row(f"{title}, {side} x {side}, 8 bits", test, "ours", "peer", title))
+    chain = "bench_point_ops.py::test_chain_of_exposure_matrix_gain_gamma"
+    for number, side in enumerate((512, 2048)):
+        about, title = f"five point operators, {side} x {side} x 3", f"chain {side}x{side}"
+        test = f"{chain}[size{number}]"
+        rows.append(Row(f"{about}, exact", test, "ours, power", "opencv", title))
+        rows.append(Row(f"{about}, fast power", test, "ours, exp2", "opencv", title))
+        test = f"bench_point_ops.py::test_single_operators[size{number}]"
+        for name, peer in (("gain, bias", "opencv"), ("blend", "opencv"), ("over", "numpy")):
+            about, title = f"{name}, {side} x {side}", f"{name} {side}x{side}"
+            rows.append(Row(about, test, "ours", peer, title))
+    for number, size in ((1, "2048 x 2048"), (2, "12 MP")):
+        test = f"bench_develop.py::test_demosaicing[size{number}]"
+        peer = "opencv, bilinear, 16 bit"
+        rows.append(Row(f"bilinear demosaicing, {size}", test, "ours, bilinear", peer))
+    response = "bench_response.py::test_against_opencv"
+    rows.append(
+        Row("response curve of all pixels; peer: Debevec of 300", response, "ours", "debevec")
+    )
+    matting = "bench_matting.py::test_closed_form[512]"
+    rows.append(Row("closed-form matting, 512 x 512", matting, "float32", "pymatting"))
+    return rows
+
+
+def measured(kept: Path) -> dict[tuple[str, str], dict]:
+    """What the file holds, by test and title; of a test measured twice the last."""
+    lines = kept.read_text().splitlines() if kept.is_file() else []
+    return {(found["test"], found["title"]): found for found in map(json.loads, lines)}
+
+
+def times_as_fast(row: Row, found: dict) -> np.ndarray:
+    """Of each round, at equal error where errors are known."""
+    ours, peer = (np.asarray(found["seconds"][name]) for name in (row.ours, row.peer))
+    errors = found["errors"] or dict.fromkeys((row.ours, row.peer), 1.0)
+    return peer / ours * (errors[row.peer] / errors[row.ours]) ** 2
+
+
+def cells(row: Row, found: dict | None) -> tuple[str, ...]:
+    if found is None:
+        return row.about, "not run", "", ""
+    ours = _duration(found["seconds"][row.ours])
+    if row.peer is None:
+        return row.about, ours, "", ""
+    low, middle, high = np.quantile(times_as_fast(row, found), (0.25, 0.5, 0.75))
+    times = f"{middle:.2g} ({low:.2g} to {high:.2g})"
+    return row.about, ours, _duration(found["seconds"][row.peer]), times
+
+
+def _duration(seconds: list[float]) -> str:
+    middle = float(np.median(seconds))
+    return f"{middle:.2g} s" if middle >= 1 else f"{1e3 * middle:.3g} ms"
+
+
+def page(rows: list[Row], found: dict[tuple[str, str], dict]) -> str:
+    table = [("what", "jaxvision", "peer", "times as fast (interquartile range)"), ("---",) * 4]
+    table += [cells(row, found.get((row.test, row.title))) for row in rows]
+    lines = "\n".join(f"| {' | '.join(row)} |" for row in table)
+    installed = ", ".join(f"{name} {_version(name)}" for name in PEERS)
+    return f"""# Speed, beside peers
+
+Medians of calls that take turns, in one process a row; above 1, jaxvision is the faster one. Read
+ratios, not milliseconds: both share the machine with whatever else it did. Warm but for whole
+processes, float32, results compared in the same tests. Freed memory is kept, for the peers too
+(`jaxvision.keep_memory`). The peer is Mitsuba 3 (`llvm_ad_rgb`) for what is rendered, OpenCV or
+NumPy for pictures, pymatting for mattes.
+
+{lines}
+
+{machine()}; {installed}. Made by `python tests/benchmarks/speed.py`.
+"""
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", default="", help="rows whose benchmark holds this word")
+    parser.add_argument("--kept", type=Path, default=ROOT / ".pytest_cache" / "speed.jsonl")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "speed.md")
+    given = parser.parse_args()
+    rows = _rows()
+    kept = given.kept.resolve()
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    missing = [row.test for row in rows if (row.test, row.title) not in measured(kept)]
+    for test in dict.fromkeys(missing):
+        if given.only in test:
+            print(test, flush=True)
+            command = [sys.executable, "-m", "pytest", "-m", "benchmark", "--benchmark-enable"]
+            environment = os.environ | {KEPT: str(kept)}
+            subprocess.run([*command, "-q", "--no-header", str(HERE / test)], env=environment)
+    given.out.write_text(page(rows, measured(kept)))
+
+
+if __name__ == "__main__":
+    main()
