@@ -132,7 +132,7 @@ ENTRIES = [
         (COSINE, Range(0.01, 0.9999, log=False)),
         ((0.01, 0.5), (0.9, 0.5), (1.0, 0.9)),
         form="eta below 1",
-        bound=8,
+        bound=20,
         conditioned=True,
         gradient=1e-3,
         note="beside the critical angle",
@@ -302,6 +302,7 @@ ENTRIES = [
         blinn_factor,
         (Range(1e-6, 1e6),),
         ((0.0,), (1e-30,), (1e10,)),
+        bound=5,
     ),
     Entry(
         "brdf.glass.refracted_direction",

@@ -87,7 +87,7 @@ ENTRIES = [
         srgb_encode,
         (TONES,),
         ((1.0,), (1e30,)),
-        bound=2,
+        bound=2.1,
         form="up to 1e30",
     ),
     Entry(
@@ -272,7 +272,7 @@ ENTRIES = [
         ),
         (Columns(Range(1e-2, 1e2)),),
         ((np.array([1.0, 1.0, 1.0]),), (np.array([1e-3, 1.0, 1e2]),)),
-        bound=8,
+        bound=10,
         gradient=1e-4,
         note="the exponential of a mean logarithm",
     ),

@@ -179,6 +179,14 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(
+        DRAWS,
+        "test_random test_lights",
+        """
+            lights._nodes: shifted_lattice
+            lights._samples: light_nodes
+        """,
+    ),
+    Elsewhere(
         STATISTICS,
         "test_photometric_stereo",
         """

@@ -186,7 +186,7 @@ ENTRIES = [
         lambda m, r, w, n: airy(m.pi * r / (w * n)),
         (Range(1e-8, 5e-6), WAVE, Range(4.0, 64.0)),
         ((0.0, 5e-7, 8.0), (1e-9, 5e-7, 8.0)),
-        bound=8,
+        bound=9,
         conditioned=True,
         of_digits=True,
         gradient=None,

@@ -121,6 +121,7 @@ ENTRIES = [
             (Z, unit(1e-6, 0, -1)),
             (Z, unit(1, 0, 0)),
         ),
+        bound=5,
         gradient=1e-4,
     ),
     Entry(
