@@ -33,12 +33,14 @@ class _Ending:
         said: set when the sentence is on its way to standard error.
         raised: set where the exception is wanted.
         handled: set by who has caught it and ends by itself.
+        leaving: held by the thread that ends the process, and never released.
     """
 
     def __init__(self) -> None:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
         self.seen, self.said, self.raised, self.handled = (threading.Event() for _ in range(4))
+        self.leaving = threading.Lock()
 
 
 _ending = _Ending()
@@ -151,6 +153,7 @@ def _wait_for_interrupt(reader: int) -> None:
 
 def _leave(command: str) -> None:
     """Ends the process without tearing down what threads still use."""
+    _ending.leaving.acquire()
     if not _ending.said.is_set():
         _ending.said.set()
         print(f"{command}: {_ending.sentence}", file=sys.stderr)

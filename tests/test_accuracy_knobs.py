@@ -25,7 +25,7 @@ OTHER = words("""
 *.write_cornell.samples *.table_of_samples.samples *.path*.method *.shifted_lattice.*
 *.gauss_legendre.* *.read_mesh.dtype *.scipy_operator.dtype *.fixed_pattern.* *.read_out.*
 *.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
-*.shot_noise.count.shot_noise *.compositing.flatten.layers
+*.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
 """)
 
 

@@ -37,7 +37,8 @@ OTHER = words("""
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
 *.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
-*.calibrate_lab.draws *.minimise_in_box.* *.commands.run.repeats *.called_for.tolerance
+*.calibrate_lab.draws *.folders.*.draws *.minimise_in_box.* *.commands.run.repeats
+*.called_for.tolerance
 """)
 
 

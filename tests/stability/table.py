@@ -49,8 +49,8 @@ mpmath). A result below the smallest normal number may be 0.
 - *jit*, *one*: the largest ULP between compiled and eager, and between `vmap` and a loop, float32.
 - *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true
   one is finite: {non_finite} of {points:,} points; slopes: {endless}.
-- Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64, which
-  is then left out; the worst is by 60 digits.
+- Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64,
+  which is then left out; the worst is by 60 digits.
 
 ## Beside an oracle
 

@@ -1,0 +1,76 @@
+"""Damage to files: bytes, lines and numbers changed, left out, doubled and put elsewhere."""
+
+import re
+
+import numpy as np
+
+NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
+NUMBERS = (
+    b"0 -0.0 1 -1 2 3000000000 99999999999999999999999 1e-16 1e-28 1e30 1e39 1e308 1e309 -1e39 "
+    b"nan inf -inf 0.5 1e-45 255 256 65536 2147483647 4294967296"
+).split()
+BYTES = (0x00, 0xFF, 0x7F, 0x80, 0x0A, 0x20, 0x22, 0x5B)
+
+
+def damaged(content: bytes, rng: np.random.Generator, *, text: bool) -> bytes:
+    """`content` after one to four changes."""
+    for _ in range(rng.integers(1, 5)):
+        change = rng.choice(TEXT_CHANGES if text and rng.uniform() < 0.8 else BYTE_CHANGES)
+        content = change(content, rng)
+    return content
+
+
+def _byte(content, rng):
+    if not content:
+        return bytes([rng.integers(256)])
+    place = rng.integers(min(len(content), 400) if rng.uniform() < 0.7 else len(content))
+    value = rng.choice(BYTES) if rng.uniform() < 0.5 else rng.integers(256)
+    return content[:place] + bytes([value]) + content[place + 1 :]
+
+
+def _cut(content, rng):
+    return content[: rng.integers(len(content) + 1)]
+
+
+def _slice(content, rng):
+    start, end = np.sort(rng.integers(len(content) + 1, size=2))
+    return content[:start] + content[min(end, start + 40) :]
+
+
+def _doubled(content, rng):
+    start, end = np.sort(rng.integers(len(content) + 1, size=2))
+    return content[:end] + content[start : min(end, start + 40)] + content[end:]
+
+
+def _noise(content, rng):
+    place = rng.integers(len(content) + 1)
+    return content[:place] + rng.bytes(rng.integers(1, 9)) + content[place:]
+
+
+def _number(content, rng):
+    found = list(NUMBER.finditer(content))
+    if not found:
+        return content
+    one = found[rng.integers(len(found))]
+    return content[: one.start()] + NUMBERS[rng.integers(len(NUMBERS))] + content[one.end() :]
+
+
+def _line(content, rng):
+    lines = content.split(b"\n")
+    i, j = rng.integers(len(lines), size=2)
+    match rng.integers(4):
+        case 0:
+            del lines[i]
+        case 1:
+            lines.insert(i, lines[j])
+        case 2:
+            lines[i], lines[j] = lines[j], lines[i]
+        case _:
+            words = lines[i].split(b" ")
+            del words[rng.integers(len(words))]
+            lines[i] = b" ".join(words)
+    return b"\n".join(lines)
+
+
+BYTE_CHANGES = (_byte, _byte, _cut, _slice, _doubled, _noise)
+TEXT_CHANGES = (_number, _number, _line, _byte)

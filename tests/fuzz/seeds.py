@@ -1,0 +1,159 @@
+"""Sound files of every kind that the library reads, small, and what reads them."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from oracles import measured
+
+import jaxvision
+from fitting.noise.levels_table import read_table
+from fitting.rig import load_rig
+from jaxvision import measured_files
+from jaxvision.brdf.measured import BRDFSamples
+from jaxvision.camera_files import read_camera, shipped_cameras
+from jaxvision.io import read_image, write_image
+from jaxvision.material_files import read_material, write_material
+from jaxvision.mesh_files import read_mesh
+from jaxvision.scene_files import read_scene
+
+PACKAGE = Path(jaxvision.__file__).parent
+RNG = np.random.default_rng(3)
+
+
+class Kind(NamedTuple):
+    """A kind of file.
+
+    Attributes:
+        suffix: of its name.
+        seeds: contents of sound files.
+        read: what reads one; its result is a tree of arrays.
+        finite: whether all numbers of a result must be finite.
+    """
+
+    suffix: str
+    seeds: tuple[bytes, ...]
+    read: Callable[[Path], object]
+    finite: bool = True
+
+
+TETRAHEDRON = """v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 1
+vn 0 0 1
+f 1 3 2
+f 1 2 4
+f 2 3 4
+f 1 4 3
+"""
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+TABLE = """\
+exposure_ms,photons_per_pixel,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2,pixels
+1,50,72.5,12.6,60.1,9.4,10000
+1,100,85.1,15.7,60.1,9.4,10000
+1,500,185.0,40.7,60.1,9.4,10000
+1,2000,560.2,134.4,60.1,9.4,10000
+1,5000,1310.1,321.9,60.1,9.4,10000
+1,10000,2560.4,634.1,60.1,9.4,10000
+"""
+RIG = """[camera]
+bits = 12
+black_level = 60.0
+gain = 0.25
+
+[[flat]]
+files = ["a.tif", "b.tif"]
+exposure = 0.001
+photons = 961.0
+
+[[dark]]
+files = ["c.tif", "d.tif"]
+exposure = 0.001
+
+[[exposure]]
+file = "s.png"
+exposure = 0.03125
+group = "450nm"
+
+[[light]]
+file = "l.tif"
+direction = [0.0, 0.6, 0.8]
+intensity = [1.0, 1.0, 1.0]
+
+[geometry]
+sphere = { centre = [63.5, 63.5], radius = 57.6 }
+"""
+
+
+def written(folder: Path, name: str, write: Callable[[Path], object]) -> bytes:
+    """What a writer puts into a file."""
+    file = folder / name
+    write(file)
+    return file.read_bytes()
+
+
+def picture(folder: Path, suffix: str, dtype: type) -> bytes:
+    values = RNG.uniform(size=(5, 7, 3))
+    whole = (values * np.iinfo(dtype).max).astype(dtype) if dtype is not np.float32 else values
+    return written(folder, f"seed{suffix}", lambda file: write_image(file, whole.astype(dtype)))
+
+
+def numpy_file() -> bytes:
+    file = io.BytesIO()
+    np.save(file, RNG.uniform(size=(4, 5)))
+    return file.getvalue()
+
+
+def kinds(folder: Path) -> dict[str, Kind]:
+    """Every kind by name; `folder` for what writers need."""
+    cameras = tuple((PACKAGE / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
+    scenes = tuple(file.read_bytes() for file in sorted((PACKAGE / "scenes").glob("*.toml")))
+    merl = measured.merl_bytes(
+        lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
+    )
+    rgl = measured.tensor_bytes(measured.rgl_fields(np.random.default_rng(2)))
+    angles = np.array([0.1, 0.3, 0.5, 0.7])
+    samples = BRDFSamples(
+        angles, 0 * angles, angles[::-1], angles, np.full((4, 2), 0.3), np.array([5e-7, 6e-7])
+    )
+    cornell = written(folder, "seed.brdf", lambda file: measured_files.write_cornell(file, samples))
+    material = written(
+        folder,
+        "seed_material.toml",
+        lambda file: write_material(jaxvision.Phong([0.2, 0.1], [0.3, 0.3], 9.0), file),
+    )
+    return {
+        "camera": Kind(".toml", cameras, read_camera),
+        "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene, finite=False),
+        "material": Kind(".toml", (material,), read_material),
+        "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),
+        "levels": Kind(".csv", (TABLE.encode(),), lambda file: read_table(file, None)),
+        "merl": Kind(".binary", (merl[0],), measured_files.read_merl),
+        "rgl": Kind(".bsdf", (rgl,), measured_files.read_rgl),
+        "cornell": Kind(".brdf", (cornell,), measured_files.read_cornell),
+        "obj": Kind(".obj", (TETRAHEDRON.encode(),), read_mesh, finite=False),
+        "ply": Kind(".ply", (PLY.encode(),), read_mesh, finite=False),
+        "png": Kind(".png", (picture(folder, ".png", np.uint8),), read_image),
+        "png16": Kind(".png", (picture(folder, ".png", np.uint16),), read_image),
+        "tiff": Kind(".tif", (picture(folder, ".tif", np.uint16),), read_image),
+        "jpeg": Kind(".jpg", (picture(folder, ".jpg", np.uint8),), read_image),
+        "exr": Kind(".exr", (picture(folder, ".exr", np.float32),), read_image, finite=False),
+        "hdr": Kind(".hdr", (picture(folder, ".hdr", np.float32),), read_image),
+        "npy": Kind(".npy", (numpy_file(),), read_image, finite=False),
+    }

@@ -1,0 +1,111 @@
+"""Damaged files of every kind: each is read, or refused in one sentence, soon and in little memory.
+
+    pytest -m fuzz tests/test_fuzz.py            # JAXVISION_FUZZ=5000 for so many files a kind
+
+A case is known by its kind and number, which are the seed. `JAX_ENABLE_X64=0` reads in float32, in
+which a number may be too large that float64 holds. Counts are printed with `-s`.
+"""
+
+import os
+import resource
+import time
+import zlib
+from collections import Counter
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from fuzz.damage import damaged
+from fuzz.seeds import kinds
+
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+
+COUNT = int(os.environ.get("JAXVISION_FUZZ", "200"))
+LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s, bytes, characters of a message
+NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
+NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy")
+
+
+def content(name, kind, number):
+    rng = np.random.default_rng([zlib.crc32(name.encode()), number])
+    seed = kind.seeds[number % len(kind.seeds)]
+    return damaged(seed, rng, text=kind.suffix in (".toml", ".csv", ".brdf", ".obj", ".ply"))
+
+
+def infinite(result):
+    """Whether a result holds numbers that are not finite."""
+    leaves = [leaf for leaf in jax.tree.leaves(result) if hasattr(leaf, "dtype")]
+    return any(leaf.dtype.kind == "f" and not np.isfinite(leaf).all() for leaf in leaves)
+
+
+def outcome(kind, file):
+    """ "read", "refused", or what is wrong."""
+    begun = time.monotonic()
+    try:
+        result = kind.read(file)
+    except InputError as error:
+        words = str(error)
+        if len(words) > WORDS or "\n" in words or not words.endswith("."):
+            return f"odd message {words[:WORDS]!r}"
+        found = "refused"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"[:WORDS]
+    else:
+        found = "not finite" if kind.finite and infinite(result) else "read"
+    seconds = time.monotonic() - begun
+    return found if seconds < LONGEST else f"took {seconds:.0f} s"
+
+
+@pytest.fixture
+def little_memory():
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.mark.fuzz
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", NAMES)
+def test_damaged_files_are_read_or_refused(name, tmp_path):
+    kind = kinds(tmp_path)[name]
+    file = tmp_path / f"damaged{kind.suffix}"
+    counts, wrong = Counter(), {}
+    for number in range(COUNT):
+        file.write_bytes(content(name, kind, number))
+        found = outcome(kind, file)
+        counts[found if found in ("read", "refused") else "wrong"] += 1
+        if found not in ("read", "refused"):
+            wrong[number] = found
+    print(f"{name}: {COUNT} files, {dict(counts)}")
+    assert not wrong, wrong
+
+
+@pytest.mark.fuzz
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["png", "tiff", "exr", "npy"])
+def test_commands_end_with_a_sentence(name, tmp_path):
+    from commands import called
+
+    kind = kinds(tmp_path)[name]
+    file = tmp_path / f"damaged{kind.suffix}"
+    for number in range(COUNT // 20):
+        file.write_bytes(content(name, kind, number))
+        status, _, error = called(app, "inspect", file)
+        assert status in (0, 2), number
+        assert (status == 0) == (not error), (number, error)
+
+
+def test_sound_files_are_read(tmp_path):
+    """Else the damage is all that is refused."""
+    every = kinds(tmp_path)
+    assert set(every) == set(NAMES)
+    for name, kind in every.items():
+        for seed in kind.seeds:
+            file = tmp_path / f"sound{kind.suffix}"
+            file.write_bytes(seed)
+            assert outcome(kind, file) == "read", name
