@@ -23,8 +23,7 @@ STYLE = {
 
 def draw(script: Path, folder: Path) -> Path:
     """Runs one script and writes its figure to a folder, as a PNG named after the script."""
-    jax.config.update("jax_enable_x64", False)  # as a user starts
-    with plt.rc_context(STYLE):
+    with jax.enable_x64(False), plt.rc_context(STYLE):  # as a user starts
         runpy.run_path(str(script))
         picture = folder / f"{script.stem}.png"
         plt.savefig(picture, metadata={"Software": None})

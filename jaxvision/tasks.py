@@ -10,6 +10,7 @@ returned is computed again by another.
 import hashlib
 import os
 import platform
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -129,7 +130,10 @@ def _local(count: int) -> "Iterator[Client]":
     options = {
         "distributed.nanny.pre-spawn-environ": single | _of_jax(),
         "distributed.scheduler.allowed-failures": LOSSES,
+        "distributed.deploy.lost-worker-timeout": f"{_LOOK} s",
     }
+    # Said by a process that outlives an interrupted command, of what ends with it.
+    sys.warnoptions.append("ignore:resource_tracker")
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with config.set(options):
         try:
@@ -222,6 +226,7 @@ def _awaited(client: "Client", future: "Future") -> Any:
         except TimeoutError:
             if future.done():  # the task's own
                 raise
+        _replace_lost(client)
         if client.nthreads():
             missed = time.monotonic()
         elif time.monotonic() - missed > _LONELY:
@@ -229,6 +234,16 @@ def _awaited(client: "Client", future: "Future") -> Any:
                 f"no worker has been there for {_LONELY:.0f} s; start some, and give the same "
                 "command, which goes on from what is done."
             )
+
+
+def _replace_lost(client: "Client") -> None:
+    """Starts anew what processes of this machine were lost while they started; those that are lost
+    later start again by themselves."""
+    made: Any = client.cluster
+    wanted = len(getattr(made, "worker_spec", ()))
+    there: Any = client.nthreads()
+    if len(there) < wanted:
+        made.scale(wanted)
 
 
 class _Task:

@@ -65,7 +65,8 @@ def workplace(tmp_path, monkeypatch, lab):
     write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
     for kind in ("noise", "response", "brdf"):
         (tmp_path / kind).symlink_to(lab[0] / kind)
-    for kind, of in (("joint", "brdf"), ("plan", "brdf"), ("accuracy", "response")):
+    others = {"joint": "brdf", "plan": "brdf", "accuracy": "response", "study": "noise"}
+    for kind, of in others.items():
         (tmp_path / kind).symlink_to(lab[0] / of)
     return tmp_path
 

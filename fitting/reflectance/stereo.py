@@ -61,7 +61,8 @@ def photometric_stereo(
         highest: readings at or above count as clipped and are left out, likewise.
         robust: also leave out what the other readings contradict, as highlights and cast shadows:
             beyond 2.5 standard deviations of the fit of least absolute residuals. It takes five
-            lights that count; pixels with fewer keep them all.
+            lights that count; pixels with fewer keep them all. With two broken readings among six,
+            as at the rim of a body, a broken one may be kept and the normal be off by .25 rad.
 
     Returns:
         Normals, albedo, and standard deviations from the residuals of each pixel.

@@ -32,7 +32,7 @@ from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, Word, seed_of, uniforms
 from .._staging import stored
-from .._types import Colour, Key, Scalar, check_choice, check_count
+from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count
 from ..brdf import is_delta
 from ..geometry import Ray
 from ..rendering import Along, PixelSamples, Traced, photograph
@@ -131,7 +131,7 @@ def _walk(
     method: Paths,
     depth: Array | None = None,
     of_each: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function,
-) -> Bands:
+) -> tuple[Scalars, ...]:
     """The radiance of one path; with `jax.vmap` as `of_each`, of one for each ray and pixel of
     arrays. `vmap` of a loop would trace the body of the loop anew to find out what is batched."""
     method = _simplest(world, method)

@@ -3,6 +3,7 @@ other tests check. The calls are those of `examples/`."""
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +29,7 @@ def widened(name, call):
     """(largest error in ULP of the largest number of its array, largest in ULP of the number
     itself, whether float32 stayed float32)."""
     arguments, options = in_dtype(call, jnp.float32)
-    arrays = {k: v for k, v in options.items() if isinstance(v, jax.Array)}
+    arrays = {k: v for k, v in options.items() if any(map(eqx.is_array, jax.tree.leaves(v)))}
     fixed = {k: v for k, v in options.items() if k not in arrays}
 
     def leaves(dtype):

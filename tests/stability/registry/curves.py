@@ -79,7 +79,7 @@ ENTRIES = [
         srgb_encode,
         (DARK,),
         tuple((x,) for x in AT_BREAKS),
-        bound=2,
+        bound=2.1,
     ),
     Entry(
         "point_ops.curves.srgb_encode",
