@@ -5,13 +5,14 @@ stage has its own file, in the order of the light's path:
 
     sampling -> exposure -> dark -> shot_noise -> ccd -> fixed_pattern -> read_out -> adc
 
-`raw` composes them for one exposure, `moments` gives mean and variance in closed form, and
-`shutter` averages a moving scene over the exposure. A parameter of the sensor that is None is not
-traced.
+`raw` composes them for one exposure, `moments` gives mean and variance in closed form,
+`expectation` estimates expectations of anything else, and `shutter` averages a moving scene over
+the exposure. A parameter of the sensor that is None is not traced.
 
-Exact Poisson draws and rounding have the gradients of their expectations. Gaussian draws are
-differentiated along the draw itself, so their gradients are noisy near 0 electrons. Clipping has
-gradient 0.
+A draw is differentiated along itself, counts included, rounding as if it were not there, and
+clipping has gradient 0: means and mean squares of raw data have unbiased gradients at every light
+level where the noise exceeds a DN. Each stage says what its gradient leaves out; the page
+"Gradients of noise" has the figures.
 """
 
 import lazy_loader

@@ -3,6 +3,7 @@
 from .adc import digitise as digitise
 from .ccd import bloomed as bloomed, transferred as transferred
 from .dark import dark_rate as dark_rate
+from .expectation import expected_of_count as expected_of_count
 from .exposure import (
     drifted as drifted,
     expected_charge as expected_charge,

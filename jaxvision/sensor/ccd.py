@@ -107,7 +107,8 @@ def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer)
 
     Each electron is left behind or not, independently: a Gaussian draw of variance sum n p (1 - p)
     over the packets n and their shares p. As with Gaussian shot noise, a row that expects few
-    electrons can become negative.
+    electrons can become negative. The gradient of its mean square is unbiased but where no packet
+    holds an electron, where it is 0.
 
     Args:
         key: random key of the frame.

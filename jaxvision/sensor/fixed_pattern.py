@@ -30,6 +30,9 @@ def sensitivity(
 ) -> Scalars | None:
     """Response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead pixels.
 
+    A pixel is dead or not, so the gradient by `dead_pixels` is 0; that of an average die is in
+    `expected_signal` and `pattern_variance`.
+
     Args:
         die_key: random key of the die.
         sensor: the sensor; `prnu` and `dead_pixels` are used.
@@ -58,7 +61,7 @@ def hot_rates(
 
     Dead and hot pixels are drawn from the two ends of one uniform number, so that no pixel is both
     while the two fractions add up to at most 1. The place of the number within its end decides how
-    hot a pixel is.
+    hot a pixel is: the excess begins at 0, so that gradients by fraction and rate are unbiased.
 
     Args:
         die_key: random key of the die.

@@ -31,6 +31,10 @@ def collect(
     full well cuts the packets in between, transfers act on the remaining charge and add the noise
     of this selection.
 
+    Gradients are those of the draw (see `count`): unbiased for means and mean squares, but for a
+    full well of w electrons that cuts Poisson counts of mean m. Charge beyond it has no slope, and
+    that of the mean is too small by (1 - m / w) P(N = w - 1) / 4, at most 0.0007 for w = 100.
+
     Args:
         key: random key of the frame, for all that changes from frame to frame; may be None if the
             sensor draws nothing from it.

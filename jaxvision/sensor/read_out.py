@@ -41,6 +41,9 @@ def read_out_noise(
 ) -> Scalars | None:
     """Draws the sum of all noise that reading one frame adds.
 
+    A pixel lies in a tail, or has a trap, or not, so gradients by `tail_fraction` and by the
+    fraction of telegraph noise are 0; `read_out_variance` has those of the variance.
+
     Args:
         key: random key of the frame.
         die_key: random key of the die; chooses the pixels with traps.

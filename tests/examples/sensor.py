@@ -49,6 +49,10 @@ MOMENTS_OF = s.Sensor(
 )
 
 
+def whole_turns(number):
+    return jnp.cos(2 * np.pi * number)
+
+
 def moving(time):
     return X * (1 + time)
 
@@ -89,6 +93,8 @@ EXAMPLES = {
     "sensor.sampling.aperture_mtf": ((APERTURE, X), {}),
     "sensor.sampling.light_share": ((APERTURE,), {}),
     "sensor.sampling.pixel_means": ((X, APERTURE), {}),
+    # whatever is drawn the value is 1, so that a finite difference says what the slope must be
+    "sensor.expectation.expected_of_count": ((KEY, X), {"function": whole_turns}),
     "sensor.shot_noise.count": ((KEY, ELECTRONS, s.GaussianShotNoise()), {}),
     "sensor.shutter.exposed": (
         (SHUTTER, ONE),

@@ -372,9 +372,10 @@ ELSEWHERE = (
     ),
     Elsewhere(
         DRAWS,
-        "test_sensor_noise test_random",
+        "test_sensor_noise test_sensor_gradients test_random",
         """
             sensor.raw: collect
+            sensor.expectation: expected_of_count
         """,
     ),
     Elsewhere(
