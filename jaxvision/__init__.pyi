@@ -247,6 +247,7 @@ from .scene import (
     Bilateral as Bilateral,
     Box as Box,
     Camera as Camera,
+    BrighterFatter as BrighterFatter,
     ChargeTransfer as ChargeTransfer,
     CircularAperture as CircularAperture,
     ColourFilter as ColourFilter,

@@ -211,7 +211,7 @@ _ARCTAN_BELOW = (
 )
 
 
-def polynomial(coefficients: Sequence[float], x: Scalars) -> Scalars:
+def polynomial(coefficients: Sequence[float] | Sequence[Scalars], x: Scalars) -> Scalars:
     """c_0 x^n + c_1 x^(n - 1) + ... + c_n, by Horner's rule."""
     value = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:

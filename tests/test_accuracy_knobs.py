@@ -13,7 +13,7 @@ from jaxvision.errors import InputError
 WORDS = words("""
 order samples depth count rays paths patches gather moments slots oversampling sigmas members rank
 layers truncate tolerance rtol atol limit max_steps coarse_steps fine_steps roulette strategy rule
-shot_noise thetas phis azimuths polar split method dtype
+shot_noise thetas phis azimuths polar split steps method dtype
 """)
 # ... unless it is one of these, where the word means something else: a derivative's order, a map of
 # depth, a count of things, data, a choice between definitions, or the dtype of what is asked for.

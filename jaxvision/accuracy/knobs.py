@@ -230,6 +230,16 @@ _OF_CAMERAS = (
         sets=("*.PixelAperture.oversampling",),
     ),
     Knob(
+        "charge steps",
+        "of an exposure",
+        "parts of an exposure in which charges repel each other",
+        (2, 4, 8, 16),
+        (128, 256),
+        order=-1.0,
+        whole=True,
+        sets=("*.BrighterFatter.steps",),
+    ),
+    Knob(
         "diffraction size",
         "pixels",
         "side of the kernel of diffraction",

@@ -177,8 +177,29 @@ class Pixel:
 
     @cached_property
     def light(self) -> float:
-        """Electrons of light in the brightest pixel, smear included: m (1 + s (rows - 1))."""
+        """Electrons of light in the brightest pixel, smear included: m (1 + s (rows - 1)), and what
+        charges push there."""
+        return self._arriving * self.pushing
+
+    @cached_property
+    def _arriving(self) -> float:
         return freed(self.sensor.high, self.irradiance) * self.smearing
+
+    @cached_property
+    def repulsion(self) -> float:
+        """c = 2 m (D_rows + D_columns), the share by which charges change what a pixel gets; D:
+        half of sum |K_l - K_(l + neighbour)|, so that D m bounds a difference of potentials."""
+        effect = self.sensor.high["brighter_fatter"]
+        if effect is None:
+            return 0.0
+        slopes = sum(kernel_slopes(end["brighter_fatter"].kernel) for end in self.sensor)
+        return clean(2 * slopes * (self._arriving + self.dark + math.sqrt(2) * self.hot))
+
+    @cached_property
+    def pushing(self) -> float:
+        """exp c, by how much charges that repel each other enlarge a charge or a change of one at
+        most: q' = 1 + c q, and d' = e^(c t) + c d."""
+        return math.exp(self.repulsion) if self.repulsion < 700 else INF
 
     @cached_property
     def smearing(self) -> float:
@@ -224,11 +245,24 @@ class Pixel:
         """Variance added behind the conversion by all sources but one, at their low ends."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
+    @property
+    def surely_counted(self) -> float:
+        """Variance that the brightest charge is sure to have: none of it where a well may cut it or
+        charges repel each other, which makes it smaller."""
+        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0
+        return self.light + self.dark if sure else 0.0
+
+    @property
+    def rank_of_counts(self) -> Rank:
+        """Of a bound that rests on the law of counts, which is not Poisson's where charges repel
+        each other; then that of more light is taken."""
+        return "bound" if self.repulsion == 0 else "estimate"
+
     @cached_property
     def counted_dark(self) -> float:
         """Least variance of any charge: of dark electrons that are counted, less what charge
         transfer leaves behind. A well that cuts a charge lowers its rms by the excess at most."""
-        if not self.counted:
+        if not self.counted or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
         return max(math.sqrt(min(self._darks) * self.read_share) - self.spilt.rms, 0.0) ** 2
 
@@ -254,7 +288,14 @@ class Pixel:
 
     @cached_property
     def behind_charge(self) -> float:
-        """DN per electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
+        """DN per electron of charge that arrives: K sqrt((1 + c^2)(1 + q^2)); with the
+        brighter-fatter effect e^(3 c) more, e^(2 c) for variances over rms that are smaller by up
+        to e^-c."""
+        return self.behind_conversion * self.pushing**3
+
+    @cached_property
+    def behind_conversion(self) -> float:
+        """DN per electron of charge that is there: K sqrt((1 + c^2)(1 + q^2))."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
@@ -327,6 +368,20 @@ def pixel_of(
         return {name: None if f"sensor.{name}" in gone else value for name, value in fields}
 
     return Pixel(Ends(left(sensor.low), left(sensor.high)), irradiance, shape)
+
+
+def kernel_slopes(kernel: Any) -> float:
+    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, of rows and columns together.
+
+    Args:
+        kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
+
+    Returns:
+        Per electron.
+    """
+    rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
+    whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
+    return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2
 
 
 def dark_rate(law: Any) -> float:

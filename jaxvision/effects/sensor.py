@@ -38,6 +38,7 @@ SCALES = {"photon_conversion", "colour_filter", "exposure_time", "gain"}
 _SAVES = {
     "charge_transfer": 0.2,
     "shot_noise": 0.3,
+    "brighter_fatter": 0.6,
     "blooming": 0.05,
     "read_noise": 0.08,
     "reset_noise": 0.08,
@@ -97,7 +98,7 @@ def sensor_stage(
     def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
         return _response(pixel(gone), np.asarray(change, float))
 
-    return tuple(rows), Response(response, dark_noise(pixel(frozenset())))
+    return tuple(rows), Response(response, dark_noise(pixel(frozenset({"sensor.brighter_fatter"}))))
 
 
 def dark_noise(pixel: Pixel) -> float:

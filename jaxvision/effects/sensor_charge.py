@@ -44,11 +44,33 @@ def whole_electrons(pixel: Pixel) -> Bound:
     return Bound(pixel.behind_charge * WHOLE, "tabulated over means", rank="estimate")
 
 
+def brighter_fatter(pixel: Pixel) -> Bound:
+    """What charges push over the borders of the brightest pixel, and what its noise changes by.
+
+    With c = 2 m (D_rows + D_columns) the charge follows q' = 1 + c q at most, so that the mean
+    moves by m ((e^c - 1) / c - 1); covariances grow by c from either side, so that the variance
+    moves by m (e^c (e^(2 c) - 1) / (2 c) - 1), and that of a pattern by e^(2 c) - 1.
+    """
+    c, light = pixel.repulsion, pixel.light / pixel.pushing
+    if c == 0:
+        return Bound(0.0, "no charge repels another")
+    if not c < 100:
+        return Bound(INF, "charges push more than the pixels get")
+    charge = light + pixel.dark + math.sqrt(2) * pixel.hot
+    mean = charge * (math.expm1(c) / c - 1)
+    noise = charge * (math.exp(c) * math.expm1(2 * c) / (2 * c) - 1) if pixel.counted else 0.0
+    pattern = ((pixel.high("prnu") * light) ** 2 + pixel.hot**2) * math.expm1(2 * c)
+    moved = math.hypot(mean, growth(pixel.quiet, noise + pattern)) + 2 * pixel.spilt.rms
+    why = f"{c:.3g} of what a pixel of {charge:.4g} e- gets"
+    rank = "estimate" if pixel.hot or pixel.spilt.rms else "bound"
+    return Bound(pixel.behind_conversion * moved, why, rank=rank)
+
+
 def full_well(pixel: Pixel) -> Bound:
     """The root mean square of what the brightest charge exceeds the well by (`overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
-    return Bound(pixel.behind_charge * pixel.spilt.rms, why)
+    return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
 
 
 def blooming(pixel: Pixel) -> Bound:
@@ -66,10 +88,11 @@ def blooming(pixel: Pixel) -> Bound:
         return Bound(0.0, "no charge spills")
     well = float(pixel.sensor.high["full_well"])
     if not math.isfinite(rms):
-        return Bound(pixel.behind_charge * well, "at most a full well")
+        return Bound(pixel.behind_charge * well, "at most a full well", rank=pixel.rank_of_counts)
     spilt = half * math.hypot(others * mean, math.sqrt(others) * rms)
     received = min(spilt, math.sqrt(well * half * others * mean), well)
-    return Bound(pixel.behind_charge * received, f"{mean:.3g} e- over the well at most expected")
+    why = f"{mean:.3g} e- over the well at most expected"
+    return Bound(pixel.behind_charge * received, why, rank=pixel.rank_of_counts)
 
 
 def charge_transfer(pixel: Pixel) -> Bound:
@@ -135,7 +158,8 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
 
 
 BOUNDS = {
-    function.__name__: function for function in (shot_noise, full_well, blooming, charge_transfer)
+    function.__name__: function
+    for function in (shot_noise, brighter_fatter, full_well, blooming, charge_transfer)
 }
 # What can take the place of a way of counting: the name of the effect, the kinds that have it, its
 # bound, and the kind without it.

@@ -75,7 +75,7 @@ def prnu(pixel: Pixel) -> Bound:
         return Bound(INF, "the light is not bounded")
     most_quiet, cut = pixel.at_the_well(rms * light)
     before = pixel.quiet if math.isinf(most_quiet) else 0.0
-    before += light if pixel.counted else 0.0
+    before += light if pixel.counted and pixel.repulsion == 0 else 0.0
     noise = growth(before, (rms * light) ** 2)
     moved = math.hypot(noise, light * sensitivity_bias(rms)) + cut
     return Bound(pixel.behind_charge * moved, f"{rms:.3g} of {light:.4g} e-")

@@ -26,7 +26,7 @@ def conversion_prnu(pixel: Pixel) -> Bound:
     rms, charge = pixel.high("conversion_prnu"), pixel.bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
-    counted = pixel.light + pixel.dark if pixel.counted and pixel.spilt.rms < 1e-6 else 0.0
+    counted = pixel.surely_counted
     variance = charge if pixel.counted else 0.0
     variance += (pixel.high("prnu") * pixel.light) ** 2
     grown = growth(pixel.added() + counted, rms**2 * (variance + charge**2))
@@ -38,7 +38,7 @@ def column_prnu(pixel: Pixel) -> Bound:
     rms, charge = pixel.high("column_prnu"), pixel.bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
-    counted = pixel.light + pixel.dark if pixel.counted and pixel.spilt.rms < 1e-6 else 0.0
+    counted = pixel.surely_counted
     conversion = pixel.high("conversion_prnu") ** 2
     own = (charge if pixel.counted else 0.0) + (pixel.high("prnu") * pixel.light) ** 2
     own = own * (1 + conversion) + conversion * charge**2 + sum(pixel.variances.high.values())
@@ -91,7 +91,8 @@ def bits(pixel: Pixel) -> Bound:
         noise = growth(smooth, 1 / 12 + 2 * (4 * smooth + math.pi**-2) * ripple)
         rounding = min(rounding, math.hypot(noise, 2 * ripple / math.pi))
     clipped = _clipped(pixel)
-    return Bound(rounding + clipped, f"rounds by {rounding:.2g} DN, clips {clipped:.2g} DN")
+    why = f"rounds by {rounding:.2g} DN, clips {clipped:.2g} DN"
+    return Bound(rounding + clipped, why, rank=pixel.rank_of_counts)
 
 
 def _trap(pixel: Pixel) -> float:

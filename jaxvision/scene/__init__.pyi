@@ -47,6 +47,7 @@ from .noises import (
     TelegraphNoise as TelegraphNoise,
 )
 from .sensors import (
+    BrighterFatter as BrighterFatter,
     ChargeTransfer as ChargeTransfer,
     ColourFilter as ColourFilter,
     PhotonConversion as PhotonConversion,

@@ -1,6 +1,11 @@
 # What `jaxvision.sensor` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
 from .adc import digitise as digitise
+from .brighter_fatter import (
+    area_changes as area_changes,
+    flat_covariances as flat_covariances,
+    gathered as gathered,
+)
 from .ccd import bloomed as bloomed, transferred as transferred
 from .dark import dark_rate as dark_rate
 from .expectation import expected_of_count as expected_of_count

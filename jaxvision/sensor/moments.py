@@ -6,6 +6,7 @@
 
 and every further source of the sensor beside these. Differences between the pixels of a die (dead,
 hot and trapping pixels, columns) enter the mean and the temporal variance as averages over dies.
+Under the brighter-fatter effect variances are those of even light of each pixel's own mean.
 Blooming has no closed form and is left out.
 """
 
@@ -24,6 +25,7 @@ from ._clipped_gaussian import (
     tail_variance,
 )
 from .adc import amplified, largest_number
+from .brighter_fatter import flat_variance, gathered, smoothed_pattern
 from .ccd import counted_variance, transferred, transferred_variance
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .read_out import read_out_variance
@@ -108,6 +110,8 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
         square = 0.0 if sensor.prnu is None else sensor.prnu**2
         alive = 1.0 if sensor.dead_pixels is None else 1 - sensor.dead_pixels
         variance = alive * (square + 1 - alive) * light**2
+    if sensor.brighter_fatter is not None:
+        variance = variance * smoothed_pattern(sensor.brighter_fatter, light)
     if sensor.hot_pixels is not None:
         hot = sensor.hot_pixels
         excess = over_exposure(sensor, hot.rate)
@@ -250,8 +254,13 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
     if sensor.hot_pixels is not None:
         hot = sensor.hot_pixels
         mean = mean + over_exposure(sensor, hot.fraction * hot.rate)
-    counted = sensor.shot_noise is not None
-    return Moments(mean, jnp.maximum(mean, 0) if counted else jnp.zeros_like(mean))
+    effect = sensor.brighter_fatter
+    if effect is not None:
+        mean = gathered(None, mean, effect, full_well=sensor.full_well)
+    if sensor.shot_noise is None:
+        return Moments(mean, jnp.zeros_like(mean))
+    counted = jnp.maximum(mean, 0)
+    return Moments(mean, counted if effect is None else flat_variance(effect, counted))
 
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:

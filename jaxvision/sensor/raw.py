@@ -13,6 +13,7 @@ from .._types import Key
 from ..scene import Sensor
 from ._draws import Frame, needed
 from .adc import digitise
+from .brighter_fatter import gathered
 from .ccd import bloomed, transfer_noise, transferred
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .fixed_pattern import conversion_gains, hot_rates, offsets, sensitivity
@@ -28,8 +29,8 @@ def collect(
 
     Each electron is left behind by a charge transfer, or not, at random. A Poisson packet thinned
     in this way stays Poisson, so transfers act on the expectation before it is counted. Where a
-    full well cuts the packets in between, transfers act on the remaining charge and add the noise
-    of this selection.
+    full well cuts the packets in between, or charges have repelled each other, transfers act on the
+    charge that is there and add the noise of this selection.
 
     Gradients are those of the draw (see `count`): unbiased for means and mean squares, but for a
     full well of w electrons that cuts Poisson counts of mean m. Charge beyond it has no slope, and
@@ -61,15 +62,24 @@ def collect(
         rates = hot_rates(die_key, sensor.hot_pixels, shape=shape, dtype=dtype)
         electrons = electrons + over_exposure(sensor, rates)
     transfer = sensor.charge_transfer
-    if transfer is not None and sensor.full_well is None:
+    poisson = sensor.full_well is None and sensor.brighter_fatter is None
+    if transfer is not None and poisson:
         electrons = transferred(electrons, transfer)
-    if sensor.shot_noise is not None:
+    if sensor.brighter_fatter is not None:
+        electrons = gathered(
+            key,
+            electrons,
+            sensor.brighter_fatter,
+            shot_noise=sensor.shot_noise,
+            full_well=sensor.full_well,
+        )
+    elif sensor.shot_noise is not None:
         electrons = count(needed(key, Frame.SHOT), electrons, sensor.shot_noise)
     if sensor.full_well is not None and sensor.blooming is not None:
         electrons = bloomed(electrons, sensor.full_well, sensor.blooming)
     elif sensor.full_well is not None:
         electrons = jnp.minimum(electrons, sensor.full_well)
-    if transfer is not None and sensor.full_well is not None:
+    if transfer is not None and not poisson:
         packets, electrons = electrons, transferred(electrons, transfer)
         if sensor.shot_noise is not None:
             electrons = electrons + transfer_noise(key, packets, transfer)

@@ -21,6 +21,7 @@ APERTURE = s.PixelAperture(0.5, microlens=0.3, oversampling=2)
 FILTER = s.ColourFilter([[0.4, 0.1], [0.2, 0.3], [0.1, 0.2]], pattern=bayer("GRBG"))
 HOT = s.HotPixels(0.5, 300.0)
 TRANSFER = s.ChargeTransfer(1e-3, serial_inefficiency=2e-3, trail=3)
+REPELLING = s.BrighterFatter([[3e-6, 1e-6], [8e-7, 2e-7]], steps=3)
 DARK = s.DoublingDarkCurrent(100.0, 300.0, 293.0, 8.0)
 RESET = s.ResetNoise(1e-15, 300.0)
 SHUTTER = s.RollingShutter(0.004)
@@ -61,6 +62,14 @@ EXAMPLES = {
     "sensor.adc.digitise": ((SENSOR, ELECTRONS), {"die_key": DIE}),
     "sensor.adc.amplified": ((SENSOR, ELECTRONS), {}),
     "sensor.adc.largest_number": ((TWO,), {}),
+    "sensor.brighter_fatter.area_changes": ((REPELLING.kernel,), {}),
+    "sensor.brighter_fatter.flat_covariances": ((X[..., 0] * 1e-6, ELECTRONS), {}),
+    "sensor.brighter_fatter.flat_variance": ((REPELLING, ELECTRONS), {}),
+    "sensor.brighter_fatter.gathered": (
+        (KEY, ELECTRONS, REPELLING),
+        {"shot_noise": s.GaussianShotNoise()},
+    ),
+    "sensor.brighter_fatter.smoothed_pattern": ((REPELLING, ELECTRONS), {}),
     "sensor.ccd.bloomed": ((ELECTRONS, jnp.asarray(500.0), ONE), {}),
     "sensor.ccd.transferred": ((ELECTRONS, TRANSFER), {}),
     "sensor.ccd.transferred_variance": ((ELECTRONS, TRANSFER), {}),

@@ -22,6 +22,7 @@ EVERY_EFFECT = s.Sensor(
     dark_current=s.DoublingDarkCurrent(500.0, 303.0, 293.0, 8.0),
     hot_pixels=s.HotPixels(0.02, 2000.0),
     shot_noise=s.FastPoissonShotNoise(),
+    brighter_fatter=s.BrighterFatter([[2e-6, 5e-7]], steps=3),
     full_well=1e4,
     blooming=0.5,
     charge_transfer=s.ChargeTransfer(1e-4, trail=3),

@@ -13,6 +13,7 @@ from ...lights import PointLight
 from ...optics import airy_kernel, layered_defocus, sensor_irradiance
 from ...rendering import PixelSamples, render
 from ...scene import (
+    BrighterFatter,
     Camera,
     Diffraction,
     FastPoissonShotNoise,
@@ -28,7 +29,7 @@ from ...scene import (
     ThinLens,
     View,
 )
-from ...sensor import count
+from ...sensor import count, gathered
 from ...shot import capture
 from ..records import Compute, Problem
 from .pictures import picture
@@ -115,6 +116,19 @@ def _oversampling() -> Problem:
     return Problem("three balls, pixels with an area", prepare)
 
 
+def _charge_steps() -> Problem:
+    spots = np.full((SIDE, SIDE, 1), 100.0)
+    spots[8:40:8, 8:40:8] = 1e5
+    light, kernel = jnp.asarray(spots), np.array([[8e-7, 2e-7], [2e-7, 5e-8]])
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        effect = BrighterFatter(kernel, steps=settings["charge steps"])
+        run = jax.jit(lambda light: gathered(None, light, effect))
+        return lambda seed: run(light)
+
+    return Problem("spots of 1e5 electrons that repel", prepare)
+
+
 def _diffraction_size() -> Problem:
     image = np.zeros((SIDE, SIDE, 1))
     image[20:24, 8:40] = 1.0
@@ -184,6 +198,7 @@ EXAMPLES = {
     "defocus layers": _layers,
     "motion moments": _moments,
     "oversampling": _oversampling,
+    "charge steps": _charge_steps,
     "diffraction size": _diffraction_size,
     "diffraction nodes": _diffraction_nodes,
     "shot noise": _shot_noise,

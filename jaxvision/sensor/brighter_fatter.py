@@ -1,0 +1,241 @@
+"""Charge that moves the borders of pixels while it gathers: the brighter-fatter effect.
+
+Q: electrons held, I: electrons that arrive over the exposure, K: the kernel, phi = K * Q. Over the
+border of neighbours p and q flows (I_p + I_q) (phi_p - phi_q) / 2, and
+
+    dQ_p / dt = I_p + sum over the four q of (I_p + I_q) (phi_q - phi_p) / 2,     t from 0 to 1.
+
+In even light, with a = Laplacian of K and mu = I, charges that are counted have the covariances
+
+    C(k) = (exp(2 a(k) mu) - 1) / (2 a(k)) = mu + a mu^2 + (2/3) (a*a) mu^3 + (1/3) (a*a*a) mu^4 ...
+
+in Fourier space: equation 20 of Astier et al. (A&A 629 A36, 2019) with b = 0. The variance flattens
+with light by a_00 mu^2, neighbours' covariances grow with its square, and, as the sum of a is 0,
+variance and covariances add up to mu. A pattern of sensitivities is smoothed: its variance becomes
+
+    p(k)^2 mu^2 ((exp(a(k) mu) - 1) / (a(k) mu))^2.
+"""
+
+from collections.abc import Callable
+from math import factorial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from .._arguments import takes_numbers
+from .._numerics import polynomial
+from .._types import Key, Scalar, Scalars
+from ..filters import correlate
+from ..scene import BrighterFatter, ShotNoise
+from ._draws import Frame, check_image, needed
+from .exposure import Counts
+from .shot_noise import count
+
+Quadrant = Float[Array, "rows columns"]
+
+PERIOD = 32  # pixels after which the sensor of the closed forms repeats itself
+TERMS = 20  # of their series in sum |a| mu: the next is below 1e-10 up to FURTHEST
+SMALLEST = 1e-12  # per electron: S of less is taken as this, which changes no value
+FURTHEST = 2.0  # sum |a| mu beyond which the relative change is held: borders have crossed a pixel
+
+
+@takes_numbers
+def gathered(
+    key: Key | None,
+    electrons: Counts,
+    effect: BrighterFatter,
+    *,
+    shot_noise: ShotNoise | None = None,
+    full_well: Scalar | None = None,
+) -> Counts:
+    """Electrons that pixels gather while their charge turns away what comes later.
+
+    Args:
+        key: random key of the frame; may be None without `shot_noise`.
+        electrons: (..., h, w, bands) expected without the effect, >= 0.
+        effect: the kernel, and the parts of the exposure.
+        shot_noise: how electrons are counted; None keeps the expectation.
+        full_well: () electrons above which a pixel's charge repels no more.
+
+    Returns:
+        (..., h, w, bands) electrons.
+
+    Raises:
+        ValueError: `electrons` is not an image, or `key` is None and needed.
+
+    Example:
+        >>> effect = jv.BrighterFatter([[1e-6]])
+        >>> spot = jnp.array([0.0, 1e4, 0.0]).reshape(1, 3, 1)
+        >>> [round(float(x), 1) for x in jv.sensor.gathered(None, spot, effect).ravel()]
+        [25.0, 9950.0, 25.0]
+    """
+    check_image("Sensor.brighter_fatter", electrons.shape)
+    parts = effect.steps
+    kernel = _unfolded(effect.kernel) * (parts / (parts - 1))
+    arriving = electrons / parts
+
+    def part(i: Array, held: Counts) -> Counts:
+        repelling = held if full_well is None else jnp.minimum(held, full_well)
+        potential = correlate(repelling, kernel, border="mirror")
+        more = jnp.maximum(arriving + _drift(arriving, potential), 0)
+        if shot_noise is not None:
+            more = count(jax.random.fold_in(needed(key, Frame.SHOT), i), more, shot_noise)
+        return held + more
+
+    return jax.lax.fori_loop(0, parts, part, jnp.zeros_like(electrons))
+
+
+@takes_numbers
+def area_changes(kernel: Quadrant) -> Quadrant:
+    """By what share an electron changes the area of the pixels around it: a_ij, K's Laplacian.
+
+    Args:
+        kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
+
+    Returns:
+        (rows + 1, columns + 1) per electron at the same offsets; over all pixels, of either sign of
+        the offsets, they sum to 0.
+
+    Example:
+        >>> print(jv.sensor.area_changes(jnp.array([[1e-6]])) * 1e6)
+        [[-4.  1.]
+         [ 1.  0.]]
+    """
+    around = jnp.pad(kernel, ((0, 2), (0, 2)))
+    rows, columns = kernel.shape
+    up, left = (np.abs(np.arange(n + 1) - 1) for n in (rows, columns))
+    own = around[: rows + 1, : columns + 1]
+    below, right = around[1 : rows + 2, : columns + 1], around[: rows + 1, 1 : columns + 2]
+    return below + right + own[up] + own[:, left] - 4 * own
+
+
+@takes_numbers
+def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, "..."]:
+    """Covariances of the charges of neighbouring pixels in even light, electrons being counted.
+
+    The closed form at the top of `jaxvision.sensor.brighter_fatter` on a sensor of 32 x 32 pixels
+    without borders, by 20 terms of its series: to 1e-10 of mu up to sum |a| mu = 2.
+
+    Args:
+        area_change: (rows, columns) per electron, a at offsets of 0, 1, ... rows and columns, at
+            most 16 each; `area_changes` of a kernel, or measured ones, whose sum need not be 0.
+        electrons: (...) mu, expected electrons per pixel, >= 0.
+
+    Returns:
+        (..., rows, columns) electrons^2: the variance at offset (0, 0), covariances at the others.
+
+    Raises:
+        ValueError: `area_change` reaches further than 16 pixels.
+
+    Example:
+        >>> a = jv.sensor.area_changes(jnp.array([[1e-6]]))
+        >>> covariances = jv.sensor.flat_covariances(a, jnp.array(1e4))
+        >>> print(covariances.round(1))
+        [[9612.9   94.8]
+         [  94.8    1.3]]
+    """
+    size, terms = _series(area_change, _of_counts)
+    ones = (1,) * electrons.ndim
+    mu = electrons[..., None, None]
+    terms = [term.reshape(*ones, *area_change.shape) for term in terms]
+    return mu * polynomial(terms, _held(size, mu) * jnp.ones_like(terms[0]))
+
+
+@takes_numbers
+def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
+    """Variance of the charges of pixels in even light, electrons being counted.
+
+    Args:
+        effect: the kernel.
+        electrons: (...) expected electrons per pixel, >= 0.
+
+    Returns:
+        (...) electrons^2.
+    """
+    size, terms = _series(area_changes(effect.kernel), _of_counts)
+    return electrons * polynomial([term[0, 0] for term in terms], _held(size, electrons))
+
+
+@takes_numbers
+def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
+    """By what factor the variance of a pattern of sensitivities is smaller in even light.
+
+    Args:
+        effect: the kernel.
+        electrons: (...) expected electrons per pixel, >= 0.
+
+    Returns:
+        (...) no unit, for a pattern that is independent from pixel to pixel.
+    """
+    size, terms = _series(area_changes(effect.kernel), _of_patterns)
+    return polynomial([term[0, 0] for term in terms], _held(size, electrons))
+
+
+def _of_counts(m: int) -> float:
+    """Of (exp(2 y) - 1) / (2 y) in powers of y."""
+    return 2**m / factorial(m + 1)
+
+
+def _of_patterns(m: int) -> float:
+    """Of ((exp y - 1) / y)^2."""
+    return (2 ** (m + 2) - 2) / factorial(m + 2)
+
+
+def _held(size: Scalar, electrons: Scalars) -> Scalars:
+    return jnp.minimum(size * electrons, FURTHEST)
+
+
+def _drift(arriving: Counts, potential: Counts) -> Counts:
+    """What each pixel gains from its four neighbours, of as much as arrives."""
+    gained = jnp.zeros_like(arriving)
+    for axis in (-3, -2):
+        before = (slice(None),) * (arriving.ndim + axis)
+        here, there = (*before, slice(None, -1)), (*before, slice(1, None))
+        over = (arriving[here] + arriving[there]) / 2 * (potential[here] - potential[there])
+        gained = gained.at[here].add(-over).at[there].add(over)
+    return gained
+
+
+def _unfolded(kernel: Quadrant) -> Quadrant:
+    """The kernel at offsets of either sign."""
+    rows, columns = (np.abs(np.arange(1 - n, n)) for n in kernel.shape)
+    return kernel[rows][:, columns]
+
+
+def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scalar, list[Quadrant]]:
+    """S = sum |a|, and the coefficients of sum over m of weight(m) mu^m (a * ... * a), a taken m
+    times, in powers of S mu, the highest first."""
+    rows, columns = area_change.shape
+    if max(rows, columns) > PERIOD // 2:
+        raise ValueError(
+            f"area_change must reach at most {PERIOD // 2} pixels, got {rows, columns}."
+        )
+    # cosines summed over offsets of either sign, and back over the frequencies of either sign
+    there, back = zip(*(_cosines(n, area_change.dtype) for n in (rows, columns)), strict=True)
+    copies = jnp.asarray(np.outer(_copies(rows), _copies(columns)), area_change.dtype)
+    size = jnp.maximum(jax.lax.stop_gradient(jnp.sum(jnp.abs(area_change) * copies)), SMALLEST)
+    spectrum = there[0] @ (area_change / size) @ there[1].T
+    terms, power = [], jnp.ones_like(spectrum)
+    for m in range(TERMS):
+        terms.append(weight(m) * (back[0] @ power @ back[1].T))
+        power = power * spectrum
+    return size, terms[::-1]
+
+
+def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
+    """(half a period, lags) from offsets of 0, 1, ... to frequencies, and (lags, half a period)
+    back."""
+    frequencies = np.arange(PERIOD // 2 + 1)
+    cosines = np.cos(2 * np.pi * frequencies[:, None] * np.arange(lags) / PERIOD)
+    weights = _copies(frequencies.size)
+    weights[-1] = 1.0
+    to, back = cosines * _copies(lags), (cosines * weights[:, None] / PERIOD).T
+    return jnp.asarray(to, dtype), jnp.asarray(back, dtype)
+
+
+def _copies(lags: int) -> Float[np.ndarray, " lags"]:
+    """How many offsets have that size."""
+    return np.where(np.arange(lags) == 0, 1.0, 2.0)
