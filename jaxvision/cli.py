@@ -7,6 +7,8 @@ mistyped option answer at once.
 
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -159,10 +161,6 @@ def render(
     """Render a scene to an EXR of radiance, W m^-2 sr^-1, and a preview, tile by tile. The same
     command resumes a render that was interrupted or killed."""
     file = existing_file(scene, "scene")
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
     _prepare()
     from .effects.certificate import summary
     from .render_command import pruned_for, render_to_file, with_resolution
@@ -187,7 +185,6 @@ def render(
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
         source = replace(source, view=with_resolution(source.view, wanted))
     pruned = pruned_for(source, settings, tolerance) if tolerance else None
-    console = Console(stderr=True, highlight=False)
     chosen = None
     if accuracy or seconds is not None:
         refused = {"samples": samples, "depth": depth, "gather": gather, "tolerance": tolerance}
@@ -198,24 +195,16 @@ def render(
         from .accuracy import settings as settings_for
         from .accuracy.tables import choice_in_words
 
-        console.print("Measuring what accuracy costs; the result is remembered.")
+        print("Measuring what accuracy costs; the result is remembered.", file=sys.stderr)
         share = _share(accuracy) if accuracy else None
         source = replace(source, render=settings)
         chosen = settings_for(source, tolerance=share, render_seconds=seconds)
         settings, pruned = chosen.render, chosen.effects
         print(choice_in_words(chosen))
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
-    shown_here = Progress(*columns, console=console, disable=not console.is_terminal)
-    with workers_of(workers, scheduler=scheduler), shown_here as progress:
-        task = progress.add_task(f"{source.path.stem}, {settings.integrator}", total=None)
+    title = f"{source.path.stem}, {settings.integrator}"
+    with workers_of(workers, scheduler=scheduler), _progress(title) as advance:
         render_to_file(
-            source,
-            out,
-            settings,
-            pruned=pruned,
-            preview=shown,
-            fresh=fresh,
-            advance=lambda done, total: progress.update(task, completed=done, total=total),
+            source, out, settings, pruned=pruned, preview=shown, fresh=fresh, advance=advance
         )
     if pruned is not None:
         print(summary(pruned.certificate))
@@ -326,7 +315,8 @@ def effects(
     sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
     if goal is None:
-        found = inspected(source, source.render, time=timed, **asked)
+        with _progress("measuring programs", shown=timed) as advance:
+            found = inspected(source, source.render, time=timed, advance=advance, **asked)
         print(json.dumps([_told(e) for e in found], indent=2) if as_json else listed(found))
         return
     pruned = pruned_for(source, source.render, goal, **asked)
@@ -344,6 +334,21 @@ def effects(
 def _told(effect: Any) -> dict[str, Any]:
     """An effect for JSON, which has no infinity."""
     return {k: None if v == float("inf") else v for k, v in asdict(effect).items()}
+
+
+@contextmanager
+def _progress(title: str, *, shown: bool = True) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal's standard error, moved by how many parts of how many are done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    console = Console(stderr=True, highlight=False)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
+    hidden = not (shown and console.is_terminal)
+    with Progress(*columns, console=console, disable=hidden) as progress:
+        task = progress.add_task(title, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _pair(option: str, text: str) -> tuple[int, int]:

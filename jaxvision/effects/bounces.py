@@ -7,6 +7,7 @@ brightest first. A mirror or glass may pass on all of the brightest. Proof is go
 in a bright closed room it is far too large, and its paths are kept.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from .stages import Draft, Row
 from .sums import Sums, pictured, sent
 
 DIRECT = 2  # pieces of a path of direct light: light to surface, surface to eye
+_EACH = 16  # pieces up to which paths may be cut to any number
+_SETTLED = 1e-12  # of a sum: what may be left of it when it is ended
 _MOST = 400  # pieces after which a sum that does not settle has no bound
 
 
@@ -40,13 +43,22 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
     shone = sums.own + sum(
         np.maximum.reduceat(sent(sums, k), first, axis=0) for k in range(len(sums.sources))
     )
-    return tuple(_row(sums, onward, shone, pieces) for pieces in range(DIRECT, depth))
+    wanted = shorter(depth)
+    tails = onward.tails(shone, [pieces - DIRECT + 1 for pieces in wanted], depth - DIRECT)
+    return tuple(
+        pieces_row(pictured(sums, tail[sums.cells.surface]), pieces, depth)
+        for pieces, tail in zip(wanted, tails, strict=True)
+    )
 
 
-def _row(sums: Sums, onward: "Onward", shone: np.ndarray, pieces: int) -> Row:
-    tail = onward.series(shone, pieces - DIRECT + 1, (onward.depth or DIRECT) - DIRECT)
-    amount = pictured(sums, tail[sums.cells.surface])
-    return pieces_row(amount, pieces, onward.depth or pieces)
+def shorter(depth: int) -> list[int]:
+    """Numbers of pieces below `depth` that paths may be cut to: each up to 16, from there on in
+    steps of a quarter."""
+    found, pieces = [], DIRECT
+    while pieces < depth:
+        found.append(pieces)
+        pieces = max(pieces + 1, pieces * 5 // 4 if pieces >= _EACH else 0)
+    return found
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
@@ -90,19 +102,26 @@ class Onward:
 
     def series(self, sent: np.ndarray, first: int, last: int) -> np.ndarray:
         """The sum of T^k of what is sent, (n, bands), k from `first` to `last`, inclusive."""
-        total = np.zeros_like(sent)
+        return self.tails(sent, [first], last)[0]
+
+    def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
+        """The same for each of several `firsts`: (f, n, bands). T shrinks the largest of all by t
+        at least, so that what follows a term is at most t / (1 - t) of its largest."""
+        found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
+        t = np.max(self.albedo * np.minimum(self.factors.sum(1), 1) + self.mirror)
         for k in range(1, min(last, _MOST) + 1):
             sent = np.stack([self._once(band) for band in sent.T], axis=1)
-            if k >= first:
-                total = total + sent
-            if not sent.any() or not np.isfinite(sent).all():
+            whole = whole + sent
+            found[np.array(firsts) <= k] += sent
+            if not np.isfinite(sent).all():
                 break
-            if sent.max() <= 1e-12 * total.max(initial=0):
-                break
+            rest = times(sent.max(0), t / (1 - t) if t < 1 else np.inf)
+            if rest.max() <= _SETTLED * whole.max():
+                return found + rest
         else:
-            if last > _MOST and sent.any():
-                return np.full_like(total, np.inf)
-        return np.where(np.isfinite(sent), total, np.inf)
+            if last > _MOST:
+                return np.full_like(found, np.inf)
+        return np.where(np.isfinite(sent), found, np.inf)
 
     def _once(self, sent: np.ndarray) -> np.ndarray:
         order = np.argsort(-sent)

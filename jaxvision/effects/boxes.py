@@ -30,6 +30,23 @@ def refuse_tracers(*records: Any) -> None:
             )
 
 
+def unbounded(scene: Scene, camera: Camera) -> str:
+    """The name of a number that leaves nothing to prove: one of the scene that is not finite, or a
+    NaN of the camera; "" if there is none."""
+    for record, wrong in ((scene, _not_finite), (camera, _is_nan)):
+        if any(wrong(leaf) for leaf in jax.tree.leaves(record)):
+            return next(name for name in _names(record, "") if wrong(value_at(record, name)))
+    return ""
+
+
+def _not_finite(leaf: jax.Array) -> bool:
+    return not np.all(np.isfinite(leaf))
+
+
+def _is_nan(leaf: jax.Array) -> bool:
+    return bool(np.any(np.isnan(leaf)))
+
+
 def _steps(name: str) -> list[str | int]:
     return [int(number) if number else word for word, number in _STEP.findall(name)]
 

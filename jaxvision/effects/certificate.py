@@ -45,7 +45,7 @@ class Tolerance:
         rare: expected number of pixels that may differ by any amount, such as dead ones.
 
     Raises:
-        InputError: for a number below 0 or NaN, or an unknown unit.
+        InputError: for a number below 0 or NaN, an infinite value, or an unknown unit.
     """
 
     value: float
@@ -58,6 +58,8 @@ class Tolerance:
             number = getattr(self, name)
             if not number >= 0:
                 raise InputError(f"Tolerance.{name} must be at least 0, got {number}.")
+        if math.isinf(self.value):
+            raise InputError("Tolerance.value must be finite: what has no bound is never left out.")
         if self.unit not in get_args(Unit):
             words = ", ".join(get_args(Unit))
             raise InputError(f"Tolerance.unit must be one of {words}, got {self.unit!r}.")
@@ -83,14 +85,16 @@ def parse(text: str, *, place: float = 0.1, rare: float = 0.01) -> Tolerance:
         Tolerance(value=0.5, unit='DN', place=0.1, rare=0.01)
     """
     found = _NUMBER.fullmatch(text.strip())
+    unit, scale = _WORDS[found[2].lower()] if found else ("", 0.0)
     try:
-        assert found is not None
-        unit, scale = _WORDS[found[2].lower()]
-        return Tolerance(float(found[1]) * scale, unit, place, rare)  # pyright: ignore[reportArgumentType]
-    except (AssertionError, ValueError):
+        value = float(found[1]) * scale if found else np.inf
+    except ValueError:
+        value = np.inf
+    if not np.isfinite(value):
         raise InputError(
             f"a tolerance is a number and its unit, as in 1%, 0.5DN or 0.1sigma, got {text!r}."
-        ) from None
+        )
+    return Tolerance(value, unit, place, rare)  # pyright: ignore[reportArgumentType]
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,12 @@
 """A rectangle as a small light at its middle: how far the two may differ.
 
 Over the lamp's plane the integrand is cos_l cos_s / r^2 = H (n.(y - x)) / r^4 with H the receiver's
-constant height above it. The midpoint's error is at most half the largest second derivative, 28 H
-r^-5, times the mean square m2 = (u^2 + v^2) / 12 of places about the middle:
+constant height above it. Its second derivative along a unit vector t, with c = t.(y - x) / r, is
+H r^-5 [(24 c^2 - 4) cos_s - 8 c n.t], at most H r^-5 sqrt((16 c^2 - 4)^2 + 64 c^2 (1 - c^2)) over
+all normals, which is largest at c = 1: 12 H r^-5. The midpoint's error is at most half of that
+times the mean square m2 = (u^2 + v^2) / 12 of places about the middle:
 
-    |E - E_middle| <= L A / d^2 (H / d) [14 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
+    |E - E_middle| <= L A / d^2 (H / d) [6 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
 
 with d the distance from the middle; kink = sqrt(m2) / (2 d (1 - q)^4), only where the receiver's
 horizon can cross the lamp. A lobe changes by its slope along the lamp, and never by more than its
@@ -55,7 +57,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     over = _height(place, sums.cells)
     peak = area / some**2 * np.clip(over / some, 0, 1)
     kink = np.where(_crosses(sums.cells, place, half), np.sqrt(m2) / (2 * some * (1 - q) ** 4), 0)
-    relative = 14 * m2 / (some**2 * (1 - q) ** 5) + kink
+    relative = 6 * m2 / (some**2 * (1 - q) ** 5) + kink
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
     body = times((peak * relative)[:, None], times(sums.k_body, spectrum)[of_cell])
     at_place, lobe_at_place = _by_place(sums, k, place, area)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..scene import Scene, View
 from ..transport import Paths, path_traced
-from .bounces import DIRECT, pieces_row
+from .bounces import DIRECT, pieces_row, shorter
 from .stages import QUICKLY, Row
 
 _SIDE, _PATHS = 16, 64
@@ -34,7 +34,8 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
         depth: pieces of the longest path that is followed; None: direct light, no rows.
 
     Returns:
-        A row for each number of pieces from 2 to below `depth`; none of paths too short to probe.
+        A row for each number of pieces that `bounces.shorter` names; none of paths too short
+        to probe.
     """
     n = min(_SETTLED, (depth or 0) - 2)
     if depth is None or n < DIRECT:
@@ -50,7 +51,8 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
     ]
     tails = tails_of(*pictures, n=n, depth=depth)
     return tuple(
-        pieces_row(tail, DIRECT + k, depth, assumes=ASSUMED) for k, tail in enumerate(tails)
+        pieces_row(tail, pieces, depth, assumes=ASSUMED)
+        for pieces, tail in zip(shorter(depth), tails, strict=True)
     )
 
 
@@ -72,7 +74,7 @@ def tails_of(
         depth: pieces of the longest path that is followed.
 
     Returns:
-        (bands,) W m^-2 sr^-1 for each m from 2 to `depth` - 1; inf where nothing is seen to fall.
+        (bands,) W m^-2 sr^-1 for each m of `bounces.shorter`; inf where nothing is seen to fall.
     """
     first, second = np.maximum(longer - short, 0), np.maximum(longest - longer, 0)
     total = first.sum((0, 1))
@@ -85,7 +87,7 @@ def tails_of(
     most = first.max((0, 1))
     dark = (total == 0) & (second.sum((0, 1)) == 0)
     found = []
-    for m in range(DIRECT, depth):
+    for m in shorter(depth):
         tail = most * r ** float(m - n) * (1 - r ** float(depth - m)) / (1 - r)
         found.append(np.where(dark, 0, np.where(falls, tail, np.inf)))
     return found

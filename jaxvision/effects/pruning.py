@@ -11,14 +11,14 @@ import numpy as np
 from ..errors import InputError
 from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, View
-from .boxes import Box, ends_of, refuse_tracers
+from .boxes import Box, ends_of, refuse_tracers, unbounded
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, concerns
 from .development import development_stage
 from .moments import scene_rows
 from .motion import motion_stage
 from .optics import optics_stage
-from .seconds import seconds_of
+from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
 from .stages import QUICKLY, Draft, Ends, Row
 
@@ -61,6 +61,36 @@ def _chain(
     return Chain(rows, on_sensor.opening, response.dn, response.dark)
 
 
+def _chain_of(
+    scene: Scene,
+    camera: Camera,
+    free: Box | None,
+    *,
+    depth: int | None,
+    moments: int,
+    **asked: Any,
+) -> Chain:
+    """The same, none of the rows bounded where a number is not finite."""
+    refuse_tracers(scene, camera)
+    if depth is not None and depth < 1:
+        raise InputError(f"depth must be at least 1 piece, or None for direct light; got {depth}.")
+    if moments < 1:
+        raise InputError(f"moments must be at least 1, got {moments}.")
+    ends, wrong = ends_of(scene, camera, free), unbounded(scene, camera)
+    if not wrong:
+        return _chain(*ends, depth=depth, moments=moments, **asked)
+    with np.errstate(all="ignore"):
+        chain = _chain(*ends, depth=depth, moments=moments, **asked)
+    rows = (_kept_for(row, wrong) if row.effect.present else row for row in chain.rows)
+    return replace(chain, rows=tuple(rows))
+
+
+def _kept_for(row: Row, wrong: str) -> Row:
+    why = f"{wrong} is not finite, and nothing is proved"
+    effect = replace(row.effect, bound=np.inf, rank="bound", why=why)
+    return replace(row, effect=effect, amount=row.amount + np.inf, drop=None, after=None)
+
+
 def _camera_of(camera: Camera | View) -> Camera:
     return camera if isinstance(camera, Camera) else Camera(camera, Sensor())
 
@@ -76,6 +106,7 @@ def inspect(
     depth: int | None = None,
     estimates: bool = False,
     time: bool = False,
+    advance: Advance | None = None,
 ) -> tuple[Effect, ...]:
     """Every effect of a scene and a camera, and the most that it does to the picture.
 
@@ -91,8 +122,10 @@ def inspect(
             direct light, as `render` shows it.
         estimates: whether what long paths add is also estimated, by a small picture.
         time: whether the seconds of a picture that go with each effect are measured, too: with it
-            and without, in turns, at no more than 256 pixels along each side. Each compiles a
-            program of its own.
+            and without, in turns, at no more than 256 pixels along each side. Each that leaves
+            another program compiles it.
+        advance: with `time`, called as programs are compiled, with how many have run and how many
+            there are.
 
     Returns:
         One `Effect` each, its bound in the unit of its stage: W m^-2 sr^-1 of a scene, W m^-2 of a
@@ -100,7 +133,7 @@ def inspect(
 
     Raises:
         ValueError: for records with traced numbers.
-        InputError: for an unknown name in `free`.
+        InputError: for an unknown name in `free`, and numbers of pieces or moments below 1.
 
     Example:
         >>> from jaxvision import effects
@@ -114,9 +147,10 @@ def inspect(
         shadows[0] 0.0 exact
         ambient 0.0 exact
     """
-    refuse_tracers(scene, camera)
-    chain = _chain(
-        *ends_of(scene, _camera_of(camera), free),
+    chain = _chain_of(
+        scene,
+        _camera_of(camera),
+        free,
         depth=depth,
         samples=samples,
         motion=motion,
@@ -128,7 +162,7 @@ def inspect(
     whole = isinstance(camera, Camera)
     if time:
         start = _start(scene, _camera_of(camera), samples, motion, moments, depth)
-        taken = seconds_of(chain.rows, start, scene, whole=whole)
+        taken = seconds_of(chain.rows, start, scene, whole=whole, advance=advance)
     return tuple(
         replace(
             row.effect,
@@ -183,7 +217,7 @@ def prune(
 
     Raises:
         ValueError: for records with traced numbers.
-        InputError: for an unknown name in `free`, a unit that a bare view has not, and a picture
+        InputError: as `inspect`, for a unit that a bare view has not, and a picture
             without light as level.
 
     Example:
@@ -196,14 +230,15 @@ def prune(
         >>> print(len(pruned.scene.lights), pruned.scene.occluders)
         1 ()
     """
-    refuse_tracers(scene, camera)
     goal = parse(tolerance) if isinstance(tolerance, str) else tolerance
     whole = isinstance(camera, Camera)
     if goal.unit != "relative" and not whole:
         raise InputError(f"a tolerance in {goal.unit} needs a camera with a sensor, got a view.")
     own = _camera_of(camera)
-    chain = _chain(
-        *ends_of(scene, own, free),
+    chain = _chain_of(
+        scene,
+        own,
+        free,
         depth=depth,
         samples=samples,
         motion=motion,
@@ -213,8 +248,15 @@ def prune(
     )
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)
-        if not level > 0:
-            raise InputError(f"the level of a relative tolerance must be above 0, got {level:g}.")
+        if level == 0:
+            raise InputError(
+                "the level of a relative tolerance is 0: the picture is dark; give a level above 0 "
+                "or a tolerance in DN."
+            )
+        if not 0 < level < np.inf:
+            raise InputError(
+                f"the level of a relative tolerance must be above 0 and finite, got {level:g}."
+            )
     else:
         level = None
     start = _start(scene, own, samples, motion, moments, depth)

@@ -2,8 +2,9 @@
 
 A picture is four programs, each of its own records: the scene as rays see it, the lens, the sensor
 and the development. Leaving an effect out changes the records of some of them; the difference of
-what they take is what goes with it. Programs of the same records and sizes are compiled and run
-once for all effects. s.
+what they take is what goes with it. Programs of the same records and sizes, in whatever order the
+surfaces stand, are compiled and run once for all effects; one program follows paths of any number
+of pieces. s.
 """
 
 import time
@@ -17,10 +18,11 @@ import numpy as np
 
 from ..development import develop
 from ..optics import sensor_irradiance
-from ..rendering import PixelSamples, render
-from ..scene import Scene, View
+from ..rendering import PixelSamples, photograph, render
+from ..scene import Scene, Surface, View
 from ..sensor import raw_image
-from ..transport import Paths, path_traced
+from ..transport import Paths, path_along
+from .bounces import DIRECT
 from .choice import bands_of, finished
 from .spectra import with_bands
 from .stages import Draft, Row
@@ -28,6 +30,7 @@ from .stages import Draft, Row
 _SIDE = 256  # pixels along the longer side of what is measured
 _TURNS = 5
 _LONGEST = 20.0  # s of turns, after which no other one begins
+Advance = Callable[[int, int], Any]
 
 
 class _Part(NamedTuple):
@@ -40,7 +43,7 @@ class _Part(NamedTuple):
 
 
 def seconds_of(
-    rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool
+    rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool, advance: Advance | None = None
 ) -> list[float | None]:
     """What a picture takes less without each effect.
 
@@ -49,6 +52,7 @@ def seconds_of(
         start: what nothing has been left out of.
         scene: the same.
         whole: whether a sensor and a development follow the lens.
+        advance: called with the number of programs that have run and that of all; None: nobody is.
 
     Returns:
         s for each row, below 0 where the picture takes longer without; None where nothing can be
@@ -66,7 +70,8 @@ def seconds_of(
     calls = _Calls(scene, start, whole=whole)
     full = calls.parts(start)
     found = [None if draft is None else calls.parts(draft) for draft in drafts]
-    taken = _in_turns({part.kind: part.run for parts in (full, *found) for part in parts or ()})
+    runs = {part.kind: part.run for parts in (full, *found) for part in parts or ()}
+    taken = _in_turns(runs, advance)
     pixels = np.prod(view.resolution) / np.prod(small)
 
     def seconds(parts: Sequence[_Part]) -> float:
@@ -115,7 +120,7 @@ class _Calls:
         samples = draft.samples
         rays = 1 if samples is None else samples.count
         samples = None if samples is None else replace(samples, count=1)
-        seen = left, camera.view, samples
+        seen = _in_order(left), camera.view, samples
         found = [
             _part("scene", _picture, seen, fine * moments * rays, depth=draft.depth),
             _part("lens", _lens, (camera.view, self.radiance), fine * moments),
@@ -135,11 +140,29 @@ def _part(
     return _Part(kind, lambda: function(*records, **static), times)
 
 
-def _in_turns(runs: dict[Hashable, Callable[[], Any]]) -> dict[Hashable, float]:
+def _in_order(scene: Scene) -> Scene:
+    """The scene with its surfaces sorted by their records and sizes, where nothing numbers them."""
+    if scene.occluders:
+        return scene
+
+    def kind(surface: Surface) -> str:
+        leaves, tree = jax.tree.flatten(surface)
+        return f"{tree} {[np.shape(leaf) for leaf in leaves]}"
+
+    return replace(scene, surfaces=tuple(sorted(scene.surfaces, key=kind)))
+
+
+def _in_turns(
+    runs: dict[Hashable, Callable[[], Any]], advance: Advance | None
+) -> dict[Hashable, float]:
     """s, the median of each; the first calls, which compile, do not count."""
     found: dict[Hashable, list[float]] = {kind: [] for kind in runs}
-    for run in runs.values():
+    for done, run in enumerate(runs.values()):
+        if advance is not None:
+            advance(done, len(runs))
         jax.block_until_ready(run())
+    if advance is not None:
+        advance(len(runs), len(runs))
     start = time.perf_counter()
     for turn in range(_TURNS):
         if turn and time.perf_counter() - start > _LONGEST:
@@ -156,11 +179,10 @@ def _direct(scene: Scene, view: View, samples: PixelSamples | None) -> jax.Array
     return render(scene, view, samples=samples)
 
 
-def _paths(scene: Scene, view: View, depth: int) -> jax.Array:
-    return path_traced(jax.random.key(0), scene, view, method=Paths(1, depth)).radiance
-
-
-_traced = jax.jit(_paths, static_argnames="depth")
+@jax.jit
+def _traced(scene: Scene, view: View, depth: jax.Array) -> jax.Array:
+    along = path_along(scene, Paths(1), depth=depth)
+    return photograph(along, view, PixelSamples(jax.random.key(0), 1)).radiance
 
 
 def _picture(
@@ -168,7 +190,7 @@ def _picture(
 ) -> jax.Array:
     if depth is None:
         return _direct(scene, view, samples)
-    return _traced(scene, view, depth=depth)
+    return _traced(scene, view, jnp.asarray(max(depth, DIRECT), jnp.int32))
 
 
 _lens = jax.jit(sensor_irradiance)

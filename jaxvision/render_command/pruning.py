@@ -2,7 +2,7 @@
 without those that do not matter."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,6 +60,7 @@ def inspected(
     free: Box | None = None,
     estimates: bool = False,
     time: bool = False,
+    advance: Callable[[int, int], Any] | None = None,
 ) -> tuple[Effect, ...]:
     """The effects of a scene file.
 
@@ -70,6 +71,7 @@ def inspected(
         free: as in `effects.inspect`, in the unit of each field.
         estimates: whether long paths are probed, too.
         time: whether the seconds that go with each are measured; of direct light and of paths.
+        advance: as in `effects.inspect`.
 
     Returns:
         One `Effect` each.
@@ -77,7 +79,8 @@ def inspected(
     if time and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
     seen = _seen_by(source, camera)
-    asked = _asked(settings) | {"free": free, "estimates": estimates, "time": time}
+    asked = _asked(settings) | {"free": free, "estimates": estimates}
+    asked |= {"time": time, "advance": advance}
     return effects.inspect(source.scene, seen, **asked)
 
 
