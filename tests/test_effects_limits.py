@@ -126,3 +126,15 @@ def test_effects_that_leave_the_same_program_share_it(monkeypatch):
     assert lengths == {2, 3, 4, 5}
     # whole, without the lamp, with one ball matt
     assert len({kind[:-1] for kind in asked if kind[0] == "scene"}) == 3
+
+
+def test_shadows_that_nobody_searches_save_nothing():
+    """One convex shape, and a scene whose occluders are none, trace no shadows as they are."""
+    balls = [FLOOR, jv.Surface(BALL, GREY)]
+    for scene, saves in (
+        (jv.Scene([FLOOR], [POINT]), 0.02),
+        (jv.Scene(balls, [POINT], occluders=()), 0.02),
+        (jv.Scene(balls, [POINT]), 0.4),
+    ):
+        (shadows,) = (e for e in effects.inspect(scene, VIEW) if e.name == "shadows[0]")
+        assert shadows.saves == saves

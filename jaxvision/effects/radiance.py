@@ -176,7 +176,7 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
         amount,
         drop,
         why,
-        saves=_SAVES["shadows"],
+        saves=_SAVES["shadows" if sums.searched else "own"],
         part_of=f"lights[{k}]",
         together="shadows",
     )

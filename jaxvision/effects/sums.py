@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..brdf.glass import Glass
+from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen
 from .blocking import may_block
@@ -45,6 +46,7 @@ class Sums(NamedTuple):
         blocked: (l, n, n) whether a surface (last) may shade a surface (middle).
         shaded: (l, c) whether anything may shade the cell; of direct light, where it is seen.
         dark: (l, c) whether the cell lies in full shadow.
+        searched: whether shadow rays are traced at all.
         nearest: (l, n) m, lower bounds of the distances of lights and surfaces.
         eye: where it is seen from.
     """
@@ -69,6 +71,7 @@ class Sums(NamedTuple):
     blocked: np.ndarray
     shaded: np.ndarray
     dark: np.ndarray
+    searched: bool
     nearest: np.ndarray
     eye: Eye
 
@@ -145,6 +148,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         blocked,
         within,
         in_umbra(sources, surfaces, cells, occluders=low.occluders),
+        low.occluders != () and can_shade(low.surfaces),
         nearest,
         eye,
     )

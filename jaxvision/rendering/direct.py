@@ -3,6 +3,8 @@
 Radiance in W m^-2 sr^-1, lengths in m.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
@@ -16,7 +18,7 @@ from .._types import Colour, Image
 from .._vector import Vec, where
 from ..geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from ..lights import Rule, can_be_seen, nearest_seen, rules_of
-from ..scene import Scene, TriangleMesh, View
+from ..scene import Scene, Surface, TriangleMesh, View
 from ..shading import lighting, reflected_radiance
 from ..shadows import DEFAULT_RULE, TRACED, Leaving
 from .pixel_loop import Along, PixelSamples, each, numbers_of, photograph
@@ -60,7 +62,7 @@ def sorted_scene(scene: Scene) -> SortedScene:
     """The shapes of a scene sorted once for all rays; lengths in m."""
     shapes = sorted_shapes([surface.shape for surface in scene.surfaces])
     if scene.occluders is None:
-        return SortedScene(shapes, shapes if _can_shade(scene) else None)
+        return SortedScene(shapes, shapes if can_shade(scene.surfaces) else None)
     blocking = [scene.surfaces[i].shape for i in scene.occluders]
     return SortedScene(shapes, sorted_shapes(blocking) if blocking else None)
 
@@ -95,10 +97,10 @@ def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...])
     return jnp.where((ahead.distance < hit.distance) | missed, ahead.radiance, radiance)
 
 
-def _can_shade(scene: Scene) -> bool:
+def can_shade(surfaces: Sequence[Surface]) -> bool:
     """Whether light can be blocked at all: a single convex shape shades only its own back."""
-    first = scene.surfaces[0]
-    return len(scene.surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
+    first = surfaces[0]
+    return len(surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
 
 
 def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Vec, Leaving]:
