@@ -21,6 +21,7 @@ from .interrupts import removed_if_interrupted
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
 JPEG_FORMATS = (".jpg", ".jpeg")
 FLOAT_FORMATS = (".exr", ".hdr")
+LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
 
 
@@ -313,4 +314,5 @@ def _reason(teller: Any) -> str:
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split()) or "no further detail"
+    words = " ".join(message.split()) or "no further detail"
+    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]} ..."

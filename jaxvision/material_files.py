@@ -10,6 +10,9 @@ import os
 from inspect import ismodule
 from pathlib import Path
 
+import jax
+import numpy as np
+
 from . import brdf
 from .errors import InputError, nearest
 from .record_files import record_of, table_of, with_draws, write_record
@@ -29,6 +32,7 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
 
     Raises:
         InputError: there is no such file, or it holds an unknown key or a value out of range.
+            Materials in memory may hold NaN, which shows in pictures; files may not.
     """
     from .toml_files import read_toml
 
@@ -39,6 +43,10 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     if name not in kinds:
         raise InputError(f"{path}: kind = {name!r} is no material; {nearest(name, kinds)}.")
     material = record_of(str(path), "", kinds[name], table)
+    for place, number in jax.tree.leaves_with_path(material):
+        if not np.isfinite(number).all():
+            where = jax.tree_util.keystr(place, simple=True, separator=".")
+            raise InputError(f"{path}: {where} must hold finite numbers; correct it.")
     return material if draws is None else with_draws(path, material, draws)
 
 

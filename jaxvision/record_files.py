@@ -11,6 +11,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -93,9 +94,12 @@ def with_draws(file: Path, record: Record, count: int) -> Record:
     beside = _beside(file)
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
-    with np.load(beside) as content:
-        stored = dict(content)
-    there = len(next(iter(stored.values())))
+    try:
+        with beside.open("rb") as stream, np.load(stream) as content:
+            stored = dict(content)
+        there = len(next(iter(stored.values())))
+    except (ValueError, OSError, EOFError, TypeError, StopIteration, BadZipFile) as error:
+        raise InputError(f"{beside}: not a file of draws; save the fit again.") from error
     if not 1 <= count <= there:
         raise InputError(f"{beside}: {count} draws were asked for, {there} are there.")
     rows = np.linspace(0, there - 1, count).astype(int)

@@ -1,4 +1,5 @@
-"""Damaged files of every kind: each is read, or refused in one sentence, soon and in little memory.
+"""Damaged files of every kind: each is read, or refused in one sentence, soon and in little memory;
+commands end so too.
 
     pytest -m fuzz tests/test_fuzz.py            # JAXVISION_FUZZ=5000 for so many files a kind
 
@@ -16,10 +17,12 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from commands import called
 from fuzz.damage import damaged
 from fuzz.seeds import kinds
 
-from jaxvision.cli import app
+import fitting.cli
+import jaxvision.cli
 from jaxvision.errors import InputError
 
 COUNT = int(os.environ.get("JAXVISION_FUZZ", "200"))
@@ -85,19 +88,57 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     assert not wrong, wrong
 
 
-@pytest.mark.fuzz
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", ["png", "tiff", "exr", "npy"])
-def test_commands_end_with_a_sentence(name, tmp_path):
-    from commands import called
+# the command, what it is asked, the kinds of its file, and one in how many files it is given
+COMMANDS = {
+    "inspect": (jaxvision.cli.app, "inspect FILE", "png png16 tiff jpeg exr hdr npy", 20),
+    "render": (
+        jaxvision.cli.app,
+        "render FILE --resolution 2,2 --samples 1 --depth 2 --no-preview --out FOLDER/picture.exr",
+        "scene",
+        20,
+    ),
+    "effects": (jaxvision.cli.app, "effects FILE", "scene", 20),
+    "noise": (fitting.cli.app, "noise FILE --out FOLDER/out", "levels rig", 40),
+    "response": (fitting.cli.app, "response FILE --out FOLDER/out", "rig", 20),
+    "brdf": (fitting.cli.app, "brdf FILE --out FOLDER/out", "rig cornell", 40),
+}
 
-    kind = kinds(tmp_path)[name]
-    file = tmp_path / f"damaged{kind.suffix}"
-    for number in range(COUNT // 20):
-        file.write_bytes(content(name, kind, number))
-        status, _, error = called(app, "inspect", file)
-        assert status in (0, 2), number
-        assert (status == 0) == (not error), (number, error)
+
+@pytest.mark.fuzz
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_end_with_a_sentence(command, tmp_path):
+    app, asked, names, share = COMMANDS[command]
+    every = kinds(tmp_path)
+    counts, wrong = Counter(), {}
+    for name in names.split():
+        folder = tmp_path / name
+        folder.mkdir()
+        file = folder / ("rig.toml" if name == "rig" else f"damaged{every[name].suffix}")
+        given = folder if name == "rig" else file
+        for number in range(max(COUNT // share, 1)):
+            file.write_bytes(content(name, every[name], number))
+            words = asked.replace("FILE", str(given)).replace("FOLDER", str(folder)).split()
+            found = ended(app, words)
+            counts[found if found in ("done", "refused") else "wrong"] += 1
+            if found not in ("done", "refused"):
+                wrong[name, number] = found
+    print(f"{command}: {sum(counts.values())} files, {dict(counts)}")
+    assert not wrong, wrong
+
+
+def ended(app, words):
+    """ "done", "refused", or what is wrong."""
+    try:
+        status, _, error = called(app, *words)
+    except Exception as failure:
+        return f"{type(failure).__name__}: {failure}"[:WORDS]
+    if status == 0:
+        return "done"
+    sentence = error.strip().split("\n")[-1]
+    good = status == 2 and sentence.endswith(".") and "Traceback" not in error
+    return "refused" if good else f"status {status}: {error[-WORDS:]!r}"
 
 
 def test_sound_files_are_read(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from jaxvision import io
 from jaxvision.errors import InputError
-from jaxvision.io import read_image, write_exr, write_image
+from jaxvision.io import LONGEST_REASON, read_image, write_exr, write_image
 
 RNG = np.random.default_rng(3)
 
@@ -191,11 +191,18 @@ def test_exr_is_written_row_by_row(tmp_path):
 def test_every_damage_of_a_header_is_a_sentence(tmp_path):
     """A byte that is no text, which the library's own message would quote, and a cut tuple."""
     write_image(tmp_path / "a.exr", np.ones((2, 2), np.float32))
-    damaged = bytearray((tmp_path / "a.exr").read_bytes())
+    written = (tmp_path / "a.exr").read_bytes()
+    damaged = bytearray(written)
     damaged[16] = 0xFF
     (tmp_path / "a.exr").write_bytes(damaged)
     with pytest.raises(InputError, match=r"a\.exr: (not readable|the file is damaged)"):
         read_image(tmp_path / "a.exr")
+    (tmp_path / "a.exr").write_bytes(bytes(written).replace(b"channels", b"channelt"))
+    with pytest.raises(InputError) as caught:  # each complaint, under the file's path
+        read_image(tmp_path / "a.exr")
+    words = str(caught.value)
+    assert "\n" not in words
+    assert len(words) < LONGEST_REASON + len(str(tmp_path)) + 120
     np.save(tmp_path / "a.npy", np.ones((2, 2)))
     header = (tmp_path / "a.npy").read_bytes().replace(b"(2, 2)", b"(2, 2 ")
     (tmp_path / "a.npy").write_bytes(header)

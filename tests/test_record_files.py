@@ -108,6 +108,14 @@ def test_draws_that_are_none_are_refused(tmp_path):
     file.write_text('kind = "Fong"')
     with pytest.raises(InputError, match="'Fong' is no material; the nearest is 'Phong'"):
         read_material(file)
+    for number in ("nan", "inf", "1e309"):
+        file.write_text(f'kind = "Lambert"\ndiffuse = [0.1, {number}]')
+        with pytest.raises(InputError, match="diffuse must hold finite numbers"):
+            read_material(file)
+    write_material(material, file, draws=drawn(material))
+    file.with_suffix(".npz").write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match=r"\.npz: not a file of draws"):
+        read_material(file, draws=2)
 
 
 def ball():
