@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
+from ._exponential import decay
 from ._numerics import difference_of_products, or_one
+from ._powers import exact
 from ._types import Scalar, Spectrum, check_choice, print_by_name
 
 Wavelengths = Float[Array, " bands"]
@@ -23,8 +25,9 @@ Responses = Float[Array, "bands channels"]
 print_by_name(globals(), "Wavelengths", "Responses")
 
 LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
-_TWO_H_C_SQUARED = 1.1910429723971884e-16  # W m^2, the SI of 2019
-_H_C_OVER_K = Fraction("6.62607015e-34") * 299792458 / Fraction("1.380649e-23")  # m K
+_PLANCK = Fraction("6.62607015e-34")  # J s, exact in the SI of 2019, like all of these
+_TWO_H_C_SQUARED = 2 * _PLANCK * 299792458**2  # W m^2
+_H_C_OVER_K = _PLANCK * 299792458 / Fraction("1.380649e-23")  # m K
 
 # CIE 167:2005: the polynomial's coefficients from six neighbours, and two values past each end.
 _SPRAGUE = (
@@ -211,25 +214,60 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         >>> round(float(np.pi * L / 5000**4 * 1e8), 3)  # Stefan-Boltzmann constant, 5.670e-8
         5.67
     """
-    cold, kelvin = temperature <= 0, or_one(temperature)
+    cold = temperature <= 0
+    return jnp.where(cold, 0, _planck(wavelengths, or_one(temperature)))
+
+
+@jax.custom_jvp
+def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
+    """`blackbody` to two units in the last place: each product and quotient comes with the share of
+    it that rounding has taken, and these are put back at the end."""
+    one = jnp.ones_like(wavelengths)
     x = float(_H_C_OVER_K) / (wavelengths * kelvin)
-    rare = jnp.exp(-x) * (1 - _lost_of_exponent(x, wavelengths, kelvin))
+    left, left_rest, scale, further, lost, lost_rest = decay(
+        x, _lost_of_exponent(x, wavelengths, kelvin)
+    )
     scaled = 2**20 * wavelengths  # exact; its fifth power is in range, but the square of that not
     square = scaled * scaled
-    per_wave = (_TWO_H_C_SQUARED * 2.0**100) / square / square / scaled
-    radiance = per_wave * rare / -jnp.expm1(-x)
-    return jnp.where(cold, 0, radiance)
+    constant, constant_rest = exact(_TWO_H_C_SQUARED * 2**100, wavelengths.dtype)
+    missing = constant_rest / constant + left_rest / or_one(left) - lost_rest / lost
+    missing = missing - 2 * difference_of_products(scaled, scaled, square, one) / square
+
+    def divided(a: Wavelengths, b: Wavelengths) -> tuple[Wavelengths, Wavelengths]:
+        quotient = a / b
+        return quotient, difference_of_products(a, one, quotient, b) / or_one(a)
+
+    per_wave = constant * one
+    for divisor in (square, square, scaled):
+        per_wave, share = divided(per_wave, divisor)
+        missing = missing + share
+    odds, share = divided(left, lost)
+    value = per_wave * odds
+    missing = missing + share + difference_of_products(per_wave, odds, value, one) / or_one(value)
+    # where a number is so small that its lower half is not held, rounding is unknown
+    known = (per_wave > float(jnp.finfo(x.dtype).tiny) * 2.0**48) & jnp.isfinite(missing)
+    return (value + jnp.where(known, value * missing, 0)) * scale * further
+
+
+@_planck.defjvp
+def _planck_jvp(primals, tangents):
+    (wavelengths, kelvin), (longer, warmer) = primals, tangents
+    radiance = _planck(wavelengths, kelvin)
+    x = float(_H_C_OVER_K) / (wavelengths * kelvin)
+    steepness = jnp.where(radiance == 0, 0, x / or_one(-jnp.expm1(-x)))
+    by_wavelength = (steepness - 5) * (longer / wavelengths)
+    return radiance, radiance * (by_wavelength + steepness * (warmer / kelvin))
 
 
 def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
     """h c / (lambda k T) - x, what rounding has taken from it, which the exponential magnifies by
-    its own size; no unit, a constant to gradients."""
+    its own size; no unit."""
     product, one = wavelengths * kelvin, jnp.ones_like(wavelengths)
-    nearest = np.asarray(float(_H_C_OVER_K), x.dtype)
+    nearest, rest = exact(_H_C_OVER_K, x.dtype)
     lost = difference_of_products(nearest * one, one, x, product)
     lost = lost - x * difference_of_products(wavelengths, kelvin * one, product, one)
-    lost = (lost + float(_H_C_OVER_K - Fraction(float(nearest)))) / product
-    return jax.lax.stop_gradient(jnp.where(jnp.isfinite(lost), lost, 0))
+    lost = (lost + rest) / product
+    return jnp.where(jnp.isfinite(lost), lost, 0)
 
 
 def _in_x(constant: str, x: str, y: str) -> tuple[float, float, float]:
