@@ -152,6 +152,10 @@ def render(
         float | None,
         typer.Option(help="Choose settings by measurement: the most accurate in this time."),
     ] = None,
+    measure: Annotated[
+        float,
+        typer.Option(help="Time to measure in before --accuracy or --seconds choose, s."),
+    ] = 240.0,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
@@ -195,10 +199,12 @@ def render(
         from .accuracy import settings as settings_for
         from .accuracy.tables import choice_in_words
 
+        if not measure > 0:
+            raise InputError(f"--measure {measure:g}: give a time above 0.")
         print("Measuring what accuracy costs; the result is remembered.", file=sys.stderr)
         share = _share(accuracy) if accuracy else None
         source = replace(source, render=settings)
-        chosen = settings_for(source, tolerance=share, render_seconds=seconds)
+        chosen = settings_for(source, tolerance=share, render_seconds=seconds, seconds=measure)
         settings, pruned = chosen.render, chosen.effects
         print(choice_in_words(chosen))
     title = f"{source.path.stem}, {settings.integrator}"

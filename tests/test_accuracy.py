@@ -14,6 +14,8 @@ from jaxvision.accuracy import (
     error_against_time,
     relative_rms,
 )
+from jaxvision.accuracy.choice import candidates
+from jaxvision.accuracy.records import Order
 from jaxvision.errors import InputError
 
 LENGTH = 400  # numbers of a result, where it stands for a picture
@@ -310,6 +312,9 @@ def test_settings_between_and_beyond_are_inferred_where_the_order_holds():
     assert 10_000 <= beyond.setting <= 20_000
     assert not beyond.measured
     np.testing.assert_allclose(beyond.seconds, 1e-3 * beyond.setting, rtol=0.1)
+    wide = Order(-0.18, -0.55, 0.19, "power", 4)
+    assert wide.low <= -0.5
+    assert len(candidates(replace(found, order=wide))) == len(found.trials)
     shallow = curve(monte_carlo(law=-0.2), RANDOM, clock=STILL)
     assert law(shallow).exponent > -0.3
     with pytest.raises(InputError, match="No setting reaches"):

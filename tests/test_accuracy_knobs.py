@@ -13,10 +13,14 @@ from jaxvision.errors import InputError
 WORDS = words("""
 order samples depth count rays paths patches gather moments slots oversampling sigmas members rank
 layers truncate tolerance rtol atol limit max_steps coarse_steps fine_steps roulette strategy rule
-shot_noise thetas phis azimuths polar split steps method dtype
+shot_noise thetas phis azimuths polar split steps method dtype interpolation iterations
+max_iterations terms nodes knots panels subdivisions degree refine cutoff precision
 """)
+# (these mean one thing wherever they stand) ...
+ANYWHERE = set(words("rule dtype split slots gather truncate shot_noise interpolation"))
 # ... unless it is one of these, where the word means something else: a derivative's order, a map of
-# depth, a count of things, data, a choice between definitions, or the dtype of what is asked for.
+# depth, a count of things, data, a choice between definitions, the dtype of what is asked for, or
+# what takes no less time when it is turned down.
 OTHER = words("""
 *.gaussians.*.order *.gaussian_kernel.order *.defocus.*.depth *.defocus.*.members *.Sorted.members
 *.split_by_rule.members *.scene_files.* *.record_files.* *.bounce.count *.rules_of.* *.colour_data.*
@@ -26,6 +30,7 @@ OTHER = words("""
 *.gauss_legendre.* *.read_mesh.dtype *.scipy_operator.dtype *.fixed_pattern.* *.read_out.*
 *.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
 *.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
+*.register_extended.nodes *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 """)
 
 
@@ -42,6 +47,13 @@ def test_every_approximation_has_a_knob():
     found = approximations()
     assert len(found) > 60
     assert not unknown(found, known + OTHER)
+
+
+@pytest.mark.parametrize("word", sorted(set(WORDS) - ANYWHERE))
+def test_an_approximation_that_no_knob_names_is_found(word):
+    """An argument of a function that is not there."""
+    known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
+    assert unknown([f"jaxvision.filters.planted.planted.{word}"], known + OTHER)
 
 
 def test_every_pattern_names_something_that_is_there():
@@ -62,7 +74,8 @@ def test_settings_are_listed_cheapest_first_and_references_are_finer():
         steps = [s for s in (*knob.settings, *knob.reference) if isinstance(s, int | float)]
         assert steps == sorted(steps) or steps == sorted(steps, reverse=True), knob.name
         assert len(set(knob.settings)) == len(knob.settings) >= 2, knob.name
-        assert knob.random or knob.reference or knob.name == "adaptive nodes", knob.name
+        known = knob.random or knob.reference or knob.name in ("adaptive nodes", "interpolation")
+        assert known, knob.name
 
 
 @pytest.mark.sweep("Gaussian cut", "curve table")

@@ -12,9 +12,9 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
-from jaxvision.accuracy.scene_settings import checked_error
+from jaxvision.accuracy.scene_settings import Chosen, checked_error, settled
 from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of
-from jaxvision.accuracy.tables import as_dict, notes, rows
+from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.scene_files import read_scene
@@ -99,6 +99,71 @@ def test_the_check_finds_what_a_combination_errs_by():
     truth = np.hypot(2.0 ** -best.settings["d"], best.settings["n"] ** -0.5)
     assert truth < error < 1.3 * truth
     assert checked_error(problem, curves, best, seconds=1e-6) is None
+
+
+def without_time_for(name):
+    """Curves of which one has time for the setting that is compiled, and for no other."""
+    clock = Clock()
+    plain = means(clock)
+
+    def slow(settings):
+        clock.now += 0.0 if known(settings) else 20.0
+        return plain.prepare(settings)
+
+    def known(settings):
+        return settings[name] == plain.settings[name]
+
+    problem = replace(plain, prepare=slow, compiled=known, compiling=20.0)
+    shares = {knob: 5.0 if knob.name == name else 60.0 for knob in (DRAWS, DEPTH)}
+    return problem, [curve(problem, k, seconds=s, clock=clock) for k, s in shares.items()]
+
+
+def test_a_bias_without_time_stays_where_it_is_and_is_named():
+    problem, curves = without_time_for("d")
+    assert [trial.setting for trial in curves[1].trials] == [4]
+    assert curves[1].taken <= 5.0
+    best = combined(curves, problem.settings, tolerance=0.2)
+    assert (best.settings["d"], best.unknown) == (4, ("d",))
+    fresh = problem.prepare(best.settings)(10**7)
+    assert np.sqrt(np.mean((fresh - (1 - 2.0**-4)) ** 2)) <= 0.2
+    assert "d 4 (not known)" in rows(problem, curves)[-1][2]
+    error = checked_error(problem, curves, best, seconds=1e9)
+    assert error is not None
+    assert error < 1.3 * best.settings["n"] ** -0.5
+    chosen = Chosen(None, None, 0.2, 1.0, False, best.settings, best.unknown)
+    assert "too short to measure d, left as in the scene" in choice_in_words(chosen)
+    with pytest.raises(InputError, match="no error of knob 'd' is known; allow more time"):
+        combined(curves[1:], problem.settings, tolerance=0.2)
+
+
+def test_without_an_error_of_chance_nothing_is_chosen():
+    problem, curves = measured()
+    trials = tuple(replace(trial, error_high=np.inf, hollow=True) for trial in curves[0].trials)
+    with pytest.raises(InputError, match="no error of knob 'n' is known; allow more time"):
+        combined([replace(curves[0], trials=trials, order=None), curves[1]], problem.settings,
+                 tolerance=0.5)  # fmt: skip
+
+
+@pytest.mark.parametrize(("beyond", "met"), [(0.0, True), (0.06, True), (5.0, False)])
+def test_what_fresh_runs_find_beyond_the_tolerance_is_tightened_or_refused(beyond, met):
+    """An error that only seeds of the check have: a small one is made up for, a large one is not
+    passed over."""
+    problem, curves = measured()
+
+    def prepare(settings):
+        honest = problem.prepare(settings)
+        checks = range(500_000, 1_000_000)
+        return lambda seed: honest(seed) + beyond * (seed in checks)
+
+    planted = replace(problem, prepare=prepare)
+    if not met:
+        with pytest.raises(InputError, match=r"fresh runs of the last ones are off by"):
+            settled(planted, curves, 0.1, None, seconds=1e9)
+        return
+    best, checked = settled(planted, curves, 0.1, None, seconds=1e9)
+    assert checked
+    assert np.hypot(2.0 ** -best.settings["d"] - beyond, best.settings["n"] ** -0.5) < best.error
+    assert best.error <= 0.1
 
 
 def test_the_table_says_settings_times_and_what_was_not_reached():

@@ -25,7 +25,8 @@ from jaxvision.errors import InputError
 # A public argument or field of one of these names trades error for time, and needs a knob ...
 WORDS = words("""
 tolerance rtol atol max_steps starts draws steps walkers chains acceptance coarse rounds count width
-reach window sampling posterior most_bins simulations repeats
+reach window sampling posterior most_bins simulations repeats iterations max_iterations terms nodes
+knots panels subdivisions degree refine cutoff
 """)
 # ... unless it is one of these, where the word means something else: a result, a number of things
 # or of data, repeats that are simulated, what several fits share, or what a certificate bounds.

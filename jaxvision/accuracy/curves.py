@@ -19,6 +19,7 @@ from .session import Clock, Point, Session
 from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
+LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
 HOLLOW = 3.0  # errors below so many of the reference's say little
 WRONG = 3.0  # standard deviations between a reference and the finest setting
 REPEATS = 5  # of the time of a setting that is not random
@@ -111,18 +112,25 @@ def curve(
 
 
 def _look(session: Session) -> None:
-    """Two calls of each setting while they fit; the first setting is always run. What the problem
-    refuses, such as too few pixels for a fit, is left out."""
-    for setting in session.knob.settings:
-        if session.points and session.expected(setting, calls=2) > FIRST_LOOK * session.left:
-            continue
-        try:
-            for seed in PAIRED:
-                session.call(setting, seed)
-        except InputError as refusal:
-            session.refuse(setting, refusal)
+    """Two calls of each setting while they fit; where none does, of one that takes no new program
+    or of the first. What the problem refuses, such as too few pixels for a fit, is left out."""
+    settings, finest = session.knob.settings, session.knob.reference[-1:]
+    for setting in settings:
+        share = LAST_LOOK if setting in finest else FIRST_LOOK
+        if session.expected(setting, calls=2) <= share * session.left:
+            _run_twice(session, setting)
+    if not session.points and not session.refused:
+        _run_twice(session, next(filter(session.is_compiled, settings), settings[0]))
     if not session.points:
         raise next(iter(session.refused.values()))
+
+
+def _run_twice(session: Session, setting: Any) -> None:
+    try:
+        for seed in PAIRED:
+            session.call(setting, seed)
+    except InputError as refusal:
+        session.refuse(setting, refusal)
 
 
 def _take_turns(session: Session, seeds: int) -> None:

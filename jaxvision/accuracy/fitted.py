@@ -7,6 +7,7 @@ import numpy as np
 from .records import Knob, Law, Order, Trial
 
 LEAST_SPREAD = 0.03  # relative: no error is known better
+SHALLOWEST = 0.7  # of the declared order, for it to be relied upon
 
 
 def variable(setting: float, law: Law) -> float:
@@ -53,7 +54,8 @@ def _is_number(setting: object) -> bool:
 
 def holds(knob: Knob, order: Order | None) -> bool:
     """Whether what was measured falls at least as fast as the declared order, so that it may be
-    relied upon beyond the settings that were run."""
+    relied upon beyond the settings that were run: the interval reaches it, and its middle is not so
+    much shallower that only its width does."""
     if order is None or knob.order is None or order.points < 3:
         return False
-    return order.low <= knob.order
+    return order.low <= knob.order and order.exponent <= SHALLOWEST * knob.order

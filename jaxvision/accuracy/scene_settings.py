@@ -23,6 +23,7 @@ from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
 from .curves import asked_knobs, curve, in_turn
 from .knobs import KNOBS
+from .norms import level_of
 from .records import Curve, Knob, Problem
 from .reference import DRAWS, FIRST_SEED
 from .scenes import APART, entry_of, knobs_of, scene_problem
@@ -49,6 +50,8 @@ class Chosen:
         checked: whether runs with fresh seeds against a finer picture have confirmed it; else time
             was too short.
         settings: of the knobs that were turned.
+        unknown: those that stay where they were, as time was too short to know their errors, which
+            `promised` does not hold.
         curves: of each knob; empty where the settings were remembered.
     """
 
@@ -58,6 +61,7 @@ class Chosen:
     predicted_seconds: float
     checked: bool
     settings: Mapping[str, Any]
+    unknown: tuple[str, ...] = ()
     curves: tuple[Curve, ...] = ()
 
 
@@ -70,6 +74,7 @@ def measured(
     expand: np.ndarray | None = None,
     metrics: tuple[str, ...] = ("rms", "p99", "max"),
     clock: Clock | None = None,
+    problem: Problem | None = None,
 ) -> tuple[Problem, tuple[Curve, ...]]:
     """The curves of a scene file's knobs, the time shared equally.
 
@@ -81,6 +86,7 @@ def measured(
         expand: as in `scene_problem`.
         metrics: as in `curve`.
         clock: seconds as a function; None: the machine's.
+        problem: the scene file's, where there is one already.
 
     Returns:
         The problem and the curves.
@@ -92,13 +98,17 @@ def measured(
     chosen = asked_knobs(str(source.path), names, known)
     now = clock or time.perf_counter
     until = now() + seconds
-    problem = scene_problem(source, settings=settings, expand=expand, seconds=seconds, clock=clock)
+    if problem is None:
+        problem = scene_problem(
+            source, settings=settings, expand=expand, seconds=seconds, clock=clock
+        )
+    own = problem
 
     def measure(name: str, share: float) -> Curve:
-        turned = _with_base(KNOBS[name], problem.settings.get(name))
-        return curve(problem, turned, seconds=share, metrics=metrics, clock=clock)
+        turned = _with_base(KNOBS[name], own.settings.get(name))
+        return curve(own, turned, seconds=share, metrics=metrics, clock=clock)
 
-    return problem, in_turn(chosen, measure, seconds=until - now(), clock=clock)
+    return own, in_turn(chosen, measure, seconds=until - now(), clock=clock)
 
 
 def _with_base(knob: Knob, base: Any) -> Knob:
@@ -143,93 +153,132 @@ def settings(
     goal = tolerance if render_seconds is None else render_seconds
     if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:
         raise InputError("give either a tolerance or a time to render, above 0.")
+    file = _remembered(scene_file, tolerance, render_seconds)
+    known = _read(file, seconds) if cache else None
+    if known is not None:
+        return _chosen(scene_file, known, _pruned(scene_file, tolerance, known["level"]))
     now = clock or time.perf_counter
     until, own = now() + seconds, scene_file.render
-    pruned = _pruned(scene_file, own, tolerance)
+    problem, level = None, None
+    if tolerance is not None:
+        problem = scene_problem(scene_file, settings=own, seconds=seconds, clock=clock)
+        picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
+        level = float(np.sqrt(np.mean(picture**2)))
+    pruned = _pruned(scene_file, tolerance, level)
+    if pruned is not None and pruned.certificate.dropped:
+        problem = None
     left, _ = left_of(scene_file, own, pruned)
-    file = _remembered(scene_file, tolerance, render_seconds)
-    known = _read(file) if cache else None
-    if known is None:
-        remains = max(until - now(), MARGIN * CHECK * seconds)
-        known, curves = _found(left, own, pruned, tolerance, render_seconds, remains, clock)
-        if cache:
-            _write(file, known)
-    else:
-        curves = ()
+    remains = max(until - now(), MARGIN * CHECK * seconds)
+    names = tuple(name for name in knobs_of(left, own) if name not in APART)
+    problem, curves = measured(
+        left,
+        own,
+        names=names,
+        seconds=(1 - CHECK) * remains,
+        expand=None if pruned is None else pruned.expand,
+        clock=clock,
+        problem=problem,
+    )
+    if any(one.stopped == "interrupted" for one in curves):
+        raise KeyboardInterrupt
+    compiling = max(
+        problem.compiling,
+        *(t.first_seconds - t.seconds / problem.whole for c in curves for t in c.trials),
+    )
+    gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
+    wanted = None if tolerance is None else tolerance - gone
+    allowed = None if render_seconds is None else render_seconds - compiling
+    if allowed is not None and allowed <= 0:
+        raise InputError(
+            f"{scene_file.path}: compiling takes about {compiling:.0f} s before the first pixel; "
+            f"allow more than {render_seconds:g} s, or render with the settings of the scene."
+        )
+    spare = max(until - now(), MARGIN * CHECK * remains)
+    best, checked = settled(problem, curves, wanted, allowed, seconds=spare, clock=clock)
+    known = {
+        "settings": dict(best.settings),
+        "promised": best.error + gone,
+        "predicted_seconds": compiling + best.seconds,
+        "checked": checked,
+        "unknown": list(best.unknown),
+        "level": level,
+        "measured_in": seconds,
+    }
+    if cache:
+        _write(file, known)
+    return replace(_chosen(scene_file, known, pruned), curves=curves)
+
+
+def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | None) -> Chosen:
     return Chosen(
-        entry_of(own, known["settings"]),
+        entry_of(scene_file.render, known["settings"]),
         pruned,
         known["promised"],
         known["predicted_seconds"],
         known["checked"],
         known["settings"],
-        curves,
+        tuple(known["unknown"]),
     )
 
 
-def _pruned(source: SceneFile, own: RenderEntry, tolerance: float | None) -> Pruned | None:
+def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
     """Without what may go, for paths as long as any knob follows them."""
-    deepest = KNOBS["depth"].reference[-1]
+    own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
+    share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
     try:
-        if tolerance is None:
-            return pruned_for(source, deep, "0")
-        problem = scene_problem(source, settings=own, seconds=0.0)
-        picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
-        level = float(np.sqrt(np.mean(picture**2)))
-        return pruned_for(source, deep, f"{PROVED * tolerance:.6e}", level=level)
+        return pruned_for(source, deep, share, level=level)
     except InputError:  # a scene of which nothing can be bounded is rendered whole
         return None
 
 
-def _found(
-    source: SceneFile,
-    own: RenderEntry,
-    pruned: Pruned | None,
-    tolerance: float | None,
-    render_seconds: float | None,
+def settled(
+    problem: Problem,
+    curves: Sequence[Curve],
+    wanted: float | None,
+    allowed: float | None,
+    *,
     seconds: float,
-    clock: Clock | None,
-) -> tuple[dict[str, Any], tuple[Curve, ...]]:
-    expand = None if pruned is None else pruned.expand
-    names = tuple(name for name in knobs_of(source, own) if name not in APART)
-    problem, curves = measured(
-        source, own, names=names, seconds=(1 - CHECK) * seconds, expand=expand, clock=clock
-    )
-    if any(one.stopped == "interrupted" for one in curves):
-        raise KeyboardInterrupt
-    gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
-    compiling = max(
-        problem.compiling,
-        *(t.first_seconds - t.seconds / problem.whole for c in curves for t in c.trials),
-    )
-    wanted = None if tolerance is None else tolerance - gone
-    allowed = None if render_seconds is None else max(render_seconds - compiling, 1e-3)
+    clock: Clock | None = None,
+) -> tuple[Combination, bool]:
+    """The best combination, checked by fresh runs; one that they find beyond the tolerance is
+    tightened.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        wanted: relative error; None: a time is given.
+        allowed: s; None: an error is given.
+        seconds: s, for the runs.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The combination with the error of those runs, and whether there was time for them.
+
+    Raises:
+        InputError: where no combination is within the tolerance or the time.
+    """
     now = clock or time.perf_counter
-    until = now() + CHECK * seconds
-    aim, best, checked = wanted, None, False
-    for _ in range(ROUNDS):
-        best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
+    until = now() + seconds
+    aim, off, error = wanted, 1.0, None
+    for number in range(ROUNDS):
+        try:
+            best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
+        except InputError:
+            if number == 0:
+                raise
+            break
         error = checked_error(problem, curves, best, seconds=until - now())
         if error is None:
-            break
-        checked = True
+            return replace(best, error=best.error * off), False
         if wanted is None or error <= wanted:
-            best = replace(best, error=error)
-            break
-        checked = False
-        assert aim is not None
-        aim *= MARGIN * wanted / error
-    assert best is not None
-    if wanted is not None and not checked and best.error > wanted:
-        raise InputError(f"{source.path}: no settings were found within {tolerance:g}.")
-    found = {
-        "settings": dict(best.settings),
-        "promised": best.error + gone,
-        "predicted_seconds": compiling + best.seconds,
-        "checked": checked,
-    }
-    return found, curves
+            return replace(best, error=error), True
+        off = error / max(best.error, 1e-12)
+        aim = MARGIN * wanted / off
+    raise InputError(
+        f"{problem.name}: no settings were found within {wanted:.3g}: fresh runs of the last ones "
+        f"are off by {error:.3g}; allow more, or more time to measure."
+    )
 
 
 def checked_error(
@@ -247,9 +296,10 @@ def checked_error(
         Relative, what no run is expected to exceed; None where time is too short for a reference
         of a third of that error.
     """
-    fine = {c.knob.name: c.reference.setting for c in curves if c.reference.setting is not None}
+    measured = [one for one in curves if one.knob.name not in best.unknown]
+    fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
     each = best.seconds / problem.whole
-    for one in curves:
+    for one in measured:
         if not one.knob.random:
             base, setting = one.trials[0], fine.get(one.knob.name)
             known = {trial.setting: trial.seconds for trial in one.trials}
@@ -261,18 +311,19 @@ def checked_error(
             fine[one.knob.name] = setting
             each *= setting / best.settings[one.knob.name]
     turned = {**problem.settings, **best.settings}
+    finest = {**turned, **fine}
     compiling = sum(
         problem.compiling
-        for one in ({**problem.settings, **fine}, turned)
+        for one in (finest, turned)
         if problem.compiled is None or not problem.compiled(one)
     )
     if compiling + DRAWS * each + FRESH * best.seconds / problem.whole > seconds:
         return None
     random = any(one.knob.random for one in curves)
-    compute = problem.prepare({**problem.settings, **fine})
+    compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     reference = np.mean(draws, axis=0)
-    level = float(np.sqrt(np.mean(reference**2))) or 1.0
+    level = level_of(reference, problem.level)
     own = 0.0
     if random:
         own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
@@ -319,14 +370,15 @@ def machine() -> str:
     return f"{os.cpu_count()} x {name}{kind}, jax {jax.__version__}"
 
 
-def _read(file: Path) -> dict[str, Any] | None:
+def _read(file: Path, seconds: float) -> dict[str, Any] | None:
+    """What was measured, in at least so many seconds."""
+    keys = {"settings", "promised", "predicted_seconds", "checked", "unknown", "level"}
     try:
         found = json.loads(file.read_text())
-    except (OSError, ValueError):
+        known = keys <= found.keys() and found["measured_in"] >= seconds
+    except (OSError, ValueError, TypeError, AttributeError, KeyError):
         return None
-    return (
-        found if {"settings", "promised", "predicted_seconds", "checked"} <= found.keys() else None
-    )
+    return found if known else None
 
 
 def _write(file: Path, found: Mapping[str, Any]) -> None:

@@ -93,13 +93,15 @@ class Session:
         if known is not None and known.compute is not None:
             return calls * known.seconds
         before = list(self.points.values())
-        if not before:
-            return 0.0
-        compiling = max(self.problem.compiling, *(p.first - p.seconds for p in before))
-        settings = {**self.problem.settings, self.knob.name: setting}
-        if self.problem.compiled is not None and self.problem.compiled(settings):
+        compiling = max(self.problem.compiling, *(p.first - p.seconds for p in before), 0.0)
+        if self.is_compiled(setting):
             compiling = 0.0
-        return compiling + calls * self._warm(setting, before)
+        return compiling + (calls * self._warm(setting, before) if before else 0.0)
+
+    def is_compiled(self, setting: Any) -> bool:
+        """Whether the problem says that a setting takes no new program."""
+        settings = {**self.problem.settings, self.knob.name: setting}
+        return self.problem.compiled is not None and self.problem.compiled(settings)
 
     def _warm(self, setting: Any, before: list[Point]) -> float:
         last = before[-1]

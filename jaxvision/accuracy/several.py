@@ -25,11 +25,14 @@ class Combination:
         settings: by the name of the knob.
         error: relative; no run is expected to exceed it.
         seconds: s, of a warm call.
+        unknown: knobs that stay where they were, as time was too short to know their errors, which
+            `error` does not hold.
     """
 
     settings: Mapping[str, Any]
     error: float
     seconds: float
+    unknown: tuple[str, ...] = ()
 
 
 def combined(
@@ -39,7 +42,8 @@ def combined(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Combination:
-    """The best of all combinations of settings that no other setting of their knob beats.
+    """The best of all combinations of settings that no other setting of their knob beats. A bias of
+    which nothing is known stays where it was.
 
     Args:
         curves: of one problem, one a knob; each was measured with the others at `base`.
@@ -51,14 +55,20 @@ def combined(
         The combination.
 
     Raises:
-        InputError: unless one of the two is given, and where no combination meets it.
+        InputError: unless one of the two is given, where no combination meets it, and where no
+            error is known at all or none of a random knob.
     """
     if (tolerance is None) == (seconds is None) or not curves:
         raise InputError("combined needs curves, and either a tolerance or a time.")
     limit = tolerance if tolerance is not None else seconds
     assert limit is not None
     once = float(np.median([_seconds_at(curve, base) for curve in curves]))
-    sets = [_pareto(curve, _seconds_at(curve, base)) for curve in curves]
+    fronts = [_pareto(curve, _seconds_at(curve, base)) for curve in curves]
+    unknown = _unknown(curves, fronts)
+    sets = [
+        front or [(base[curve.knob.name], 0.0, 1.0)]
+        for curve, front in zip(curves, fronts, strict=True)
+    ]
     best: tuple[float, Combination] | None = None
     nearest = np.inf
     for chosen in product(*sets):
@@ -75,7 +85,7 @@ def combined(
         if limited <= limit and (best is None or price < best[0]):
             names = [curve.knob.name for curve in curves]
             settings = {n: s for n, (s, *_) in zip(names, chosen, strict=True)}
-            best = price, Combination(settings, error, taken)
+            best = price, Combination(settings, error, taken, unknown)
     if best is None:
         unit = "" if tolerance is not None else " s"
         raise InputError(
@@ -97,9 +107,21 @@ def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
     return float(np.interp(setting, settings, [known[s] for s in settings]))
 
 
-def _pareto(curve: Curve, once: float) -> list[tuple[Any, float, float]]:
+Front = list[tuple[Any, float, float]]
+
+
+def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...]:
+    """Knobs without an error; `InputError` where one of them is random or all are."""
+    found = [c.knob for c, front in zip(curves, fronts, strict=True) if not front]
+    lost = next((k for k in found if k.random or len(found) == len(curves)), None)
+    if lost is not None:
+        raise InputError(f"no error of knob {lost.name!r} is known; allow more time to measure.")
+    return tuple(knob.name for knob in found)
+
+
+def _pareto(curve: Curve, once: float) -> Front:
     """(setting, bound of the error, factor of time), without those that another beats."""
-    found: list[tuple[Any, float, float]] = []
+    found: Front = []
 
     def price(trial: Trial) -> tuple[float, float]:
         return trial.seconds, bound(trial, curve.reference.error)
@@ -108,6 +130,4 @@ def _pareto(curve: Curve, once: float) -> list[tuple[Any, float, float]]:
         error = bound(trial, curve.reference.error)
         if np.isfinite(error) and (not found or error < found[-1][1]):
             found.append((trial.setting, error, trial.seconds / max(once, 1e-12)))
-    if not found:
-        raise InputError(f"no error of knob {curve.knob.name!r} is known; allow more time.")
     return found

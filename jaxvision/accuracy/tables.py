@@ -79,7 +79,10 @@ def _cell(trial: Trial) -> str:
 def _all(combination: Combination | None) -> str:
     if combination is None:
         return NOT_REACHED
-    words = ", ".join(f"{name} {setting}" for name, setting in combination.settings.items())
+    left = dict.fromkeys(combination.unknown, " (not known)")
+    words = ", ".join(
+        f"{n} {setting}{left.get(n, '')}" for n, setting in combination.settings.items()
+    )
     return f"{words}  {in_seconds(combination.seconds)}"
 
 
@@ -167,7 +170,7 @@ def _finite(value: Any) -> Any:
 
 
 def choice_in_words(chosen: Chosen) -> str:
-    """What was chosen for a render, in one or two sentences.
+    """What was chosen for a render, in one sentence or two.
 
     Args:
         chosen: from `settings`.
@@ -177,7 +180,13 @@ def choice_in_words(chosen: Chosen) -> str:
     """
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
-    return (
+    said = (
         f"Chosen: {words}: within {100 * chosen.promised:.2g} % ({how}), about "
         f"{in_seconds(chosen.predicted_seconds)}."
+    )
+    if not chosen.unknown:
+        return said
+    return (
+        f"{said} Time was too short to measure {' and '.join(chosen.unknown)}, left as in the "
+        "scene: what that errs by comes on top."
     )

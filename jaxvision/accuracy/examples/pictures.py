@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import filters
 from ...matting import closed_form_matte, estimate_foreground
+from ...optics import sample_image
 from ...point_ops import gamma_decode, lookup
 from ..records import Compute, Problem
 
@@ -133,6 +134,24 @@ def _power() -> Problem:
     )
 
 
+def _interpolation() -> Problem:
+    """Of waves of 9 and 13 pixels, whose values between pixels are known."""
+    places = np.linspace(4.0, SIDE - 5.0, SIDE)
+
+    def waves(y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return (0.5 + 0.3 * np.sin(2 * np.pi * x / 9) * np.cos(2 * np.pi * y / 13))[..., None]
+
+    image, within = waves(*np.mgrid[:SIDE, :SIDE]), np.meshgrid(places, places, indexing="ij")
+
+    def prepare(settings: Mapping[str, Any]) -> Compute:
+        word = settings["interpolation"]
+        rows, columns = (jnp.asarray(axis) for axis in within)
+        run = jax.jit(lambda image: sample_image(image, rows, columns, interpolation=word))
+        return lambda seed: run(image)
+
+    return Problem("waves between pixels", prepare, exact=waves(*within))
+
+
 def _table() -> Problem:
     def function(image: jax.Array, entries: int) -> jax.Array:
         table = jnp.sqrt(0.01 + jnp.linspace(0.0, 1.0, entries))
@@ -149,6 +168,7 @@ EXAMPLES = {
     "bilateral radius": _bilateral,
     "matting solver": _matte,
     "foreground steps": _foreground,
+    "interpolation": _interpolation,
     "power method": _power,
     "curve table": _table,
 }
