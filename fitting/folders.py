@@ -59,19 +59,22 @@ def noise(
     Raises:
         InputError: for what cannot be calibrated.
     """
-    if path.suffix.lower() == ".csv":
+    table = path.suffix.lower() == ".csv"
+    rig = None if table else read_rig(path, "photon transfer")
+    if table:
         existing(path)
-    else:
-        read_rig(path, "photon transfer")
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
     from .noise.section import section
+    from .report.inputs import with_inputs
 
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     with step("fitting photon transfer") as progress:
         calibration = calibrate(measurement, **draws("noise", progress))
-    return [section(calibration)], {}
+    if rig is None:
+        return [section(calibration)], {}
+    return [with_inputs(section(calibration), rig, "photon transfer")], {}
 
 
 def response(
@@ -92,6 +95,7 @@ def response(
         InputError: for what cannot be calibrated.
     """
     rig = read_rig(path, "a response calibration")
+    from .report.inputs import with_inputs
     from .response.calibration import calibrate, radiance_images
     from .response.read import read_exposure_stack
     from .response.section import section
@@ -106,7 +110,7 @@ def response(
     }
     for plane, _ in calibration.skipped:
         skipped(plane.label)
-    return [section(calibration)], images
+    return [with_inputs(section(calibration), rig, "a response calibration")], images
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -128,12 +132,13 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .reflectance.from_images.calibration import calibrate
     from .reflectance.from_images.read import read_reflectance_observation
     from .reflectance.from_images.section import section
+    from .report.inputs import with_inputs
 
     with step("reading images"):
         observation = read_reflectance_observation(rig)
     with step("fitting reflectance") as progress:
         calibration = calibrate(observation, **settings, **draws("brdf", progress))
-    return [section(calibration)], {}
+    return [with_inputs(section(calibration), rig, "a reflectance calibration")], {}
 
 
 def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -155,9 +160,10 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     from .joint.calibration import calibrate
     from .joint.read import read_joint_measurement
     from .joint.section import section
+    from .report.inputs import with_inputs
 
     with step("reading images"):
         measurement = read_joint_measurement(rig)
     with step("fitting surface, response and sensor") as progress:
         calibration = calibrate(measurement, **settings, **draws("joint", progress))
-    return [section(calibration)], {}
+    return [with_inputs(section(calibration), rig, "a reflectance calibration")], {}

@@ -5,9 +5,12 @@ columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray 
 vmaps.
 """
 
-from collections.abc import Collection
+import inspect
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import fields
 from functools import cache
+from html import escape
 from types import UnionType
 from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -216,6 +219,45 @@ class Shown(eqx.Module):
 
     def __repr__(self) -> str:
         return _shown(self)
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows: each field, its numbers, and its unit and meaning."""
+        head = f"<tr><th>{type(self).__name__}</th><th></th><th></th></tr>"
+        rows = "".join(
+            f'<tr><td style="text-align: left; padding-left: {1 + depth}em">{escape(name)}</td>'
+            + "".join(f'<td style="text-align: left">{escape(cell)}</td>' for cell in cells)
+            + "</tr>"
+            for depth, name, *cells in _rows(self)
+        )
+        return f'<div style="overflow-x: auto"><table>{head}{rows}</table></div>'
+
+
+def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
+    """(depth, field, numbers, unit and meaning) of what is there, records inside it below."""
+    about = _meanings(type(record))
+    for field in fields(record):
+        value, meaning = getattr(record, field.name), about.get(field.name, "")
+        if value is None or not field.repr:
+            continue
+        several = isinstance(value, tuple | list)
+        members = [*value] if several else [value]
+        if not any(isinstance(one, eqx.Module) for one in members):
+            yield depth, field.name, _shown(value), meaning
+            continue
+        for i, one in enumerate(members[:SHORT]):
+            name = f"{field.name}[{i}]" if several else field.name
+            inside = isinstance(one, eqx.Module)
+            yield depth, name, type(one).__name__ if inside else _shown(one), "" if i else meaning
+            yield from _rows(one, depth + 1) if inside else ()
+        if len(members) > SHORT:
+            yield depth, field.name, f"and {len(members) - SHORT} more", ""
+
+
+def _meanings(kind: type) -> dict[str, str]:
+    """What the docstring of a record says of each field."""
+    _, _, listed = (inspect.getdoc(kind) or "").partition("\nAttributes:\n")
+    entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", listed, re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in entries}
 
 
 def _shown(value: Any, indent: str = "") -> str:

@@ -1,7 +1,10 @@
 """What a reader gets: rounding by uncertainty, JSON that parses, HTML that stands alone, NetCDF
 that ArviZ opens."""
 
+import base64
+import io
 import json
+import re
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -23,8 +26,13 @@ from fitting.inference.estimates import (
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
 from fitting.report.formatting import format_interval, format_number, format_value
+from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
+from fitting.report.sentences import said_once
+from fitting.report.sheet import sheet
+from fitting.rig import Rig
+from jaxvision.io import write_image
 
 X = Parameter("x", symbol="x", unit="1")
 SPACE = (
@@ -77,6 +85,7 @@ def section():
         (-2.5e-9, 1.2e-10, "-2.50e-09 ± 1.2e-10"),
         (5.0, 0.0, "5 ± 0"),
         (5.0, float("nan"), "5 ± nan"),
+        (0.13750288, 8.2e-7, "0.13750288 ± 0.00000082"),
     ],
 )
 def test_values_are_rounded_to_their_uncertainty(value, error, expected):
@@ -119,6 +128,91 @@ def test_find_chooses_by_method_and_group(section):
         find(section.estimates, "gain", group="red")
 
 
+def test_methods_stand_beside_each_other_in_one_row_a_quantity():
+    gain, noise = SPACE
+    section = Section(
+        "noise",
+        "T",
+        (
+            gaussian_estimate(gain, 0.250, 0.004, method="EMVA 1288"),
+            gaussian_estimate(gain, 0.2512, 0.002, method="likelihood"),
+            gaussian_estimate(noise, 6.0, 0.1, method="EMVA 1288"),
+            not_determined(noise, "too few darks", method="likelihood"),
+            not_determined(X, "too few darks"),
+        ),
+        headings={"Noise": ("read_noise",), "Gain": ("gain",), "Absent": ("dsnu",)},
+    )
+    found = sheet(section)
+    assert found.columns == ("EMVA 1288", "likelihood")
+    assert [heading for heading, _ in found.blocks] == ["Noise", "Gain", "Of the fit"]
+    (read_noise,), (k,), (x,) = (rows for _, rows in found.blocks)
+    assert [cell.value for cell in k.cells] == ["0.2500 ± 0.0040", "0.2512 ± 0.0020"]
+    assert k.apart == "+0.3 σ"  # 0.0012 over 0.004
+    assert read_noise.name == "read noise"
+    assert [cell.note for cell in read_noise.cells] == [0, 1]
+    assert [cell.note for cell in x.cells] == [1, 1]
+    assert found.notes == ("too few darks",)
+
+
+def test_channels_stand_beside_each_other_and_methods_below():
+    names = {"red": "Laplace", "green": "Laplace", "blue": "emcee"}
+    rows = [gaussian_estimate(X, 1.0, 0.1, group=g, method=m) for g, m in names.items()]
+    found = sheet(Section("brdf", "T", tuple(rows)))
+    assert found.columns == ("red", "green", "blue")
+    assert found.methods == "Methods: Laplace (red, green); emcee (blue)."
+    assert not found.compares
+
+
+def test_sentences_of_channels_are_said_once():
+    found = said_once(
+        (
+            "red: 290 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
+            "red: Residuals err (chi-square 1.31); an error of 0.81% explains them.",
+            "A finding of all: 3 lights.",
+            "blue: 12 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
+            "blue: Residuals err (chi-square 1.14); an error of 0.81% explains them.",
+            "blue: its own.",
+        )
+    )
+    assert found == (
+        "red / blue: 290 / 12 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
+        "red / blue: Residuals err (chi-square 1.31 / 1.14); an error of 0.81% explains them.",
+        "A finding of all: 3 lights.",
+        "blue: its own.",
+    )
+
+
+def test_inputs_are_listed_with_small_pictures(tmp_path):
+    import matplotlib.image
+
+    codes = np.arange(200 * 70, dtype=np.uint16).reshape(200, 70) % 1024
+    for i in range(MOST_PICTURES + 4):
+        write_image(tmp_path / f"{i}.tif", codes)
+    rig = Rig.model_validate(
+        {
+            "folder": tmp_path,
+            "camera": {"bits": 10, "black_level": 24, "gamma": 2.2},
+            "exposure": [
+                {"file": f"{i}.tif", "exposure": 0.125, "exposure_sd": 0.01}
+                for i in range(MOST_PICTURES + 4)
+            ],
+        }
+    )
+    found = inputs_of(rig, "a response calibration")
+    assert [one.files for one in found] == [(f"{i}.tif",) for i in range(MOST_PICTURES + 4)]
+    assert sum(one.picture is not None for one in found) == MOST_PICTURES
+    first = found[0]
+    assert (first.kind, first.settings) == ("exposure", "exposure 0.125 s, exposure sd 0.01")
+    assert first.bytes == (tmp_path / "0.tif").stat().st_size
+    shown = matplotlib.image.imread(io.BytesIO(base64.b64decode(first.picture())), format="png")
+    assert shown.shape[:2] == (67, 24)  # every third pixel of 200 x 70, the last block shorter
+    scaled = np.clip((codes - 24.0) / (1023 - 24), 0, 1)
+    np.testing.assert_allclose(
+        shown[5, 7, :3], (codes[15:18, 21:24].mean() - 24) / 999, atol=1 / 255
+    )
+    np.testing.assert_allclose(shown[66, 23, 0], scaled[198:, 69:].mean(), atol=1 / 255)
+
+
 def test_json_holds_units_intervals_versions_and_no_nan(section):
     content = json.loads(as_json([section], seed=7, settings={"mcmc": False}))
     gain, dsnu = content["sections"][0]["estimates"]
@@ -144,10 +238,13 @@ class Links(HTMLParser):
 
 
 def test_the_page_stands_alone_and_escapes(section):
-    page = Links()
-    page.feed(as_html([section], title="A & B"))
-    assert page.sources
+    page, html = Links(), as_html([section], title="A & B")
+    page.feed(html)
+    assert html.count("<svg") == 2  # the picture, and the joint uncertainty of its two parameters
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    ids = re.findall(r' id="([^"]*)"', html)
+    assert set(re.findall(r'(?:href="|url\()#([^")]*)', html)) <= set(ids)
+    assert "#010203" not in html  # lines follow the page's colours, dark or light
     for words in ("0.28077 ± 0.00042", "no <spatial> statistics", "linear & says so", "0.1235"):
         assert words in page.text
 

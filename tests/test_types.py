@@ -1,6 +1,7 @@
 """Conversions keep dtypes, checks name the value they got, grouping keeps the order."""
 
 import inspect
+import re
 
 import jax
 import jax.numpy as jnp
@@ -128,6 +129,22 @@ def test_records_print_their_numbers():
     assert "Dielectric(eta=[1.5])" in repr(
         jv.TorranceSparrow([0.1], [0.2], 0.3, interface=jv.Dielectric([1.5]))
     )
+    html = ball._repr_html_()
+    rows = re.findall(r"<tr>(.*?)</tr>", html)
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows[1:]]
+    assert [row[:2] for row in cells] == [
+        ["shape", "Sphere"],
+        ["centre", "[0, 0.5, 0]"],
+        ["radius", "0.333333"],
+        ["material", "Lambert"],
+        ["diffuse", "[0.25]"],
+        ["two_sided", "False"],
+    ]
+    assert cells[2][2] == "() m, &gt; 0."  # unit and meaning, from the docstring
+    crowd = jv.Scene([ball] * 20, [])._repr_html_()
+    assert "surfaces[11]" in crowd
+    assert "surfaces[12]" not in crowd
+    assert "and 8 more" in crowd
     said = []
     jax.eval_shape(lambda sphere: said.append(repr(sphere)), ball.shape)
     assert said[0].startswith("Sphere(centre=f")  # no numbers while they are traced

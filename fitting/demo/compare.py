@@ -4,7 +4,7 @@ truth beside estimate."""
 import math
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,12 @@ from ..inference.emcee_run import Progress
 from ..inference.estimates import Estimate, find
 from ..noise.calibration import LIKELIHOOD, STANDARD
 from ..noise.calibration import calibrate as calibrate_noise
-from ..noise.read import read_photon_transfer
+from ..noise.read import reduce_rig
 from ..noise.section import section as noise_section
 from ..reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from ..reflectance.from_images.read import read_reflectance_observation
 from ..reflectance.from_images.section import section as reflectance_section
+from ..report.inputs import with_inputs
 from ..report.section import Section
 from ..response.calibration import calibrate as calibrate_response
 from ..response.read import read_exposure_stack
@@ -85,17 +86,21 @@ def calibrate_lab(
         A section each.
     """
     with step("photon transfer") as progress:
-        measurement = read_photon_transfer(folder / "noise")
-        noise = noise_section(calibrate_noise(measurement, **draws("noise", progress)))
+        rig = load_rig(folder / "noise")
+        found = noise_section(calibrate_noise(reduce_rig(rig), **draws("noise", progress)))
+        noise = with_inputs(found, rig, "photon transfer")
     with step("response curve") as progress:
-        stack = read_exposure_stack(load_rig(folder / "response"))
-        response = response_section(calibrate_response(stack, **draws("response", progress)))
+        rig = load_rig(folder / "response")
+        stack = read_exposure_stack(rig)
+        found = response_section(calibrate_response(stack, **draws("response", progress)))
+        response = with_inputs(found, rig, "a response calibration")
     with step("reflectance") as progress:
         rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
         observation = read_reflectance_observation(rig)
-        reflectance = reflectance_section(
+        found = reflectance_section(
             calibrate_reflectance(observation, model="phong", **draws("brdf", progress))
         )
+        reflectance = with_inputs(found, rig, "a reflectance calibration")
     return [noise, response, reflectance]
 
 
@@ -147,3 +152,10 @@ def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
         and estimate.value is not None
         and estimate.method != STANDARD
     ]
+
+
+def with_truth(section: Section, truth: Truth) -> Section:
+    """A section whose pictures mark the values that it was simulated with."""
+    known = truths(truth).items()
+    own = {(name, group): value for (kind, name, group), value in known if kind == section.kind}
+    return replace(section, truth=own)

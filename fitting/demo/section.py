@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from functools import partial
 
-from ..report.formatting import format_interval, format_unit, format_value
+from ..report.formatting import format_interval, format_name, format_unit, format_value
 from ..report.section import Picture, Section, Table
 from .compare import Comparison, compare
 from .figures import forest_figure
@@ -14,12 +14,10 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     """Truth against estimate with its 68 and 95 % intervals, and how many of them hold it."""
     rows = tuple(
         (
-            c.estimate.group,
-            c.estimate.name.replace("_", " "),
+            f"{format_name(c.estimate.name)} {c.estimate.group}".rstrip(),
             f"{c.truth:g}",
             format_value(c.estimate),
             format_unit(c.estimate.unit),
-            format_interval(c.estimate, 68),
             format_interval(c.estimate, 95),
             "68 %" if c.inside_68 else "95 %" if c.inside_95 else "outside",
             c.estimate.method,
@@ -32,7 +30,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     count = len(comparisons)
     return Table(
         "Every known truth",
-        ("channel", "quantity", "truth", "estimate", "unit", "68 %", "95 %", "truth in", "method"),
+        ("quantity", "truth", "estimate", "unit", "95 %", "truth in", "method"),
         rows,
         f"{held_68} of {count} truths lie in their 68 % interval (about {0.68 * count:.0f} are "
         f"expected) and {held_95} in their 95 % interval (about {0.95 * count:.0f}).",

@@ -12,6 +12,7 @@ from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
+from ..report.notebook import ShownInNotebooks
 from .fit import JointFit, fit_channel
 from .freedom import degrees_of_freedom, laplace_miss
 from .model import Form, log_posterior
@@ -19,7 +20,7 @@ from .read import JointMeasurement
 
 
 @dataclass(frozen=True)
-class JointCalibration:
+class JointCalibration(ShownInNotebooks):
     """One posterior a channel, of surface, response and sensor together.
 
     Attributes:

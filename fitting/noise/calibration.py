@@ -20,6 +20,7 @@ from ..inference.importance import laplace_where_it_holds
 from ..inference.newton import minimise
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior, sample
+from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .fit import LikelihoodFit, likelihood_sheet, needed_window, noise_data
@@ -34,7 +35,7 @@ BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 
 @dataclass(frozen=True)
-class NoiseCalibration:
+class NoiseCalibration(ShownInNotebooks):
     """A calibrated camera, which findings, figures and report read.
 
     Attributes:

@@ -7,14 +7,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..report.formatting import decimals_for, format_number
 from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
 from .model import Moments, NoiseData, predicted_moments
 from .regressions import line
 
-SIZE = (7.2, 6.0)
-BLUE, ORANGE, GREY = "tab:blue", "tab:orange", "0.45"
+SIZE = (6.4, 5.2)
+BLUE, ORANGE, GREY = "#3b82c4", "tab:orange", "0.45"
 POINTS = 300  # of a drawn curve
 
 
@@ -31,19 +32,19 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
             partial(photon_transfer_figure, calibration),
         ),
         Picture(
-            "responsivity",
-            "Responsivity and linearity",
-            "Mean signal above dark against light. Below: deviations in per cent of the standard's "
-            "linearity line; their extremes over the shaded range are the linearity errors.",
-            partial(responsivity_figure, calibration),
-        ),
-        Picture(
             "signal_to_noise",
             "Signal to noise ratio",
             "Measured points against the fitted camera, and the limit of an ideal sensor, which "
             "loses no photon. Dashed: threshold (SNR = 1) and saturation; between them lies the "
             "dynamic range.",
             partial(signal_to_noise_figure, calibration),
+        ),
+        Picture(
+            "responsivity",
+            "Responsivity and linearity",
+            "Mean signal above dark against light. Below: deviations in per cent of the standard's "
+            "linearity line; their extremes over the shaded range are the linearity errors.",
+            partial(responsivity_figure, calibration),
         ),
         Picture(
             "dark_signal",
@@ -64,11 +65,34 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     figure, upper, lower = _two_panels()
     used = _mask(calibration)
     drawable = (signal > 0) & (shot > 0)
-    for chosen, colour, label in (
-        (used & drawable, BLUE, "levels used by the likelihood"),
-        (~used & drawable, GREY, "beyond the linear range"),
-    ):
-        upper.loglog(signal[chosen], shot[chosen], ".", color=colour, label=label, ms=6)
+    floor = shot[used & drawable].min() / 3
+    upper.loglog(
+        signal[used & drawable],
+        shot[used & drawable],
+        ".",
+        color=BLUE,
+        label="levels used by the likelihood",
+        ms=6,
+    )
+    beyond = ~used & (signal > 0)
+    below = shot < floor
+    upper.plot(
+        signal[beyond & ~below],
+        shot[beyond & ~below],
+        ".",
+        color=GREY,
+        label="beyond the linear range",
+        ms=6,
+    )
+    # A clipped level has next to no variance: an arrow on the edge, not two decades of axis.
+    upper.plot(
+        signal[beyond & below],
+        np.full((beyond & below).sum(), 1.15 * floor),
+        "v",
+        color=GREY,
+        label="clipped, below the axis" if (beyond & below).any() else None,
+        ms=6,
+    )
     _, moments, unlit = _model_curve(calibration)
     curve_x, curve_y = moments.mean - unlit.mean, moments.variance - unlit.variance
     upper.loglog(curve_x, curve_y, color=ORANGE, lw=1.5, label="fitted camera")
@@ -78,6 +102,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     )
     _mark_saturation(calibration, (upper,), signal)
     upper.set_ylabel("variance above dark [DN²]")
+    upper.set_ylim(floor, 2 * np.nanmax(shot))
     upper.legend(fontsize=8)
 
     bright = measurement.bright
@@ -128,7 +153,7 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     light = np.asarray(measurement.bright.light)
     signal, _ = _above_dark(calibration)
     noise = np.sqrt(np.asarray(measurement.bright.variance))
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()
     shown = (signal > 0) & (noise > 0)
     if calibration.within.saturation is not None:
@@ -182,7 +207,9 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
         if name in values:
             intercept, slope = line(jnp.asarray(exposure), jnp.asarray(y))
             ends = np.array([0, exposure.max()])
-            current = f"{float(values[name]):.3g} ± {float(errors[name]):.2g} e⁻/s"
+            places = decimals_for(float(errors[name]))
+            value, error = (format_number(float(x), places) for x in (values[name], errors[name]))
+            current = f"{value} ± {error} e⁻/s"
             axis.plot(ends, float(intercept) + float(slope) * ends, color=ORANGE, label=current)
             axis.legend(fontsize=8)
     lower.set_xlabel("exposure [ms]")

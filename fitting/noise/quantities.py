@@ -49,3 +49,15 @@ NEED_SATURATION = tuple(
     for quantity in QUANTITIES
     if quantity.name.startswith(("saturation", "snr_max", "dynamic_range", "usable_bits"))
 )
+HEADINGS = {  # of the sheet, in the order of the standard's summary
+    "Quantum efficiency": ("quantum_efficiency", "responsivity"),
+    "Overall system gain": ("system_gain", "inverse_gain"),
+    "Temporal dark noise": ("read_noise", "temporal_dark_noise"),
+    "Signal to noise ratio": ("snr_max", "snr_max_db", "snr_max_bits"),
+    "Absolute sensitivity threshold": ("threshold_photons", "threshold_electrons"),
+    "Saturation capacity": ("saturation_photons", "saturation_electrons"),
+    "Dynamic range": ("dynamic_range", "dynamic_range_db", "usable_bits"),
+    "Spatial nonuniformity": ("dsnu", "prnu"),
+    "Linearity error": ("linearity_error_min", "linearity_error_max"),
+    "Dark current": ("dark_current_mean", "dark_current_variance", "dark_current"),
+}

@@ -13,7 +13,7 @@ from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
 from .findings import findings
 from .pattern import SEEN
-from .quantities import NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
+from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 
 
@@ -36,6 +36,8 @@ def section(calibration: NoiseCalibration) -> Section:
         tables=(_models_table(calibration),),
         posteriors={"": calibration.posterior},
         records={"sensor": partial(write_fitted_sensor, calibration)},
+        about=_operating_point(calibration),
+        headings=HEADINGS,
         settings={
             "bright levels used by the likelihood": len(calibration.usable),
             "bright levels of the standard's gain": int(calibration.within.sensitivity.sum()),
@@ -45,6 +47,21 @@ def section(calibration: NoiseCalibration) -> Section:
             "exact moments of clipping and rounding": chosen.data.window is not None,
             "covariance inflated by": chosen.inflation,
         },
+    )
+
+
+def _operating_point(calibration: NoiseCalibration) -> str:
+    """What the standard asks to be said with every sheet."""
+    measurement = calibration.measurement
+    bright, dark = measurement.bright, measurement.dark
+    exposures = [1e3 * float(end(bright.exposure)) for end in (np.min, np.max)]
+    light = "in photons per pixel" if measurement.photons_known else "as exposure only"
+    top = measurement.full_scale
+    scale = "" if top is None else f"full scale {top:g} DN, "
+    return (
+        f"EMVA 1288: {scale}{int(bright.pixels)} pixels, {bright.mean.size} levels of light and "
+        f"{dark.mean.size} of dark, exposures {exposures[0]:.3g} to {exposures[1]:.3g} ms, light "
+        f"known {light}."
     )
 
 

@@ -16,31 +16,77 @@ from .formatting import format_axis
 from .section import Columns, Picture, Section
 
 MOST_PATHS = 16  # drawn; more only blacken the panel
+BLUE, TRUTH = "#3b82c4", "#d1495b"
+COLOURS = {"red": "#d1495b", "green": "#2e9e5b", "blue": BLUE, "grey": "#808080"}
 
 
-def corner_figure(posterior: Posterior) -> Figure:
-    """Every pair of parameters with 68 and 95 % regions, quantiles on the diagonal."""
+def corner_figure(
+    posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
+) -> Figure:
+    """Every pair of parameters with 68 and 95 % regions.
+
+    Args:
+        posteriors: of the same parameters, by channel. Several are drawn over each other, as per
+            cent of each one's medians.
+        truth: what a simulation started from, by (name, channel).
+
+    Returns:
+        The figure.
+    """
     import corner
 
-    labels = [format_axis(p.symbol, p.unit) for p in posterior.space]
-    size = 1.6 + 1.5 * len(labels)
-    figure = corner.corner(
-        posterior.samples,
-        labels=labels,
-        quantiles=[0.16, 0.5, 0.84],
-        levels=(0.68, 0.95),
-        smooth=1.0,
-        plot_datapoints=False,
-        label_kwargs={"fontsize": 9},
-        max_n_ticks=3,
-        labelpad=0.12,
-        fig=Figure(figsize=(size, size)),
-    )
+    space = next(iter(posteriors.values())).space
+    relative = len(posteriors) > 1
+    draws, truths = {}, {}
+    for channel, posterior in posteriors.items():
+        samples, known = posterior.samples, [truth.get((p.name, channel)) for p in space]
+        if relative:
+            middle = np.median(samples, axis=0)
+            samples = 100 * (samples / middle - 1)
+            known = [
+                None if one is None else 100 * (one / m - 1)
+                for one, m in zip(known, middle, strict=True)
+            ]
+        draws[channel], truths[channel] = samples, known
+    ends = np.quantile(np.concatenate([*draws.values()]), [0.0005, 0.9995], axis=0)
+    size = 1.2 + 1.4 * len(space)
+    figure = Figure(figsize=(size, size))
+    for channel, samples in draws.items():
+        colour = COLOURS.get(channel, BLUE)
+        corner.corner(
+            samples,
+            labels=[f"Δ{format_axis(p.symbol, '%')}" for p in space]
+            if relative
+            else [format_axis(p.symbol, p.unit) for p in space],
+            range=[_around(low, high) for low, high in ends.T],
+            color=colour,
+            levels=(0.68, 0.95),
+            smooth=1.0,
+            smooth1d=1.0,
+            bins=30,
+            plot_datapoints=False,
+            plot_density=False,
+            no_fill_contours=True,
+            truths=truths[channel],
+            truth_color=colour if relative else TRUTH,
+            weights=np.full(len(samples), 1 / len(samples)),
+            label_kwargs={"fontsize": 10},
+            max_n_ticks=3,
+            labelpad=0.14,
+            fig=figure,
+        )
     for axis in figure.axes:
+        axis.tick_params(labelsize=8, rotation=30)
         for direction in (axis.xaxis, axis.yaxis):
-            if isinstance(direction.get_major_formatter(), ScalarFormatter):
-                direction.get_major_formatter().set_useOffset(False)
+            formatter = direction.get_major_formatter()
+            if isinstance(formatter, ScalarFormatter):
+                formatter.set_useOffset(False)
     return figure
+
+
+def _around(low: float, high: float) -> tuple[float, float]:
+    """The range, or one about a number that all draws share."""
+    return (low, high) if high > low else (low - abs(low) - 1e-9, high + abs(high) + 1e-9)
 
 
 def trace_figure(posterior: Posterior) -> Figure:
@@ -49,7 +95,9 @@ def trace_figure(posterior: Posterior) -> Figure:
     figure = Figure(figsize=(8, 1.1 * count + 0.8), layout="constrained")
     axes = np.atleast_1d(figure.subplots(count, 1, sharex=True))
     for i, (axis, parameter) in enumerate(zip(axes, posterior.space, strict=True)):
-        axis.plot(posterior.draws[:MOST_PATHS, :, i].T, color="tab:blue", alpha=0.3, lw=0.5)
+        axis.plot(
+            posterior.draws[:MOST_PATHS, :, i].T, color=BLUE, alpha=0.3, lw=0.5, rasterized=True
+        )
         axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=8)
         axis.tick_params(labelsize=8)
     axes[-1].set_xlabel("step after burn-in")
@@ -120,19 +168,37 @@ def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarra
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:
-    """The corner plot of each posterior of a section, and the paths of a sampled one."""
-    pictures = []
+    """The corner plot of the posteriors of a section, those of equal parameters in one, and the
+    paths of the sampled ones."""
+    alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
-        which = f" ({group})" if group else ""
-        if len(posterior.space) > 1:
-            caption = (
-                f"{posterior.method} posterior: 68 and 95 % regions of every pair of parameters; "
-                "a slanted ellipse is a pair the data partly confuse."
-            )
-            draw = partial(corner_figure, posterior)
-            pictures.append(Picture(f"corner_{group}", f"Joint uncertainty{which}", caption, draw))
+        alike.setdefault(names(posterior.space), {})[group] = posterior
+    pictures = [
+        _corner_picture(of_one_kind, section)
+        for space, of_one_kind in alike.items()
+        if len(space) > 1
+    ]
+    for group, posterior in section.posteriors.items():
         if posterior.steps:
+            which = f" ({group})" if group else ""
             caption = "Paths of some chains after burn-in; a settled chain looks like even noise."
             draw = partial(trace_figure, posterior)
             pictures.append(Picture(f"trace_{group}", f"Chains{which}", caption, draw))
     return tuple(pictures)
+
+
+def _corner_picture(posteriors: dict[str, Posterior], section: Section) -> Picture:
+    channels = ", ".join(filter(None, posteriors))
+    methods = " and ".join(dict.fromkeys(p.method for p in posteriors.values()))
+    about = (
+        f"Each in per cent of its median ({channels}), to lie over each other. "
+        if len(posteriors) > 1
+        else ""
+    )
+    lines = " Straight lines: the truth." if section.truth else ""
+    caption = (
+        f"Posterior by {methods}: 68 and 95 % regions of every pair of parameters. {about}"
+        f"A slanted ellipse is a pair the data partly confuse.{lines}"
+    )
+    draw = partial(corner_figure, posteriors, section.truth)
+    return Picture(f"corner_{channels}", "Joint uncertainty", caption, draw)

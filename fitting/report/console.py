@@ -7,8 +7,9 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from ..inference.estimates import Estimate
-from .formatting import format_cell, format_interval, format_unit, format_value
+from .formatting import format_cell, format_interval, format_name, format_unit, format_value
 from .section import Section, Table
+from .sentences import said_once
 
 PLAIN_WIDTH = 170  # columns where the output is not a terminal, which would tell its width
 
@@ -30,7 +31,7 @@ def print_section(console: Console, section: Section) -> None:
             )
     for table in section.tables:
         console.print(plain_table(table))
-    for finding in section.findings:
+    for finding in said_once(section.findings):
         console.print(f"• {finding}", soft_wrap=True)
 
 
@@ -45,7 +46,7 @@ def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
         if estimate.reason:
             continue
         cells = [
-            estimate.name.replace("_", " "),
+            format_name(estimate.name),
             format_value(estimate),
             format_unit(estimate.unit),
             format_interval(estimate, 68),
@@ -73,7 +74,7 @@ def plain_table(content: Table) -> RichTable:
 
 
 def _label(estimate: Estimate) -> str:
-    name = estimate.name.replace("_", " ")
+    name = format_name(estimate.name)
     return f"{name} ({estimate.method})" if estimate.method else name
 
 

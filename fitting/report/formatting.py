@@ -7,6 +7,7 @@ from ..inference.estimates import Estimate
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DIGITS = 2  # significant digits of an uncertainty
+ACRONYMS = {"dsnu": "DSNU", "prnu": "PRNU", "snr": "SNR", "db": "dB"}
 
 
 def decimals_for(uncertainty: float) -> int | None:
@@ -23,19 +24,26 @@ def decimals_for(uncertainty: float) -> int | None:
     return DIGITS - 1 - math.floor(math.log10(uncertainty))
 
 
-def format_number(value: float, decimals: int | None) -> str:
+def format_name(name: str) -> str:
+    """The name of a quantity in words: `snr_max` as SNR max."""
+    return " ".join(ACRONYMS.get(word, word) for word in name.split("_"))
+
+
+def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
     """A number rounded to given decimal places.
 
     Args:
         value: to print.
         decimals: places; negative for tens, hundreds ...; None for six digits.
+        beside: the number whose notation, with an exponent or without, it shares; None for its own.
 
     Returns:
         The text.
     """
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
-    if decimals > 7 or abs(value) >= 1e7:
+    size = abs(value if beside is None else beside)
+    if size >= 1e7 or (decimals > 7 and size < 1e-3):
         exponent = math.floor(math.log10(abs(value))) if value else 0
         return f"{value:.{max(decimals + exponent, 1)}e}"
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
@@ -48,7 +56,10 @@ def format_value(estimate: Estimate) -> str:
     if estimate.standard_error is None:
         return f"{estimate.value:.6g}"
     places = decimals_for(estimate.standard_error)
-    value, error = (format_number(x, places) for x in (estimate.value, estimate.standard_error))
+    value, error = (
+        format_number(x, places, beside=estimate.value)
+        for x in (estimate.value, estimate.standard_error)
+    )
     return f"{value} ± {error}"
 
 
@@ -67,7 +78,8 @@ def format_interval(estimate: Estimate, level: int) -> str:
         return ""
     deviations = 2 if level == 68 else 4
     places = decimals_for((interval[1] - interval[0]) / deviations)
-    low, high = (format_number(end, places) for end in interval)
+    largest = max(interval, key=abs)
+    low, high = (format_number(end, places, beside=largest) for end in interval)
     return f"[{low}, {high}]"
 
 
@@ -89,6 +101,14 @@ def format_axis(symbol: str, unit: str) -> str:
     letter, subscript = split_symbol(symbol)
     mathematics = f"${letter}_{{\\rm {subscript}}}$" if subscript else f"${letter}$"
     return f"{mathematics} [{format_unit(unit)}]" if format_unit(unit) else mathematics
+
+
+def size_in_words(bytes: int) -> str:
+    """The size of files: 154 kB."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if bytes >= size:
+            return f"{bytes / size:.3g} {unit}"
+    return f"{bytes} bytes"
 
 
 def format_cell(cell: object) -> str:

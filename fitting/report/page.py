@@ -2,9 +2,7 @@
 draws as NetCDF in ArviZ' layout. Everything is prepared first and written last, so that a failure
 leaves nothing half-written."""
 
-import base64
 import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,14 +14,16 @@ from typing import Any
 import numpy as np
 
 from jaxvision.io import replaced_on_success
+from jaxvision.plots.inline import figure_svg
 
 from ..inference.estimates import Estimate
 from .chains import chain_pictures, write_chains
-from .formatting import format_cell, format_interval, format_unit, format_value, split_symbol
-from .section import Picture, Section, Table
+from .formatting import format_cell, size_in_words
+from .section import Input, Section, Table
+from .sentences import said_once
+from .sheet import sheet
 
 PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
-DOTS_PER_INCH = 130
 
 
 def versions() -> dict[str, str]:
@@ -42,7 +42,7 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
     Returns:
         The text; what is not determined is null, with its reason.
     """
-    parts = ("kind", "title", "estimates", "findings", "tables", "settings")
+    parts = ("kind", "title", "estimates", "findings", "tables", "settings", "inputs")
     content = {
         "created": _now(),
         "seed": seed,
@@ -64,6 +64,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
         The page.
     """
     import jinja2
+    from markupsafe import Markup
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("fitting.report"),
@@ -73,8 +74,8 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
     )
     environment.filters |= {
         function.__name__: function
-        for function in (format_cell, format_interval, format_unit, format_value, split_symbol)
-    } | {"as_png": _as_png, "chain_pictures": chain_pictures}
+        for function in (chain_pictures, format_cell, said_once, sheet, size_in_words)
+    } | {"svg": lambda picture: Markup(figure_svg(picture.draw))}
     return environment.get_template("report.html.j2").render(
         title=title, created=_now(), versions=versions(), sections=sections
     )
@@ -129,6 +130,8 @@ def _now() -> str:
 def _finite(content: Any) -> Any:
     """JSON without NaN: arrays as lists, non-finite numbers as null."""
     match content:
+        case Input():
+            return {part: getattr(content, part) for part in ("files", "kind", "settings", "bytes")}
         case Estimate() | Table():
             return _finite(asdict(content))
         case dict():
@@ -146,10 +149,3 @@ def _finite(content: Any) -> Any:
         case Path():
             return content.name
     return str(content)
-
-
-def _as_png(picture: Picture) -> str:
-    """The drawn picture, base64-encoded."""
-    buffer = io.BytesIO()
-    picture.draw().savefig(buffer, format="png", dpi=DOTS_PER_INCH)
-    return base64.b64encode(buffer.getvalue()).decode()

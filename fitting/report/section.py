@@ -51,6 +51,25 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Input:
+    """An image file, or several of one setting, that a calibration has used.
+
+    Attributes:
+        files: names.
+        kind: what they are: flat, dark, exposure or light.
+        settings: of the rig, in words.
+        bytes: of all files.
+        picture: makes a small PNG of the first one, base64-encoded; None where it is not shown.
+    """
+
+    files: tuple[str, ...]
+    kind: str
+    settings: str
+    bytes: int
+    picture: Callable[[], str] | None = None
+
+
+@dataclass(frozen=True)
 class Section:
     """One calibration as its reader sees it.
 
@@ -63,6 +82,10 @@ class Section:
         tables: beside the estimates.
         posteriors: by group.
         settings: everything needed to repeat the fit.
+        about: one line under the heading: what was measured.
+        headings: names of estimates under the headings of their table, in its order.
+        truth: values that a simulation started from, by (name, group).
+        inputs: files that it was made from.
         data: what is too long for a table, whole: columns by the name of their file.
         records: what was fitted, for use in a simulation: by the name of its file the function that
             writes it to a path, ending in .toml.
@@ -76,5 +99,9 @@ class Section:
     tables: tuple[Table, ...] = ()
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+    about: str = ""
+    headings: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    truth: dict[tuple[str, str], float] = field(default_factory=dict)
+    inputs: tuple[Input, ...] = ()
     data: dict[str, Columns] = field(default_factory=dict)
     records: dict[str, Callable[[Path], None]] = field(default_factory=dict)

@@ -9,6 +9,7 @@ from jaxtyping import Float, Integer
 from jaxvision.errors import InputError
 
 from ..inference.emcee_run import SamplingOptions, for_group
+from ..report.notebook import ShownInNotebooks
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
 from .places import clear_of_clipping, layout_of
@@ -38,7 +39,7 @@ class ChannelResponse:
 
 
 @dataclass(frozen=True)
-class ResponseCalibration:
+class ResponseCalibration(ShownInNotebooks):
     """A calibrated stack.
 
     Attributes:

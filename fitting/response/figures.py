@@ -9,17 +9,19 @@ from matplotlib.figure import Figure
 
 from jaxvision.point_ops import srgb_encode
 
+from ..report.formatting import format_value
 from .calibration import ChannelResponse, ResponseCalibration
 from .findings import DRAWN
 
 COLOURS = {
-    "red": "tab:red",
-    "green": "tab:green",
-    "green 1": "tab:green",
+    "red": "#d1495b",
+    "green": "#2e9e5b",
+    "green 1": "#2e9e5b",
     "green 2": "tab:olive",
-    "blue": "tab:blue",
-    "grey": "0.3",
+    "blue": "#3b82c4",
+    "grey": "0.5",
 }
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB (ITU-R BT.709)
 MOST_GROUPS = 9
 DOTS = 1500  # pixels drawn per channel
 
@@ -28,8 +30,9 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
     """Log exposure against code, one panel per group, with data, band and gamma."""
     figure, panels = _panels(calibration, height=4.0)
     for axis, (_, channels) in panels:
-        for channel in channels:
-            _draw_curve(axis, channel)
+        for i, channel in enumerate(channels):
+            # The widest line lies lowest, so that curves that agree are all seen.
+            _draw_curve(axis, channel, width=1.5 + 2.0 * (len(channels) - 1 - i))
         axis.set(xscale="log", yscale="log")
         axis.set_xlabel("code above black (DN)")
         axis.set_ylabel("exposure (mid-scale = 1)")
@@ -38,7 +41,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
     return figure
 
 
-def _draw_curve(axis: Axes, channel: ChannelResponse) -> None:
+def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
     curve, colour = channel.curve, COLOURS[channel.plane.channel]
     z = curve.codes - curve.bins.black
     g, seen = curve.log_exposure, curve.seen
@@ -50,15 +53,22 @@ def _draw_curve(axis: Axes, channel: ChannelResponse) -> None:
     y = channel.radiance.radiance.ravel()[pick[covered]] * channel.plane.exposures[:, None]
     usable = (curve.bins.lookup[x.astype(int)] >= 0) & (y > np.exp(g[0]))
     axis.plot(
-        x[usable] - curve.bins.black, y[usable], ".", ms=2, alpha=0.15, color=colour, zorder=1
+        x[usable] - curve.bins.black,
+        y[usable],
+        ".",
+        ms=2,
+        alpha=0.15,
+        color=colour,
+        zorder=1,
+        rasterized=True,
     )
     band = curve.half_width
     axis.fill_between(
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
     gamma = channel.gamma.gamma.value or np.nan
-    label = f"{channel.plane.channel}, γ = {gamma:.3g}"
-    axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=1.5, label=label)
+    label = f"{channel.plane.channel}, γ = {format_value(channel.gamma.gamma)}"
+    axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=width, label=label)
     axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
     pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))
     axis.plot(z, np.exp(pure), color=colour, lw=0.8, ls="--")
@@ -162,11 +172,16 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
 
 
 def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Reinhard's global operator: r / (1 + r) of the radiance over its log average, encoded as
-    sRGB; values in 0..1, a NaN drawn black."""
-    positive = np.maximum(np.nan_to_num(radiance.astype(np.float64)), 1e-12)
-    relative = 0.36 * positive / np.exp(np.nanmean(np.log(np.maximum(radiance, 1e-12))))
-    return np.asarray(jax.jit(srgb_encode)(relative / (1 + relative)))
+    """Reinhard's global operator r (1 + r / w^2) / (1 + r) of the luminance over its log average,
+    w the brightest per cent, so that colours keep their ratios; encoded as sRGB, in 0..1, a NaN
+    drawn black."""
+    positive = np.maximum(np.nan_to_num(np.asarray(radiance, np.float64)), 1e-12)
+    bright = positive @ LUMINANCE if positive.ndim == 3 else positive
+    relative = 0.36 * bright / np.exp(np.mean(np.log(bright)))
+    white = np.quantile(relative, 0.99)
+    mapped = relative * (1 + relative / white**2) / (1 + relative)
+    gain = (mapped / bright).reshape(bright.shape + (1,) * (positive.ndim - 2))
+    return np.asarray(jax.jit(srgb_encode)(np.clip(positive * gain, 0, 1)))
 
 
 def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.ndarray, float]:

@@ -188,7 +188,8 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
             "Response curve",
             "Exposure that gives each code, with its 95 % band; dots are pixels, at the radiance "
             "that all their exposures agree on. Dashed: the best gamma. A straight line on these "
-            "axes is a pure gamma; dotted parts hold no usable pixels and are extrapolated.",
+            "axes is a pure gamma; dotted parts hold no usable pixels and are extrapolated. Where "
+            "the band is narrower than its line, the next figure shows it.",
             partial(figures.curve_figure, calibration),
         ),
         Picture(
@@ -209,9 +210,8 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
         Picture(
             "radiance-map",
             "Merged radiance map",
-            "The merged map, tone-mapped by r / (1 + r) of its log average, beside the middle "
-            "exposure alone. Highlights and shadows that clip on the right hold detail on the "
-            "left.",
+            "The merged map, its luminance tone-mapped by Reinhard's operator, beside the middle "
+            "exposure alone. What clips on the right, light or dark, holds detail on the left.",
             partial(figures.radiance_figure, calibration, images),
         ),
         Picture(

@@ -7,9 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK = "#010203"  # drawn so, and replaced by the colour of the page's text
 _INKED = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
+_REPLACED = {  # what is drawn in black, dark grey, white and pale grey follows the page
+    INK: "currentColor",
+    "#000000": "currentColor",
+    "#404040": "currentColor",
+    "#4d4d4d": "currentColor",
+    "#ffffff": "var(--paper, #ffffff)",
+    "#ededed": "var(--tint, #ededed)",
+}
+_COLOUR = re.compile("|".join(_REPLACED))
+DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
 
 
 def inline_svg(
@@ -25,19 +36,41 @@ def inline_svg(
     Returns:
         The `<svg>` element; its text is text.
     """
+
+    def drawn() -> "Figure":
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.add_subplot())
+        return figure
+
+    return figure_svg(drawn, font=font)
+
+
+def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
+    """A figure as SVG that stands inside HTML and takes the width that it is given.
+
+    Black and white follow the page's text and background; the background itself is not drawn.
+
+    Args:
+        draw: makes the figure; artists that it rasterises stay pixels.
+        font: points.
+
+    Returns:
+        The `<svg>` element; its text is text.
+    """
     import matplotlib
-    from matplotlib.figure import Figure
 
     style: dict[Any, Any] = dict.fromkeys(_INKED.split(), INK)
     style |= {"svg.fonttype": "none", "font.size": font, "svg.hashsalt": "jaxvision"}
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=size, layout="constrained")
-        axes = figure.add_subplot()
-        axes.patch.set_alpha(0)
+        figure = draw()
         figure.patch.set_alpha(0)
-        draw(axes)
+        for axes in figure.axes:
+            axes.patch.set_alpha(0)
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, dpi=DOTS_PER_INCH)
     svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = _COLOUR.sub(lambda found: _REPLACED[found[0]], svg[svg.index("<svg") :])
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, and pages hold many
     return re.sub(r' (width|height)="[^"]*pt"', "", svg, count=2)

@@ -23,6 +23,7 @@ from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import SamplingOptions, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
+from ...report.notebook import ShownInNotebooks
 from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range, unit_brdf
 from ..names import INDEX, Model, Objective
 from .errors import Errors, best, errors, prediction_of_held_out
@@ -50,7 +51,7 @@ class Amplitudes:
 
 
 @dataclass(frozen=True)
-class BRDFCalibration:
+class BRDFCalibration(ShownInNotebooks):
     """Every model fitted to one material, one of them reported in full.
 
     Attributes:

@@ -11,6 +11,7 @@ from jaxvision.errors import InputError
 from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import SamplingOptions
 from ...inference.posterior import Posterior
+from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
@@ -26,7 +27,7 @@ USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparr
 
 
 @dataclass(frozen=True)
-class ReflectanceCalibration:
+class ReflectanceCalibration(ShownInNotebooks):
     """Fits of several models to the lights of a rig, one of them reported in full.
 
     Attributes:

@@ -15,13 +15,12 @@ from .model import decoded, encoding_gamma, lobe
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
 
-COLOURS = {"red": "tab:red", "green": "tab:green", "blue": "tab:blue", "grey": "0.25"}
+COLOURS = {"red": "#d1495b", "green": "#2e9e5b", "blue": "#3b82c4", "grey": "0.5"}
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
 SHOWN_LIGHTS = 2  # of each kind
 OFF_HIGHLIGHT = 0.02  # of the lobe's peak: less than this is away from the highlight
 MOST_POINTS = 200_000
-FEW_MODELS = 4  # compared in a narrow figure
 
 
 def images_figure(calibration: ReflectanceCalibration) -> Figure:
@@ -40,7 +39,7 @@ def images_figure(calibration: ReflectanceCalibration) -> Figure:
         predicted = predicted - observation.black
         white = np.quantile(predicted[:, observation.cosine[light] > 0], 0.995)
         for row, values in enumerate((measured, predicted)):
-            axes[row, column].imshow(_picture(observation, values / white))
+            axes[row, column].imshow(_picture(observation, values / white), interpolation="none")
         clipped = observation.saturated[:, light].any(axis=0)
         left = 100 * (measured - predicted).mean(axis=0) / white
         differences.append(_plane(observation, np.where(clipped, np.nan, left)))
@@ -49,7 +48,7 @@ def images_figure(calibration: ReflectanceCalibration) -> Figure:
     largest = max(float(np.nanquantile(np.abs(differences), 0.99)), 0.1)
     scale = TwoSlopeNorm(0, -largest, largest)
     for axis, difference in zip(axes[2], differences, strict=True):
-        axis.imshow(difference, cmap=_diverging(), norm=scale)
+        axis.imshow(difference, cmap=_diverging(), norm=scale, interpolation="none")
     for row, label in enumerate(("measured", "predicted", "difference")):
         axes[row, 0].set_ylabel(label)
     for axis in axes.flat:
@@ -89,42 +88,40 @@ def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
 
 
 def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
-    """Bars of the relative RMS per channel and model."""
-    scores = calibration.scores
-    channels = calibration.observation.channels
+    """Relative RMS per model and channel, on a logarithmic axis."""
+    scores, channels = calibration.scores, calibration.observation.channels
     models = tuple(calibration.fits)
-    many = len(models) > FEW_MODELS
-    figure = Figure(figsize=(10.5, 4.6) if many else (6.8, 3.8), layout="constrained")
+    figure = Figure(figsize=(6.4, 1.6 + 0.42 * len(models)), layout="constrained")
     axis = figure.subplots()
-    width = 0.8 / len(models)
     tested = any(score.predicted_error is not None for score in scores)
-    for i, model in enumerate(models):
-        own = [score for score in scores if score.model == model]
-        places = np.arange(len(channels)) + (i - (len(models) - 1) / 2) * width
-        fitted = [100 * score.fitted_error for score in own]
-        heights = [
-            100 * (score.fitted_error if score.predicted_error is None else score.predicted_error)
-            for score in own
-        ]
-        axis.bar(places, heights, 0.9 * width, label=LABELS[model], color=f"C{i}")
-        for place, height, line in zip(places, heights, fitted, strict=True):
-            top = (place, max(height, line))
-            axis.annotate(
-                f"{height:.1f}",
-                top,
-                (0, 3),
-                fontsize=8,
-                ha="center",
-                rotation=90 if many else 0,
-                textcoords="offset points",
-            )
+    for i, channel in enumerate(channels):
+        own = {score.model: score for score in scores if score.channel == channel}
+        rows = np.arange(len(models)) + 0.22 * (i - (len(channels) - 1) / 2)
+        fitted = np.array([100 * own[model].fitted_error for model in models])
+        shown = np.array(
+            [
+                100 * (own[m].fitted_error if own[m].predicted_error is None else e)
+                for m in models
+                for e in [own[m].predicted_error or 0.0]
+            ]
+        )
+        colour, marker = COLOURS[channel], MARKERS[channel]
+        axis.plot(shown, rows, marker, color=colour, ms=6, label=channel)
         if tested:
-            axis.hlines(fitted, places - 0.45 * width, places + 0.45 * width, color="k", lw=2)
+            axis.plot(fitted, rows, "|", color="k", ms=9, mew=1.2)
+        for value, row in zip(shown, rows, strict=True):
+            place, offset = (value, row), (7, 0)
+            axis.annotate(
+                f"{value:.3g}", place, offset, fontsize=7, va="center", textcoords="offset points"
+            )
     if tested:
-        axis.plot([], [], color="k", lw=2, label="on the fitted lights")
-    axis.set_xticks(range(len(channels)), channels)
-    axis.set_ylabel("relative RMS [%]")
-    axis.margins(y=0.12)
+        axis.plot([], [], "k|", ms=9, mew=1.2, label="on the fitted lights")
+    axis.set_xscale("log")
+    axis.set_yticks(range(len(models)), [LABELS[model] for model in models])
+    axis.set_ylim(len(models) - 0.5, -0.5)
+    axis.margins(x=0.12)
+    axis.set_xlabel("relative RMS [%]")
+    axis.grid(axis="x", alpha=0.3)
     figure.legend(
         *axis.get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=4
     )

@@ -131,8 +131,8 @@ def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
         Picture(
             "comparison",
             "Error of the prediction, by model",
-            "Relative RMS of the predicted images: bars on lights that no fit has seen, black "
-            "lines on the fitted lights. Lower is better; a bar well above its line would be "
+            "Relative RMS of the predicted images: dots on lights that no fit has seen, strokes on "
+            "the fitted lights. Further left is better; a dot well right of its stroke would be "
             "over-fitting.",
             partial(figures.comparison_figure, calibration),
         ),

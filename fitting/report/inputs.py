@@ -1,0 +1,115 @@
+"""The images of a rig as a report lists them: names, settings, sizes and small pictures."""
+
+import base64
+import io
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxvision.io import read_image
+
+from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig
+from .formatting import format_unit
+from .section import Input, Section
+
+MOST_PICTURES = 16  # of one section, evenly among its images
+SIDE = 96  # pixels of the longer side of a small picture, at most
+UNITS = {"exposure": "s", "irradiance": "W m^-2"}  # the others carry theirs in the name, or none
+DISPLAY_GAMMA = 2.2
+
+
+def with_inputs(section: Section, rig: Rig, purpose: Purpose) -> Section:
+    """A section that lists the images of its rig.
+
+    Args:
+        section: of a calibration.
+        rig: whose images it used.
+        purpose: of the calibration.
+
+    Returns:
+        The section.
+    """
+    return replace(section, inputs=inputs_of(rig, purpose))
+
+
+def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
+    """The images of a rig that a calibration uses.
+
+    Args:
+        rig: whose images exist.
+        purpose: the calibration.
+
+    Returns:
+        One a level, an exposure or a light, in the order of the rig; some with a picture, which is
+        read when a report draws it.
+    """
+    entries = [
+        entry
+        for section in NEEDED[purpose]
+        for entry in _listed(getattr(rig, section))
+        if not isinstance(entry, Geometry)
+    ]
+    count = min(MOST_PICTURES, len(entries))
+    shown = {round(place) for place in np.linspace(0, len(entries) - 1, count)}
+    return tuple(_input(rig, entry, i in shown) for i, entry in enumerate(entries))
+
+
+def _listed(entries: Any) -> Iterable[Flat | Dark | Exposure | Light | Geometry]:
+    return entries if isinstance(entries, tuple) else [entries]
+
+
+def _input(rig: Rig, entry: Flat | Dark | Exposure | Light, shown: bool) -> Input:
+    files = entry.files if isinstance(entry, Flat | Dark) else (entry.file,)
+    given = entry.model_dump(exclude={"file", "files"}, exclude_defaults=True)
+    settings = ", ".join(_setting(name, value) for name, value in given.items())
+    return Input(
+        files=files,
+        kind=type(entry).__name__.lower(),
+        settings=settings,
+        bytes=sum(rig.path(name).stat().st_size for name in files),
+        picture=(lambda: small_picture(rig, files[0])) if shown else None,
+    )
+
+
+def _setting(name: str, value: Any) -> str:
+    if value is True:
+        return name.replace("_", " ")
+    numbers = value if isinstance(value, tuple) else (value,)
+    text = ", ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in numbers)
+    text = f"({text})" if len(numbers) > 1 else text
+    return f"{name.replace('_', ' ')} {text} {format_unit(UNITS.get(name, '1'))}".rstrip()
+
+
+def small_picture(rig: Rig, name: str) -> str:
+    """An image of a rig at the size of a thumbnail.
+
+    Args:
+        rig: with the camera, whose black and clip level become black and white.
+        name: of the image.
+
+    Returns:
+        A PNG, base64-encoded.
+    """
+    import matplotlib.image
+
+    image = np.atleast_3d(np.asarray(read_image(rig.path(name)), float))
+    step = -(-max(image.shape[:2]) // SIDE)
+    means = _block_means(_block_means(image, step, axis=0), step, axis=1)
+    camera, black = rig.camera, rig.camera.black_level or 0.0
+    shown = np.nan_to_num(np.clip((means - black) / (camera.clip_level - black), 0, 1))
+    if camera.bits > 8 and camera.gamma in (None, 1.0):  # linear
+        shown = shown ** (1 / DISPLAY_GAMMA)
+    rgb = shown if shown.shape[2] == 3 else np.repeat(shown[..., :1], 3, axis=2)
+    buffer = io.BytesIO()
+    matplotlib.image.imsave(buffer, rgb, format="png")
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _block_means(image: np.ndarray, step: int, *, axis: int) -> np.ndarray:
+    """Means of blocks along an axis; the last block may be shorter."""
+    starts = np.arange(0, image.shape[axis], step)
+    sizes = np.diff([*starts, image.shape[axis]])
+    sums = np.add.reduceat(image, starts, axis=axis)
+    return sums / np.expand_dims(sizes, [i for i in range(image.ndim) if i != axis])

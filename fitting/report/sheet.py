@@ -1,0 +1,132 @@
+"""Estimates as a table of one row a quantity, its methods or channels side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..inference.estimates import Estimate
+from .formatting import format_interval, format_name, format_unit, format_value, split_symbol
+from .section import Section
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One estimate.
+
+    Attributes:
+        value: with its standard error; a dash where there is none.
+        interval: of 95 %; empty where there is none.
+        note: number of the note that says why there is no value; 0 for none.
+    """
+
+    value: str = ""
+    interval: str = ""
+    note: int = 0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity.
+
+    Attributes:
+        name: in words.
+        letter: of its symbol.
+        subscript: of its symbol.
+        unit: as it is printed.
+        cells: one a column.
+        apart: difference of two methods over the larger of their standard errors.
+    """
+
+    name: str
+    letter: str
+    subscript: str
+    unit: str
+    cells: tuple[Cell, ...]
+    apart: str = ""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """All estimates of a section.
+
+    Attributes:
+        columns: heads of the cells.
+        blocks: rows under the headings of the section; the heading is empty where it has none.
+        notes: reasons for what is not determined, from number 1.
+        methods: sentence that names the methods, where the columns are channels.
+        compares: whether rows say how far two methods are apart.
+    """
+
+    columns: tuple[str, ...]
+    blocks: tuple[tuple[str, tuple[Row, ...]], ...]
+    notes: tuple[str, ...]
+    methods: str
+    compares: bool
+
+
+def sheet(section: Section) -> Sheet:
+    """The table of a section's estimates.
+
+    Args:
+        section: with estimates.
+
+    Returns:
+        One row a quantity. Columns are channels; methods, where one channel has several.
+    """
+    found = section.estimates
+    places = [(one.name, one.group) for one in found]
+    several = len(set(places)) < len(places)
+    keys = [_key(one, several) for one in found]
+    columns = tuple(dict.fromkeys(key for key in keys if key)) or ("value",)
+    compares = several and len(columns) == 2
+    notes: dict[str, int] = {}
+    rows: dict[str, Row] = {}
+    for name in dict.fromkeys(one.name for one in found):
+        own = {key: one for key, one in zip(keys, found, strict=True) if one.name == name}
+        first = next(iter(own.values()))
+        cells = tuple(_cell(own.get(column, own.get("")), notes) for column in columns)
+        apart = _apart([own.get(column) for column in columns]) if compares else ""
+        letter, subscript = split_symbol(first.symbol)
+        unit = format_unit(first.unit)
+        rows[name] = Row(format_name(name), letter, subscript, unit, cells, apart)
+    listed = {name for names in section.headings.values() for name in names}
+    blocks = [
+        (heading, tuple(rows[name] for name in names if name in rows))
+        for heading, names in section.headings.items()
+    ]
+    rest = tuple(row for name, row in rows.items() if name not in listed)
+    blocks.append(("Of the fit" if section.headings else "", rest))
+    methods = "" if several else _methods(found)
+    kept = tuple(block for block in blocks if block[1])
+    return Sheet(columns, kept, tuple(notes), methods, compares)
+
+
+def _key(estimate: Estimate, several: bool) -> str:
+    return f"{estimate.group} {estimate.method}".strip() if several else estimate.group
+
+
+def _cell(estimate: Estimate | None, notes: dict[str, int]) -> Cell:
+    if estimate is None:
+        return Cell()
+    if estimate.reason:
+        return Cell("–", note=notes.setdefault(estimate.reason, len(notes) + 1))
+    return Cell(format_value(estimate), format_interval(estimate, 95))
+
+
+def _apart(pair: Sequence[Estimate | None]) -> str:
+    one, other = pair
+    if one is None or other is None or one.value is None or other.value is None:
+        return ""
+    error = max(one.standard_error or 0.0, other.standard_error or 0.0)
+    return f"{(other.value - one.value) / error:+z.1f} σ" if error > 0 else ""
+
+
+def _methods(found: Sequence[Estimate]) -> str:
+    """Which method made which channel."""
+    by_method: dict[str, list[str]] = {}
+    for one in found:
+        if one.method:
+            by_method.setdefault(one.method, []).append(one.group)
+    if len(by_method) < 2:
+        return "".join(f"Method: {method}." for method in by_method)
+    told = [f"{method} ({', '.join(dict.fromkeys(g))})" for method, g in by_method.items()]
+    return f"Methods: {'; '.join(told)}."
