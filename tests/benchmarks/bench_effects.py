@@ -37,6 +37,9 @@ ROOM = [
 ]
 
 
+FOUR = [jv.PointLight([x, y, 2], [0.3] * 3) for x in (-0.4, 0.4) for y in (-0.4, 0.4)]
+
+
 def room(lights, material=GREY):
     return jv.Scene([jv.Surface(shape, material) for shape in ROOM], lights)
 
@@ -72,12 +75,25 @@ CASES = {
         1.1,
         FINE,
     ),
-    "lobe of weight 0": (
-        replace(room(POINT, jv.Phong([0.25] * 3, [0.0] * 3, 9.0)), occluders=()),
-        replace(room(POINT), occluders=()),
-        1.05,
+    "shadows of four lamps in a convex room": (
+        room(FOUR),
+        replace(room(FOUR), occluders=()),
+        1.4,
         FINE,
     ),
+    **{
+        f"{name} of 0": (
+            replace(room(POINT, material), occluders=()),
+            replace(room(POINT), occluders=()),
+            1.05,
+            FINE,
+        )
+        for name, material in (
+            ("lobe", jv.Phong([0.25] * 3, [0.0] * 3, 9.0)),
+            ("facets", jv.TorranceSparrow([0.25] * 3, [0.0] * 3, 0.3)),
+            ("roughness", jv.OrenNayar([0.25] * 3, 0.0)),
+        )
+    },
 }
 
 

@@ -1,4 +1,4 @@
-"""What idle effects of a camera cost: always on (their number is 0), and without them.
+"""What idle effects of a camera cost: always on (their number is 0), pruned, and never there.
 
 The stage of a lens at a megapixel, a motion that does not move at 256 x 256 pixels, and a raw frame
 of a megapixel with one source of noise. Rivals take turns; ratios are always on / pruned.
@@ -63,12 +63,13 @@ def test_idle_parts_of_a_lens(part):
     camera = s.Camera(lens(**{part: record}), s.Sensor())
     pruned = effects.prune(SCENE, camera, tolerance)
     assert f"view.{part}" in {effect.name for effect in pruned.certificate.dropped}
-    light = jnp.ones((*FINE, 1))
+    light, bare = jnp.ones((*FINE, 1)), lens()
     stage = jax.jit(sensor_irradiance)
     ratio, seconds = timed(
         {
             "always on": lambda: stage(camera.view, light),
             "pruned": lambda: stage(pruned.camera.view, light),
+            "never there": lambda: stage(bare, light),
         }
     )
     print(f"view.{part}: {ratio:.1f} x ({seconds})")
@@ -78,7 +79,9 @@ def test_idle_parts_of_a_lens(part):
 @pytest.mark.benchmark
 @pytest.mark.parametrize("name", IDLE_SENSOR)
 def test_idle_sources_of_a_sensor(name):
-    sensor = s.Sensor(gain=0.5, offset=10.0, bits=12, **{name: IDLE_SENSOR[name]})
+    sensor, never = (
+        s.Sensor(gain=0.5, offset=10.0, bits=12, **own) for own in ({name: IDLE_SENSOR[name]}, {})
+    )
     view = s.Orthographic([0, 0, 3], DOWN, 0.01, resolution=SIZE)
     pruned = effects.prune(SCENE, s.Camera(view, sensor), "0DN")
     assert f"sensor.{name}" in {effect.name for effect in pruned.certificate.dropped}
@@ -88,6 +91,7 @@ def test_idle_sources_of_a_sensor(name):
         {
             "always on": lambda: frame(sensor, light),
             "pruned": lambda: frame(pruned.camera.sensor, light),
+            "never there": lambda: frame(never, light),
         }
     )
     print(f"sensor.{name}: {ratio:.1f} x ({seconds})")
@@ -106,6 +110,12 @@ def test_a_motion_that_does_not_move():
     assert pruned.moments is None
     full = jax.jit(lambda scene: capture(None, scene, camera, motion=rest).raw)
     less = jax.jit(lambda scene: capture(None, scene, pruned.camera).raw)
-    ratio, seconds = timed({"always on": lambda: full(SCENE), "pruned": lambda: less(pruned.scene)})
+    ratio, seconds = timed(
+        {
+            "always on": lambda: full(SCENE),
+            "pruned": lambda: less(pruned.scene),
+            "never there": lambda: less(SCENE),
+        }
+    )
     print(f"motion: {ratio:.1f} x ({seconds})")
     assert ratio >= 3
