@@ -26,6 +26,7 @@ COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"} | {
     "check brdf": "check brdf --simulations 4",
     "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 1",
+    "cornell_box --seconds 60": "cornell_box --knob depth --seconds 8",
 }
 
 
