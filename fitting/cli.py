@@ -233,6 +233,24 @@ def demo(options: Options) -> None:
 
 @app.command()
 @failures()
+def init(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of images.", metavar="FOLDER", parser=typed_path)
+    ],
+) -> None:
+    """Write the rig.toml of a folder of images, from their names and heads (times, ISO, dates), and
+    say what they do not tell."""
+    from .rig_from_folder import write_rig
+
+    path, found = write_rig(folder)
+    print(f"Rig: {path}")
+    for sentence in found.missing:
+        print(f"To do: {sentence}")
+    print(f"Then: jaxvision-fit {found.kind} {folder}")
+
+
+@app.command()
+@failures()
 def study(
     kind: Annotated[
         Literal["noise", "response", "brdf", "joint"], typer.Argument(help="Calibration of each.")

@@ -261,9 +261,11 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     if file.is_dir():
         file = file / RIG_FILE
     if not file.is_file():
+        if not file.suffix:
+            raise InputError(f"{file}: no such rig file, and no such folder; check the name.")
         raise InputError(
-            f"{file}: no such rig file; write one that says what each image is (see the README), "
-            "or give the folder that holds it."
+            f"{file}: no such rig file; write one that says what each image is (see the README; "
+            "`jaxvision-fit init FOLDER` begins it), or give the folder that holds it."
         )
     content = read_toml(file, "rig")
     if "folder" in content:

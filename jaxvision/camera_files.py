@@ -44,7 +44,7 @@ def shipped_cameras() -> tuple[str, ...]:
 
     Example:
         >>> jv.shipped_cameras()
-        ('consumer_bayer', 'emva1288', 'ideal')
+        ('ccd', 'cmos', 'consumer_bayer', 'emva1288', 'ideal')
     """
     return shipped_files("camera")
 

@@ -39,7 +39,10 @@ app = command_app("Photometric image formation: inspect images as numbers, rende
 @app.command()
 @failures_as_sentences("jaxvision")
 def inspect(
-    file: Annotated[Path, typer.Argument(help="PNG, TIFF, EXR, HDR or NPY image.", metavar="FILE")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="PNG, TIFF, JPEG, EXR, HDR, NPY, raw or FITS image.", metavar="FILE"),
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Draw the figure to this PNG, PDF or SVG.", metavar="FIGURE"),
@@ -111,13 +114,19 @@ def render(
             metavar="WORD",
         ),
     ] = None,
-    samples: Annotated[int | None, typer.Option(help="Samples a pixel.")] = None,
-    depth: Annotated[int | None, typer.Option(help="Longest path, in pieces.")] = None,
+    samples: Annotated[
+        int | None, typer.Option(help="Samples a pixel (default: the scene's).")
+    ] = None,
+    depth: Annotated[
+        int | None, typer.Option(help="Longest path, in pieces (default: the scene's).")
+    ] = None,
     gather: Annotated[
         int | None, typer.Option(help="Rays of the final gather of radiosity, 0 for none.")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random numbers.")] = None,
-    tile: Annotated[int | None, typer.Option(help="Pixels computed at once.")] = None,
+    tile: Annotated[
+        int | None, typer.Option(help="Pixels computed at once (default: the scene's, 65536).")
+    ] = None,
     resolution: Annotated[
         str,
         typer.Option(

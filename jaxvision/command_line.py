@@ -1,10 +1,13 @@
-"""What the commands share: `--version`, and how a command that fails ends, with one sentence on
-standard error and an exit status."""
+"""What the commands share: `--version`, `-v`, and how a command that fails ends, with one sentence
+on standard error and an exit status."""
 
+import logging
+import re
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -13,6 +16,7 @@ import typer
 from . import __version__
 from .errors import InputError
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
+from .programs import kept_in
 
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
@@ -41,27 +45,85 @@ def command_app(about: str) -> typer.Typer:
         about: one sentence, the head of its help.
 
     Returns:
-        The command; it knows `--help` and `--version`.
+        The command; it knows `--help`, `--version` and `--verbose`.
     """
     app = typer.Typer(
         help=about, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False
     )
     flag = typer.Option(
-        "--version", help="Print the version.", callback=_print_version, is_eager=True
+        "--version",
+        help="Print the version; with -v of all it uses.",
+        callback=_print_version,
+    )
+    more = typer.Option(  # eager, so that the version knows it wherever it stands
+        "--verbose",
+        "-v",
+        help="Say what is read, done and compiled, with times.",
+        is_eager=True,
     )
 
-    def options(version: Annotated[bool, flag] = False) -> None:
-        del version  # printed by the callback
+    def options(
+        version: Annotated[bool, flag] = False, verbose: Annotated[bool, more] = False
+    ) -> None:
+        del version  # printed by its callback
+        if verbose:
+            say_what_is_done()
 
     app.callback()(options)
     return app
 
 
-def _print_version(wanted: bool) -> bool:
+def _print_version(context: typer.Context, wanted: bool) -> bool:
     if wanted:
-        print(f"jaxvision {__version__}")
+        lines = surroundings() if context.params.get("verbose") else []
+        print("\n".join([f"jaxvision {__version__}", *lines]))
         raise typer.Exit
     return wanted
+
+
+def surroundings() -> list[str]:
+    """What a result depends on beside the package: Python, dependencies, where compiled programs
+    are kept, and the devices, a line each."""
+    import platform
+
+    import jax
+
+    lines = [f"Python {platform.python_version()} on {platform.platform()}"]
+    for requirement in metadata.requires("jaxvision") or ():
+        name = re.match(r"[\w.-]+", requirement)
+        try:
+            lines.append(f"{name[0]} {metadata.version(name[0])}" if name else "")
+        except metadata.PackageNotFoundError:  # of an extra that is not installed
+            continue
+    unique = [*dict.fromkeys(lines)]
+    devices = ", ".join(str(device) for device in jax.devices())
+    return [*unique, f"Compiled programs: {kept_in() or 'not kept'}", f"Devices: {devices}"]
+
+
+def say_what_is_done() -> None:
+    """Prints on standard error, with the seconds since the start: what the package logs, and each
+    program that JAX has compiled."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Elapsed("%(message)s"))
+    own = logging.getLogger("jaxvision")
+    own.setLevel(logging.INFO)
+    own.addHandler(handler)
+    compiled = logging.getLogger("jax._src.dispatch")
+    compiled.setLevel(logging.DEBUG)
+    compiled.propagate = False
+    handler.addFilter(
+        lambda record: (
+            record.name.startswith("jaxvision") or record.getMessage().startswith("Finished XLA")
+        )
+    )
+    compiled.addHandler(handler)
+
+
+class _Elapsed(logging.Formatter):
+    """Messages behind the seconds since logging was first loaded."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return f"{record.relativeCreated / 1e3:7.2f} s  {super().format(record)}"
 
 
 @contextmanager

@@ -1,10 +1,12 @@
-"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays.
+"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; raw files of
+cameras and FITS, which are read only.
 
 This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
 on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their bit depth (uint8,
 uint16); floating files come as float32. Every failure is an `InputError` of one sentence.
 """
 
+import logging
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +19,9 @@ import numpy as np
 
 from .errors import InputError
 from .interrupts import removed_if_interrupted
+from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
 
+_LOG = logging.getLogger("jaxvision.io")
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
 JPEG_FORMATS = (".jpg", ".jpeg")
 FLOAT_FORMATS = (".exr", ".hdr")
@@ -89,11 +93,13 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     """The pixels of an image file as they are stored.
 
     Args:
-        path: a PNG, TIFF, JPEG, EXR, HDR or `.npy` file.
+        path: a PNG, TIFF, JPEG, EXR, HDR or `.npy` file; DNG and other raw files with the `raw`
+            extra, FITS with the `fits` extra.
 
     Returns:
         (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF and JPEG,
-        float32 for EXR and HDR, the array itself for `.npy`.
+        the mosaic's uint16 for a raw file, float32 for EXR and HDR, the array itself for `.npy` and
+        FITS.
 
     Raises:
         InputError: for a missing, unreadable or truncated file, and for samples of another type.
@@ -101,8 +107,17 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such image file; check the name and the folder.")
-    if file.suffix.lower() == ".npy":
-        return _read_npy(file)
+    special = {
+        ".npy": _read_npy,
+        **dict.fromkeys(RAW_FORMATS, read_raw),
+        **dict.fromkeys(FITS_FORMATS, read_fits),
+    }
+    pixels = special.get(file.suffix.lower(), _read_by_openimageio)(file)
+    _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
+    return pixels
+
+
+def _read_by_openimageio(file: Path) -> np.ndarray:
     import OpenImageIO as oiio
 
     as_stored = oiio.ImageSpec()

@@ -34,15 +34,24 @@ def keep_programs() -> None:
     kept."""
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
-    try:
-        folder = _folder()
-    except (OSError, RuntimeError):  # RuntimeError: no home folder
+    folder = kept_in()
+    if not folder:
         return
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
     # Another process may be writing an entry, or have been killed at it: then it is compiled.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+
+
+def kept_in() -> str:
+    """The folder in which the commands keep compiled programs; empty where none are kept."""
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return os.environ["JAX_COMPILATION_CACHE_DIR"]
+    try:
+        return str(_folder())
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        return ""
 
 
 def _folder() -> Path:

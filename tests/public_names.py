@@ -13,6 +13,8 @@ from jaxvision import accuracy, effects
 EAGER = {
     "jaxvision.interrupts",
     "jaxvision.io",
+    "jaxvision.raw_files",
+    "jaxvision.image_settings",
     "jaxvision.plots.inline",
     "jaxvision.plots.inspection",
     "jaxvision.plots.summary",

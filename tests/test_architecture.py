@@ -33,7 +33,8 @@ FLOORS = [
     {"matting", "transport", "development"},
     {"effects"},
     {"shot", "scene_checks", "interrupts"},
-    {"_shipped"},
+    {"_shipped", "raw_files"},
+    {"image_settings"},
     {"io", "toml_files", "command_line", "tasks"},
     {"record_files"},
     {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
@@ -47,7 +48,7 @@ PHYSICS = set.union(*FLOORS[2:16])
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},
-    {"observation", "report"},
+    {"observation", "report", "rig_from_folder"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"accuracy", "demo", "joint", "checks"},
@@ -64,6 +65,8 @@ NEVER_ON_IMPORT = [
     "colour",
     "lineax",
     "trimesh",
+    "rawpy",
+    "astropy",
     "embreex",
     "pydantic",
     "optimistix",
@@ -255,14 +258,14 @@ def loaded_by(program: str) -> tuple[set[str], str]:
     return {name.split(".")[0] for name in modules}, done.stderr
 
 
-OF_TYPER = {"pydantic"}  # for the options of a sub-command
+OF_TYPER = {"pydantic"}  # for options that are given
 
 
 @pytest.mark.parametrize(
     ("command", "arguments", "allowed"),
     [
         ("jaxvision", ["--help"], set()),
-        ("jaxvision", ["--version"], set()),
+        ("jaxvision", ["--version"], OF_TYPER),
         ("jaxvision", ["render", "--help"], OF_TYPER),
         ("jaxvision", ["inspect", "no_such_file.png"], OF_TYPER | {"numpy"}),
         ("jaxvision", ["render", "no_scene", "--out", "a.exr"], OF_TYPER),

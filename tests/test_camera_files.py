@@ -15,8 +15,8 @@ from jaxvision.sensor import expected_signal, mean_photoelectrons
 from jaxvision.shot import capture
 
 
-def test_three_cameras_ship():
-    assert shipped_cameras() == ("consumer_bayer", "emva1288", "ideal")
+def test_five_cameras_ship():
+    assert shipped_cameras() == ("ccd", "cmos", "consumer_bayer", "emva1288", "ideal")
 
 
 @pytest.mark.real
@@ -69,7 +69,7 @@ def test_the_consumer_camera_has_the_measured_sensitivities():
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", ["consumer_bayer", "emva1288", "ideal"])
+@pytest.mark.parametrize("name", ["ccd", "cmos", "consumer_bayer", "emva1288", "ideal"])
 def test_each_takes_a_picture(name):
     camera = read_camera(name)
     bands = 31 if name == "consumer_bayer" else 1
@@ -84,6 +84,19 @@ def test_each_takes_a_picture(name):
     assert float(shot.raw.std()) > 0
     if camera.development is not None:
         assert shot.picture.shape[:2] == (8, 12)
+
+
+def test_ccd_and_cmos_have_the_effects_of_their_kind():
+    ccd, cmos = (read_camera(name).sensor for name in ("ccd", "cmos"))
+    of_ccd = ("smear", "charge_transfer", "blooming")
+    of_cmos = ("shutter", "conversion_prnu", "column_dsnu", "column_prnu", "row_noise")
+    assert all(getattr(ccd, name) is not None for name in of_ccd)
+    assert all(getattr(ccd, name) is None for name in of_cmos)
+    assert all(getattr(cmos, name) is not None for name in of_cmos)
+    assert all(getattr(cmos, name) is None for name in of_ccd)
+    for sensor in (ccd, cmos):  # the ADC ends above the well, as it should
+        top = float(sensor.offset + sensor.gain * sensor.full_well)
+        assert 0.9 * 2 ** float(sensor.bits) < top < 2 ** float(sensor.bits)
 
 
 GOOD = """

@@ -1,5 +1,7 @@
 """Scene files: valid ones become records, and each mistake is reported in one sentence."""
 
+from dataclasses import replace
+
 import colour
 import jax
 import jax.numpy as jnp
@@ -8,11 +10,13 @@ import pytest
 from oracles import cornell_box
 from scipy.constants import c, h, k
 
+import jaxvision as jv
 from jaxvision import scene, scene_checks
 from jaxvision.brdf import blinn, fresnel, gaussian_lobe, lambert, mirror, oren_nayar, phong
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+from jaxvision.camera_files import read_camera
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
 from jaxvision.lights import (
@@ -317,10 +321,37 @@ def test_measured_materials_come_in_the_bands_of_the_scene(tmp_path):
 
 
 def test_the_shipped_cornell_box_is_the_published_one():
-    assert shipped_scenes() == ["cornell_box", "glass_and_mirror"]
+    assert shipped_scenes() == ["cornell_box", "cornell_box_spectral", "glass_and_mirror"]
     found = read_scene("cornell_box")
     same(found.scene, jax.tree.map(np.asarray, cornell_box.scene()))
     same(found.view, cornell_box.view(512))
+
+
+def test_the_spectral_cornell_box_is_the_same_room_in_the_bands_of_a_shipped_camera():
+    found, room = read_scene("cornell_box_spectral"), read_scene("cornell_box")
+    for one, other in zip(found.scene.surfaces, room.scene.surfaces, strict=True):
+        same(one.shape, other.shape)
+    same(found.view, room.view)
+    nanometres = [*range(400, 701, 10)]
+    white, green, lamp = (
+        dict(zip(nanometres, np.asarray(values), strict=True))
+        for values in (
+            np.pi * found.scene.surfaces[0].material.diffuse,
+            np.pi * found.scene.surfaces[3].material.diffuse,
+            found.scene.lights[0].radiance,
+        )
+    )
+    # Published: 0.747 and 0.285 at 500 nm, 0.745 and 0.755 at 608 and 612 nm; the lamp 8 and 15.6
+    # at 500 and 600 nm.
+    walls = [white[500], green[500], white[610]]
+    np.testing.assert_allclose(walls, [0.747, 0.285, 0.75], rtol=1e-6)
+    found_lamp = [lamp[400], lamp[500], lamp[550], lamp[600]]
+    np.testing.assert_allclose(found_lamp, [0, 8, 11.8, 15.6], rtol=1e-6)
+    camera = replace(read_camera("consumer_bayer"), view=found.view)
+    key = jax.random.key(0)
+    camera = jv.as_dtype(camera, "float32")  # as the scene
+    shot = jax.eval_shape(lambda: jv.capture(key, found.scene, camera, die_key=key))
+    assert shot.raw.shape[:2] == tuple(found.view.resolution)
 
 
 def test_the_glass_and_mirror_scene_has_both():

@@ -1,11 +1,14 @@
 """Progress of a long command on standard error."""
 
+import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich import progress
 from rich.console import Console
 
+_LOG = logging.getLogger("jaxvision.fitting")
 Progress = Callable[[int, int], None]  # called with (done, total)
 
 
@@ -18,6 +21,7 @@ class Reporter:
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
         """Shows `description` while the block runs; call what it yields with (done, total)."""
+        begun = time.perf_counter()
         task = self._progress.add_task(description, total=None)
 
         def advance(done: int, total: int) -> None:
@@ -27,6 +31,7 @@ class Reporter:
         self._progress.update(task, total=1, completed=1)
         if not self._progress.console.is_terminal:
             self._progress.console.print(f"{description}: done")
+        _LOG.info("%s took %.2f s", description, time.perf_counter() - begun)
 
 
 @contextmanager

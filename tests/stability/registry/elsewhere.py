@@ -105,6 +105,15 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
+        "test_raw_files test_rig_from_folder",
+        """
+            raw_files.*
+            image_settings.*
+            fitting.rig_from_folder.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
         "test_mesh_files",
         """
             mesh_files.*

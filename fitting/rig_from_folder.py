@@ -1,0 +1,246 @@
+"""A first `rig.toml` of a folder of images, from their names and heads, asking nothing."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.image_settings import ImageSettings, read_settings
+from jaxvision.io import (
+    FLOAT_FORMATS,
+    INTEGER_FORMATS,
+    JPEG_FORMATS,
+    read_image,
+    replaced_on_success,
+)
+from jaxvision.raw_files import FITS_FORMATS, RAW_FORMATS
+
+from .rig import RIG_FILE
+
+SUFFIXES = INTEGER_FORMATS + JPEG_FORMATS + RAW_FORMATS + FITS_FORMATS + (*FLOAT_FORMATS, ".npy")
+BITS = (8, 10, 12, 14, 16)  # of usual converters
+MOST_READ = 9  # images whose pixels are read, for the depth
+_DARK, _FLAT, _LIGHT = (
+    re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
+    for words in ("darks?|bias|black", "flats?|bright|ff", "lights?|lamps?|led")
+)
+_NORMALS, _MASK = (re.compile(word, re.IGNORECASE) for word in ("normal", "mask"))
+_TIME = re.compile(
+    r"(?<![a-z\d.])(?:(\d+)[_-](\d+)|(\d+(?:[.,]\d+)?)) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE
+)
+_UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+
+
+@dataclass
+class FoundRig:
+    """A rig as text, and what it could not know.
+
+    Attributes:
+        text: TOML; what is missing stands in it as comments.
+        missing: a sentence each.
+        kind: which calibration the images look like: noise, response or brdf.
+    """
+
+    text: str = ""
+    missing: list[str] = field(default_factory=list)
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    settings: ImageSettings
+    exposure: float | None
+
+
+def write_rig(folder: Path) -> tuple[Path, FoundRig]:
+    """Writes the rig of a folder beside its images.
+
+    Args:
+        folder: of images, in it or one folder below.
+
+    Returns:
+        The path, and what was found.
+
+    Raises:
+        InputError: for a folder without images, or with a rig already.
+    """
+    path = folder / RIG_FILE
+    if path.exists():
+        raise InputError(f"{path}: is there already; remove it to have it written anew.")
+    found = rig_of(folder)
+    with replaced_on_success(path) as partial:
+        partial.write_text(found.text, encoding="utf-8")
+    return path, found
+
+
+def rig_of(folder: Path) -> FoundRig:
+    """The rig of a folder of images, as text.
+
+    Images count by a word in their path: dark or bias; flat or bright; light or lamp (then
+    `normals` and `mask` are the shape); the others are an exposure stack. Times come from the
+    files' heads, or from names such as `flat_8ms` and `scene_1-8s`.
+
+    Args:
+        folder: of images, in it or one folder below.
+
+    Returns:
+        The rig and what it could not know.
+
+    Raises:
+        InputError: for a folder without images.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the one that holds the images.")
+    files = [
+        path
+        for path in (*folder.iterdir(), *folder.glob("*/*"))
+        if path.suffix.lower() in SUFFIXES and path.is_file()
+    ]
+    if not files:
+        raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
+    names = sorted((path.relative_to(folder).as_posix() for path in files), key=_natural)
+    shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
+    images = [_image(folder, name) for name in names if name not in shape]
+    dark = [image for image in images if _DARK.search(image.name)]
+    flat = [image for image in images if _FLAT.search(image.name) and image not in dark]
+    light = [image for image in images if _LIGHT.search(image.name) and image not in dark + flat]
+    stack = [image for image in images if image not in dark + flat + light]
+    found = FoundRig(kind="noise" if flat else "brdf" if light else "response")
+    lines = _camera(folder, images, found)
+    lines += _levels("flat", flat, found) + _levels("dark", dark, found)
+    lines += _exposures(stack, found) + _lights(light, found)
+    if light or shape:
+        lines += _geometry(shape, found)
+    if flat and not dark:
+        found.missing.append("No name has the word dark: photon transfer needs darks.")
+    found.text = "\n".join(lines) + "\n"
+    return found
+
+
+def _natural(name: str) -> list[tuple[int, float | str]]:
+    """Numbers in a name by their value."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
+
+
+def _image(folder: Path, name: str) -> _Image:
+    settings = read_settings(folder / name)
+    return _Image(name, settings, settings.exposure or _time_in(name))
+
+
+def _time_in(name: str) -> float | None:
+    """Seconds of a name such as flat_8ms, or scene_1-8s for an eighth."""
+    found = _TIME.search(Path(name).stem)
+    if found is None:
+        return None
+    over, under, number, unit = found.groups()
+    value = float(over) / float(under) if over else float(number.replace(",", "."))
+    return value * _UNITS[unit.lower()] or None
+
+
+def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str]:
+    said = [image.settings for image in images]
+    cameras = sorted({one.camera for one in said if one.camera})
+    lines = [f"# {', '.join(cameras)}"] if cameras else []
+    lines += ["[camera]", _depth(folder, images, found)]
+    for name in ("black_level", "saturation"):
+        values = [getattr(one, name) for one in said if getattr(one, name) is not None]
+        if values:
+            lines.append(f"{name} = {np.median(values):.6g}")
+    patterns = {one.pattern for one in said if one.pattern}
+    if len(patterns) == 1:
+        lines.append(f'pattern = "{patterns.pop()}"')
+    dates = [one.taken for one in said if one.taken]
+    if dates:
+        lines.append(f"date = {min(dates).date().isoformat()}")
+    warmth = [one.temperature for one in said if one.temperature]
+    if warmth:
+        lines.append(f"temperature = {np.mean(warmth):.5g}")
+    sensitivities = sorted({one.iso for one in said if one.iso})
+    if len(sensitivities) > 1:
+        listed = ", ".join(f"{iso:g}" for iso in sensitivities)
+        found.missing.append(f"The images differ in ISO ({listed}); keep those of one gain.")
+    return lines
+
+
+def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
+    """The line of `bits`, from the type of the samples or from the largest number in some."""
+    picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
+    read = [read_image(folder / images[i].name) for i in picks]
+    saturations = [image.settings.saturation for image in images if image.settings.saturation]
+    if all(one.dtype == np.uint8 for one in read):
+        return "bits = 8"
+    top = max([float(np.nanmax(one)) for one in read] + saturations)
+    bits = next((bits for bits in BITS if top < 2**bits), None)
+    if bits is None:
+        found.missing.append("Its numbers exceed 16 bits: give images of digital numbers.")
+        return "# bits = ?"
+    found.missing.append(f"bits = {bits} is the least that holds {top:g} DN; correct it.")
+    return f"bits = {bits}  # at least: the largest number read is {top:g}"
+
+
+def _levels(kind: str, images: Sequence[_Image], found: FoundRig) -> list[str]:
+    """Entries of flats or darks: images of one exposure and one name but for its last number."""
+    groups: dict[tuple[float | None, str], list[str]] = defaultdict(list)
+    stems = {image.name: re.sub(r"[_-]?\d+$", "", Path(image.name).stem) for image in images}
+    several = len(set(stems.values())) > 1
+    for image in images:
+        stem = stems[image.name] if several else ""
+        groups[image.exposure, stem].append(image.name)
+    if any(len(names) < 2 for names in groups.values()):  # numbers tell levels, not frames
+        merged: dict[tuple[float | None, str], list[str]] = defaultdict(list)
+        for image in images:
+            merged[image.exposure, ""].append(image.name)
+        groups = merged
+    lines = []
+    for (exposure, _), names in groups.items():
+        listed = "".join(f'\n    "{name}",' for name in names)
+        lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", _seconds(exposure)]
+        if kind == "flat":
+            lines.append("# photons = ?  # a pixel and exposure, for the quantum efficiency")
+        if len(names) < 2:
+            found.missing.append(f"{names[0]}: a {kind} level needs two images or more.")
+    if None in {exposure for exposure, _ in groups}:
+        found.missing.append(f"Exposures of {kind}s are in neither files nor names; give them.")
+    if kind == "flat" and groups:
+        found.missing.append("photons of the flats: give them for the quantum efficiency.")
+    return lines
+
+
+def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
+    lines = []
+    for image in images:
+        lines += ["", "[[exposure]]", f'file = "{image.name}"', _seconds(image.exposure)]
+    if any(image.exposure is None for image in images):
+        found.missing.append("Exposures are in neither files nor names; give them in seconds.")
+    return lines
+
+
+def _seconds(exposure: float | None) -> str:
+    return "# exposure = ?  # s" if exposure is None else f"exposure = {exposure:.6g}"
+
+
+def _lights(images: Sequence[_Image], found: FoundRig) -> list[str]:
+    lines = []
+    for image in images:
+        lines += ["", "[[light]]", f'file = "{image.name}"', "# direction = [?, ?, ?]"]
+    if images:
+        found.missing.append("Directions toward lights are in no file; give a unit vector each.")
+    return lines
+
+
+def _geometry(shape: Iterable[str], found: FoundRig) -> list[str]:
+    normals = [name for name in shape if _NORMALS.search(name)]
+    masks = [name for name in shape if _MASK.search(name)]
+    lines = ["", "[geometry]"]
+    if normals:
+        lines.append(f'normals = "{normals[0]}"')
+    else:
+        lines.append("# sphere = { centre = [?, ?], radius = ? }  # column, row, pixels")
+        found.missing.append("The shape: give the sphere's centre and radius, or normals.")
+    return lines + [f'mask = "{name}"' for name in masks[:1]]

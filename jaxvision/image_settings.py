@@ -1,0 +1,166 @@
+"""What an image file says of its making: exposure, sensitivity, date, camera. EXIF of JPEG, TIFF
+and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
+
+import datetime
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
+
+ABSOLUTE_ZERO = -273.15  # degrees Celsius
+
+
+@dataclass(frozen=True)
+class ImageSettings:
+    """What a file says; None where it does not.
+
+    Attributes:
+        exposure: s.
+        iso: sensitivity.
+        taken: when, in the camera's own time.
+        temperature: K, of the sensor.
+        camera: maker's name of it.
+        black_level: DN.
+        saturation: DN.
+        pattern: phase of a Bayer mosaic, such as "RGGB".
+    """
+
+    exposure: float | None = None
+    iso: float | None = None
+    taken: datetime.datetime | None = None
+    temperature: float | None = None
+    camera: str | None = None
+    black_level: float | None = None
+    saturation: float | None = None
+    pattern: str | None = None
+
+
+def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
+    """Reads the head of an image file; its pixels stay unread.
+
+    Args:
+        path: a file that `jaxvision.io.read_image` reads.
+
+    Returns:
+        The settings; empty for a file that says nothing.
+
+    Raises:
+        InputError: for a raw or FITS file that cannot be read, or without its extra.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix in RAW_FORMATS:
+        return _of_raw(file)
+    if suffix in FITS_FORMATS:
+        return _of_fits(fits_header(file))
+    return _of_exif(_attributes(file))
+
+
+def _attributes(file: Path) -> dict[str, Any]:
+    """EXIF by OpenImageIO's names."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(file))
+    if source is None:
+        oiio.geterror()  # else it is printed when the process ends
+        return {}
+    try:
+        return {attribute.name: attribute.value for attribute in source.spec().extra_attribs}
+    finally:
+        source.close()
+
+
+def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
+    sensitivity = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
+    return ImageSettings(
+        exposure=_positive(said.get("ExposureTime")),
+        iso=_positive(sensitivity),
+        taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
+        camera=_name(said.get("Make"), said.get("Model")),
+    )
+
+
+def _of_raw(file: Path) -> ImageSettings:
+    tags = _raw_tags(file)
+    with opened_raw(file) as raw:
+        letters = raw.color_desc.decode()
+        colours = raw.raw_colors_visible[:2, :2].ravel() if raw.num_colors > 1 else []
+        pattern = "".join(letters[i] for i in colours)
+        blacks = [float(level) for level in raw.black_level_per_channel]
+        saturation = float(raw.white_level)
+    return ImageSettings(
+        exposure=_positive(tags.get("EXIF ExposureTime")),
+        iso=_positive(tags.get("EXIF ISOSpeedRatings")),
+        taken=_time(tags.get("EXIF DateTimeOriginal") or tags.get("Image DateTime")),
+        camera=_name(tags.get("Image Make"), tags.get("Image Model")),
+        black_level=float(np.mean(blacks)),
+        saturation=saturation,
+        pattern=pattern if sorted(pattern) == ["B", "G", "G", "R"] else None,
+    )
+
+
+def _raw_tags(file: Path) -> dict[str, Any]:
+    """EXIF by exifread's names, each its first value."""
+    exifread = extra("exifread", "raw", file)
+    with file.open("rb") as stream:
+        tags = exifread.process_file(stream, details=False)
+    return {
+        name: tag.values if isinstance(tag.values, str) else tag.values[0]
+        for name, tag in tags.items()
+        if getattr(tag, "values", None)
+    }
+
+
+def _of_fits(header: Mapping[str, Any]) -> ImageSettings:
+    celsius = header.get("CCD-TEMP", header.get("SET-TEMP"))
+    pattern = str(header.get("BAYERPAT", "")).strip().upper()
+    return ImageSettings(
+        exposure=_positive(header.get("EXPTIME", header.get("EXPOSURE"))),
+        iso=_positive(header.get("ISOSPEED")),
+        taken=_time(header.get("DATE-OBS")),
+        temperature=None if celsius is None else float(celsius) - ABSOLUTE_ZERO,
+        camera=_name(header.get("INSTRUME")),
+        black_level=_number(header.get("PEDESTAL")),
+        saturation=_positive(header.get("SATURATE")),
+        pattern=pattern if sorted(pattern) == ["B", "G", "G", "R"] else None,
+    )
+
+
+def _number(said: Any) -> float | None:
+    """A number, of a quotient too; None where there is none."""
+    try:
+        found = float(said)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return found if np.isfinite(found) else None
+
+
+def _positive(said: Any) -> float | None:
+    found = _number(said)
+    return found if found is not None and found > 0 else None
+
+
+def _time(said: Any) -> datetime.datetime | None:
+    """A time as EXIF writes it, 2026:11:23 13:00:00, or as ISO 8601 does."""
+    text = str(said or "").strip().strip("\0")
+    try:
+        return datetime.datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        pass
+    try:
+        return datetime.datetime.fromisoformat(text).replace(tzinfo=None)
+    except ValueError:
+        return None
+
+
+def _name(*parts: Any) -> str | None:
+    """Maker and model, the maker once."""
+    words = [str(part).strip() for part in parts if part]
+    if len(words) > 1 and words[-1].startswith(words[0]):
+        words = words[1:]
+    return " ".join(words) or None

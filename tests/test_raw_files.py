@@ -1,0 +1,120 @@
+"""Raw files and FITS against bytes written here, and by astropy."""
+
+import datetime
+import struct
+import sys
+
+import numpy as np
+import pytest
+
+from jaxvision.errors import InputError
+from jaxvision.image_settings import read_settings
+from jaxvision.io import read_image
+
+
+def dng(codes):
+    """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic."""
+    height, width = codes.shape
+    extra, base = bytearray(), 4096
+
+    def entry(tag, kind, values):
+        form = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 10: "ii"}[kind]
+        if kind == 2:
+            data, count = values.encode() + b"\0", len(values) + 1
+        elif kind in (5, 10):
+            data, count = b"".join(struct.pack("<" + form, *v) for v in values), len(values)
+        else:
+            data, count = struct.pack(f"<{len(values)}{form}", *values), len(values)
+        if len(data) > 4:
+            place = base + len(extra)
+            extra.extend(data + b"\0" * (len(data) % 2))
+            data = struct.pack("<I", place)
+        return struct.pack("<HHI", tag, kind, count) + data.ljust(4, b"\0")
+
+    def directory(entries):
+        return struct.pack("<H", len(entries)) + b"".join(entries) + b"\0" * 4
+
+    exif = directory(
+        [
+            entry(33434, 5, [(1, 60)]),
+            entry(34855, 3, [400]),
+            entry(36867, 2, "2026:05:04 12:30:00"),
+        ]
+    )
+    identity = [(1, 1), (0, 1), (0, 1), (0, 1), (1, 1), (0, 1), (0, 1), (0, 1), (1, 1)]
+    main = directory(
+        [
+            entry(254, 4, [0]),
+            entry(256, 4, [width]),
+            entry(257, 4, [height]),
+            entry(258, 3, [16]),
+            entry(259, 3, [1]),
+            entry(262, 3, [32803]),
+            entry(271, 2, "Maker"),
+            entry(272, 2, "Model 3"),
+            entry(273, 4, [8192]),
+            entry(277, 3, [1]),
+            entry(278, 4, [height]),
+            entry(279, 4, [2 * codes.size]),
+            entry(33421, 3, [2, 2]),
+            entry(33422, 1, [2, 1, 1, 0]),
+            entry(34665, 4, [1024]),
+            entry(50706, 1, [1, 4, 0, 0]),
+            entry(50708, 2, "Maker Model 3"),
+            entry(50714, 3, [64]),
+            entry(50717, 3, [4095]),
+            entry(50721, 10, identity),
+            entry(50778, 3, [21]),
+        ]
+    )
+    head = b"II" + struct.pack("<HI", 42, 8) + main
+    whole = head.ljust(1024, b"\0") + exif
+    whole = (whole.ljust(base, b"\0") + bytes(extra)).ljust(8192, b"\0")
+    return whole + codes.astype("<u2").tobytes()
+
+
+@pytest.fixture
+def codes():
+    return np.random.default_rng(0).integers(64, 4096, (48, 64)).astype(np.uint16)
+
+
+def test_raw_files_give_the_mosaic_and_its_settings(tmp_path, codes):
+    pytest.importorskip("rawpy")
+    (tmp_path / "a.dng").write_bytes(dng(codes))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), codes)
+    said = read_settings(tmp_path / "a.dng")
+    assert said.exposure == pytest.approx(1 / 60)
+    assert (said.iso, said.camera, said.pattern) == (400, "Maker Model 3", "BGGR")
+    assert (said.black_level, said.saturation) == (64, 4095)
+    assert said.taken == datetime.datetime(2026, 5, 4, 12, 30)
+
+
+def test_fits_files_give_their_numbers_and_header(tmp_path, codes):
+    fits = pytest.importorskip("astropy.io.fits")
+    header = fits.Header(
+        {"EXPTIME": 0.5, "DATE-OBS": "2026-05-04T12:30:00.5", "CCD-TEMP": -10.0, "INSTRUME": "X"}
+    )
+    fits.writeto(tmp_path / "a.fits", codes, header)  # as 16 bits with BZERO
+    read = read_image(tmp_path / "a.fits")
+    assert read.dtype == np.uint16
+    np.testing.assert_array_equal(read, codes)
+    said = read_settings(tmp_path / "a.fits")
+    assert (said.exposure, said.temperature, said.camera) == (0.5, 263.15, "X")
+    assert said.taken.date() == datetime.date(2026, 5, 4)
+    cube = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    fits.writeto(tmp_path / "b.fit", cube)
+    np.testing.assert_array_equal(read_image(tmp_path / "b.fit"), np.moveaxis(cube, 0, -1))
+
+
+@pytest.mark.parametrize("suffix", [".dng", ".fits"])
+def test_damaged_files_and_missing_extras_are_sentences(suffix, tmp_path, monkeypatch):
+    pytest.importorskip("rawpy")
+    pytest.importorskip("astropy")
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(b"no such thing" * 40)
+    with pytest.raises(InputError, match="not readable as"):
+        read_image(path)
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    monkeypatch.setitem(sys.modules, "astropy.io.fits", None)
+    with pytest.raises(InputError, match=r"pip install 'jaxvision\[(raw|fits)\]'"):
+        read_image(path)

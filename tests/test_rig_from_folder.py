@@ -1,0 +1,132 @@
+"""`jaxvision-fit init`: rigs from names and heads of files, and what they do not tell."""
+
+import datetime
+import logging
+import re
+import tomllib
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+import pytest
+from commands import called
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from fitting.cli import app
+from fitting.rig import load_rig
+from fitting.rig_from_folder import rig_of, write_rig
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+run = partial(called, app)
+
+
+def photograph(path, *, seconds, iso=100, taken="2026:05:04 12:30:00", code=90):
+    """A JPEG whose EXIF Pillow writes."""
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = "Maker", "Maker Model 3"
+    time = IFDRational(Fraction(seconds).limit_denominator(1000))
+    exif[0x8769] = {0x829A: time, 0x8827: iso, 0x9003: taken}
+    Image.fromarray(np.full((8, 10, 3), code, np.uint8)).save(path, exif=exif)
+
+
+def test_exif_makes_an_exposure_stack(tmp_path):
+    for i, seconds in enumerate((1 / 8, 1 / 60, 2.0)):
+        photograph(tmp_path / f"view{i + 9}.jpg", seconds=seconds)
+    status, stdout, stderr = run("init", tmp_path)
+    assert (status, stderr) == (0, "")
+    assert f"Then: jaxvision-fit response {tmp_path}" in stdout
+    assert "To do" not in stdout
+    rig = load_rig(tmp_path)
+    assert [(one.file, one.exposure) for one in rig.exposure] == [
+        ("view9.jpg", 0.125),
+        ("view10.jpg", pytest.approx(1 / 60, rel=1e-5)),
+        ("view11.jpg", 2.0),
+    ]
+    assert rig.camera.bits == 8
+    assert rig.camera.date == datetime.date(2026, 5, 4)
+    assert (tmp_path / "rig.toml").read_text().startswith("# Maker Model 3\n")
+    status, _, stderr = run("init", tmp_path)
+    assert status == 2
+    assert "is there already" in stderr
+
+
+def test_verbose_says_what_is_read_and_version_what_it_runs_with(tmp_path):
+    photograph(tmp_path / "a.jpg", seconds=0.5)
+    loggers = [logging.getLogger(name) for name in ("jaxvision", "jax._src.dispatch")]
+    before = [(one.level, one.propagate, [*one.handlers]) for one in loggers]
+    try:
+        status, _, stderr = run("-v", "init", tmp_path)
+    finally:
+        for one, (level, propagate, handlers) in zip(loggers, before, strict=True):
+            one.level, one.propagate, one.handlers = level, propagate, handlers
+    assert status == 0
+    assert re.search(rf"^ +[\d.]+ s  read {tmp_path}/a.jpg: 8x10x3 uint8$", stderr, re.MULTILINE)
+    status, stdout, _ = run("--version", "-v")
+    assert status == 0
+    assert f"numpy {np.__version__}\n" in stdout
+    assert "Devices: " in stdout
+    assert "Compiled programs: " in stdout
+    status, _, stderr = run("-v")
+    assert status == 2
+    assert "Missing command" in stderr
+
+
+def test_names_make_levels_of_flats_and_darks(tmp_path):
+    for kind in ("flat", "dark"):
+        for ms in (2, 10, 250):
+            for frame in range(2):
+                pixels = np.full((6, 8), 100 + 12 * ms, np.uint16)
+                write_image(tmp_path / f"{kind}_{ms}ms_{frame}.tif", pixels)
+    path, found = write_rig(tmp_path)
+    rig = load_rig(path)
+    assert found.kind == "noise"
+    assert [flat.exposure for flat in rig.flat] == [0.002, 0.010, 0.250]
+    assert rig.dark[2].files == ("dark_250ms_0.tif", "dark_250ms_1.tif")
+    assert rig.camera.bits == 12  # 3100 DN
+    assert [sentence.split(";")[0] for sentence in found.missing] == [
+        "bits = 12 is the least that holds 3100 DN",
+        "photons of the flats: give them for the quantum efficiency.",
+    ]
+
+
+def test_what_is_not_known_stands_as_comments(tmp_path):
+    (tmp_path / "lamps").mkdir()
+    for i in range(3):
+        write_image(tmp_path / "lamps" / f"{i}.png", np.full((4, 4), 7, np.uint8))
+    write_image(tmp_path / "mask.png", np.ones((4, 4), np.uint8))
+    write_image(tmp_path / "flat1.png", np.full((4, 4), 7, np.uint8))
+    found = rig_of(tmp_path)
+    content = tomllib.loads(found.text)
+    assert [one["file"] for one in content["light"]] == [f"lamps/{i}.png" for i in range(3)]
+    assert content["geometry"] == {"mask": "mask.png"}
+    assert "# direction = [?, ?, ?]" in found.text
+    for words in ("Directions toward", "The shape", "two images or more", "Exposures of flats"):
+        assert any(words in sentence for sentence in found.missing)
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [
+        ("flat_8ms_0", 0.008),
+        ("scene-1_8s", 0.125),
+        ("a 2.5s", 2.5),
+        ("b_500us", 5e-4),
+        ("v2 30ms", 0.03),
+        ("plain_12", None),
+        ("frames3", None),
+    ],
+)
+def test_times_in_names(name, seconds, tmp_path):
+    write_image(tmp_path / f"{name}.png", np.full((4, 4), 7, np.uint8))
+    found = tomllib.loads(rig_of(tmp_path).text)
+    entry = {**found}.get("flat", found.get("exposure"))[0]
+    assert entry.get("exposure") == (None if seconds is None else pytest.approx(seconds))
+
+
+def test_folders_that_hold_nothing(tmp_path):
+    with pytest.raises(InputError, match="holds no images"):
+        write_rig(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        write_rig(tmp_path / "none")
