@@ -1,0 +1,103 @@
+"""Every kind of light, material and shape is bounded, and every field of a scene has its place: a
+new one fails here until it has a row, or is said to be a quantity of what a row bounds."""
+
+from dataclasses import fields
+from typing import get_args
+
+import pytest
+
+import jaxvision as jv
+from jaxvision.brdf import _registry as materials
+from jaxvision.effects import bodies, illumination, reflection
+from jaxvision.lights import _registry as lights
+from jaxvision.scene import shapes
+
+
+def of_the_library(kinds):
+    return {kind for kind in kinds if kind.__module__.startswith("jaxvision.")}
+
+
+SHAPES = set(get_args(shapes.Shape))
+KINDS = {
+    kind.__name__: kind
+    for kind in (
+        jv.Scene,
+        jv.Surface,
+        jv.AmbientLight,
+        *SHAPES,
+        *of_the_library(materials._FAMILIES),
+        *of_the_library(lights._KINDS),
+    )
+}
+
+# Fields that hold an effect, and whose rows say so; all others are places, sizes and strengths of
+# what these rows bound.
+ROWS = {
+    "Scene": {"surfaces", "lights", "ambient", "occluders"},
+    "Surface": {"material", "emission"},
+    "TriangleMesh": {"normals"},
+    "Glass": {"absorption"},
+    "TorranceSparrow": {"specular", "interface"},
+    "OrenNayar": {"sigma"},
+    "Mirror": {"reflectance"},
+    "RectangleLight": {"edge_u", "edge_v"},
+    **{
+        f"{name}{kind}": {"specular"}
+        for name in ("Phong", "Blinn", "GaussianLobe")
+        for kind in ("", "BRDF")
+    },
+    "NormalisedPhong": {"specular"},
+    "NormalisedBlinn": {"specular"},
+    "Dichromatic": {"interface"},
+}
+LOBE = {"diffuse", "ambient", "exponent"}
+TABLE = {"values", "wavelengths", "sampler"}
+QUANTITIES = {
+    "Scene": {"rules"},
+    "Surface": {"shape", "two_sided"},
+    "AmbientLight": {"radiance"},
+    "TriangleMesh": {"vertices", "faces", "uv"},
+    "Sphere": {"centre", "radius"},
+    "Plane": {"point", "normal"},
+    "Disc": {"centre", "normal", "radius"},
+    "Quad": {"corner", "edge_u", "edge_v"},
+    "Box": {"centre", "half_extents", "rotation"},
+    "Glass": {"index"},
+    "Mirror": set(),
+    "Lambert": {"diffuse", "ambient"},
+    "TorranceSparrow": {"diffuse", "roughness", "ambient", "distribution", "shadowing"},
+    "OrenNayar": {"diffuse", "ambient", "form"},
+    "Phong": LOBE,
+    "PhongBRDF": LOBE,
+    "NormalisedPhong": LOBE,
+    "Blinn": LOBE,
+    "BlinnBRDF": LOBE,
+    "NormalisedBlinn": LOBE,
+    "GaussianLobe": {"diffuse", "ambient", "concentration"},
+    "GaussianLobeBRDF": {"diffuse", "ambient", "concentration"},
+    "Dichromatic": {"body", "body_spectrum", "interface_spectrum"},
+    "HalfDifferenceTable": TABLE | {"interpolation"},
+    "IsotropicTable": TABLE | {"theta_i", "theta_o", "phi", "azimuths", "outside", "reciprocal"},
+    "AnisotropicTable": TABLE | {"theta_i", "phi_i", "theta_o", "phi_o", "outside", "reciprocal"},
+    "RGL": {"values", "wavelengths", "scaled", "symmetry", "vndf", "ndf", "sigma", "theta", "phi"}
+    | {"luminance"},
+    "PointLight": {"position", "intensity"},
+    "SmallLight": {"position", "normal", "intensity"},
+    "DirectionalLight": {"direction", "irradiance"},
+    "RectangleLight": {"corner", "radiance"},
+    "LightFieldLight": {"aperture", "focal", "radiance"},
+    "EnvironmentMap": {"radiance", "rotation", "rows", "columns", "density"},
+}
+
+
+def test_every_kind_of_light_material_and_shape_is_bounded():
+    assert of_the_library(materials._FAMILIES) == set(reflection.SUPREMA)
+    assert of_the_library(lights._KINDS) == set(illumination.SOURCES)
+    round_or_endless = {jv.Sphere, jv.Plane}
+    assert set(bodies._POINTS) | round_or_endless == SHAPES
+
+
+@pytest.mark.parametrize("name", sorted(KINDS))
+def test_every_field_of_a_scene_has_its_row_or_is_a_quantity(name):
+    own = {field.name for field in fields(KINDS[name])}
+    assert own == ROWS.get(name, set()) | QUANTITIES[name]
