@@ -54,17 +54,22 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
     with removed_if_interrupted(partial):
         try:
             yield partial
-            try:
-                partial.chmod(0o644)
-                partial.replace(path)
-            except OSError as error:
+            partial.chmod(0o644)
+            partial.replace(path)
+        except OSError as error:  # of this file: a full disk names none
+            if error.filename in (None, str(partial)):
                 raise _unwritable(path, error) from error
+            raise
+        except InputError as error:  # a library's reason names the file that it wrote
+            raise InputError(str(error).replace(str(partial), str(path))) from error
         finally:
             partial.unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError(f"{path}: cannot be written ({error.strerror}); choose another path.")
+    return InputError(
+        f"{path}: cannot be written ({error.strerror}); choose another path or make room."
+    )
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
@@ -219,7 +224,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:
         _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
-        if suffix in INTEGER_FORMATS and not _same_pixels(read_image(partial), array):
+        if suffix in INTEGER_FORMATS and not _reads_back(partial, array):
             raise InputError(f"{file}: what was written does not read back; is the disk full?")
 
 
@@ -309,7 +314,11 @@ def _write(
         raise InputError(f"{file}: cannot be written ({message}).")
 
 
-def _same_pixels(read: np.ndarray, written: np.ndarray) -> bool:
+def _reads_back(file: Path, written: np.ndarray) -> bool:
+    try:
+        read = read_image(file)
+    except InputError:
+        return False
     return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)
 
 

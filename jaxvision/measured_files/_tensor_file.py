@@ -55,15 +55,16 @@ def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
     for _ in range(count):
         (length,) = take("H")
         name = bytes(take(f"{length}B")).decode("utf-8", "replace")
+        shown = name[:40]
         dimensions, kind, offset = take("HBQ")
         if dimensions > _MOST_DIMENSIONS:
             raise InputError(
-                f"{file}: field {name[:40]!r} announces {dimensions} dimensions; the header is "
+                f"{file}: field {shown!r} announces {dimensions} dimensions; the header is "
                 "damaged, copy the file again from its source."
             )
         shape = take(f"{dimensions}Q")
         if kind not in _TYPES:
-            raise InputError(f"{file}: field {name!r} has the unknown type {kind}; copy it again.")
+            raise InputError(f"{file}: field {shown!r} has the unknown type {kind}; copy it again.")
         dtype = np.dtype(_TYPES[kind])
         size = dtype.itemsize * math.prod(shape)
         # an axis of length 0 must not hide an absurd one

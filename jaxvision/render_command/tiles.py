@@ -12,6 +12,7 @@ import json
 import os
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -57,7 +58,8 @@ class PartialImage:
         trace: TracebackType | None,
     ) -> None:
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):  # what a full disk did not take is no tile
+                self._file.close()
 
     def append(self, values: np.ndarray) -> None:
         """The next tile; on the disk when this returns."""
@@ -66,9 +68,13 @@ class PartialImage:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
         file = self._begun()
         file.seek(self._start_of(self.done))
-        file.write(data + _checksum(data))
-        file.flush()
-        os.fsync(file.fileno())
+        try:
+            file.write(data + _checksum(data))
+            file.flush()
+            os.fsync(file.fileno())
+        except OSError as error:
+            error.filename = str(self._path)  # a full disk names no file
+            raise
         self.done += 1
 
     def tile(self, index: int) -> np.ndarray:
