@@ -50,7 +50,7 @@ def decay(x: Scalars, rest: Scalars) -> Decay:
 
     Args:
         x: (...) >= 0, no unit.
-        rest: (...) far smaller.
+        rest: (...) far smaller, no unit.
 
     Returns:
         Its parts; `left` is 0 where exp(-x) is below the smallest number to the power 3/2.

@@ -49,6 +49,8 @@ mpmath). A result below the smallest normal number may be 0.
 - *jit*, *one*: the largest ULP between compiled and eager, and between `vmap` and a loop, float32.
 - *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true
   one is finite: {non_finite} of {points:,} points; slopes: {endless}.
+- Of functions of one variable `python tests/stability/every_float32.py` leaves no float32 of the
+  domain out, in about a quarter of an hour each; `--stride 1009` takes one in so many.
 - Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64,
   which is then left out; the worst is by 60 digits.
 
@@ -77,6 +79,24 @@ tolerance: what they are, how many, and the tests that check them.
 """
 
 
+LAST = """
+## Above four units
+
+What is left is rounding that the formula magnifies by a small whole number. It could be put back,
+as `spectra.blackbody` does with what each of its products and quotients loses, for 2.3 times the
+time of a million wavelengths (none that shows on 31); these functions run for each ray or pixel.
+
+- `fresnel_dielectric`, `fresnel_conductor`: squares of quotients of squares. A relative error of
+  the cosine within counts four times, that of the contrast of the indices twice. Below an index
+  of 1 the result changes without bound at the critical angle: its row is over that.
+- `normal_distribution` of GGX: the square of a sum of squares of quotients.
+- `parallel_rectangles` in float32: four terms of one size, two with two inverse tangents each.
+- `scaled_to_key`: the exponential of a mean of logarithms.
+- `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, 1e-10 of the result where one
+  takes over from another.
+"""
+
+
 def number(x):
     return "–" if x != x else "0" if x == 0 else f"{x:.2g}" if x < 100 else f"{x:.0f}"
 
@@ -87,7 +107,8 @@ def line(title, rows):
     narrow, wide = by.get("float32"), by.get("float64")
     cells = [title + (" †" if one.entry.conditioned else "")]
     for row in (narrow, wide):
-        known = row is not None and row.mean <= row.worst  # else the oracle's own digits show
+        # else the oracle's own digits show
+        known = row is not None and row.mean <= row.worst * (1 + 1e-9)
         cells += ["–" if row is None else number(row.worst), number(row.mean) if known else "–"]
     slopes = [f"{row.gradient:.0e}" if row.gradient == row.gradient else "–" for row in rows]
     cells.append(" / ".join(slopes) if one.entry.gradient is not None else "–")
@@ -161,7 +182,7 @@ def page(rows, composed):
     for group in ELSEWHERE:
         count, tests = len(covered_names(group)), ", ".join(f"`{t}`" for t in group.tests.split())
         text += f"| {count} of {group.rooms} | {group.kind} | {tests} |\n"
-    return text
+    return text + LAST
 
 
 def main(arguments=None):

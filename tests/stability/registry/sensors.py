@@ -138,6 +138,8 @@ ENTRIES = [
         (NANOMETRES, KELVIN),
         ((3e-7, 1000.0), (1e-2, 6000.0), (5.5e-7, 1e6), (3e-7, 500.0)),
         bound=2,
+        gradient=1e-4,
+        note="the slope beside the maximum, where it vanishes",
     ),
     Entry(
         "spectra.daylight",
