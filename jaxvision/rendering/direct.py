@@ -98,7 +98,8 @@ def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...])
 
 
 def can_shade(surfaces: Sequence[Surface]) -> bool:
-    """Whether light can be blocked at all: a single convex shape shades only its own back."""
+    """Whether light can be blocked at all (no unit): a single convex shape shades only its own
+    back."""
     first = surfaces[0]
     return len(surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
 

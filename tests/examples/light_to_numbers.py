@@ -46,6 +46,7 @@ KEY, DIE = jax.random.split(jax.random.key(0))
 INDEX = jnp.asarray(1)
 
 EXAMPLES = {
+    "rendering.direct.can_shade": ((SCENE.surfaces,), {}),
     "rendering.direct.radiance_along": ((SCENE, RAY), {}),
     "rendering.direct.render": ((SCENE, PINHOLE), {}),
     "shot.capture": ((KEY, SCENE, s.Camera(PINHOLE, SENSOR, DEVELOPMENT)), {"die_key": DIE}),

@@ -322,7 +322,7 @@ ELSEWHERE = (
         CHOICES,
         "test_rendering test_transport_paths",
         """
-            rendering.direct: direct_along sorted_scene
+            rendering.direct: can_shade direct_along sorted_scene
             rendering.pixel_loop: each in_blocks mean_of_samples numbers_of photograph
             shading: lighting reflected_radiance
             shadows: clear
