@@ -193,8 +193,7 @@ def settings(
             f"{scene_file.path}: compiling takes about {compiling:.0f} s before the first pixel; "
             f"allow more than {render_seconds:g} s, or render with the settings of the scene."
         )
-    spare = max(until - now(), MARGIN * CHECK * remains)
-    best, checked = settled(problem, curves, wanted, allowed, seconds=spare, clock=clock)
+    best, checked = settled(problem, curves, wanted, allowed, seconds=until - now(), clock=clock)
     known = {
         "settings": dict(best.settings),
         "promised": best.error + gone,

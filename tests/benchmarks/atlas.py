@@ -14,7 +14,7 @@ import io
 import os
 import pickle
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,8 @@ os.environ.setdefault("JAX_ENABLE_X64", "1")
 
 import jax
 import matplotlib
+import numpy as np
+from atlas_defaults import defaults
 from atlas_peers import PEERS, Peer, sine_problem, stack_problem
 from matplotlib.figure import Figure
 
@@ -63,6 +65,8 @@ class Sheet:
         rows: cells of the table, without the heads.
         curve: error against time.
         peers: points of others.
+        seconds: s, that it was given.
+        load: processes that ran or waited, this one among them, while it was measured.
     """
 
     page: str
@@ -70,6 +74,8 @@ class Sheet:
     rows: tuple[tuple[str, ...], ...]
     curve: Curve
     peers: tuple[Peer, ...]
+    seconds: float = 12.0
+    load: float = np.nan
 
 
 Job = Callable[[float], tuple[Problem, Curve]]
@@ -156,7 +162,8 @@ def measure(name: str, page: str, job: Job, kept: Path, seconds: float) -> Sheet
         return pickle.loads(file.read_bytes())
     problem, found = job(seconds)
     peers = tuple(PEERS[name](problem, found)) if name in PEERS else ()
-    sheet = Sheet(page, problem.name, tuple(rows(problem, [found])[1:]), found, peers)
+    cells, load = tuple(rows(problem, [found])[1:]), os.getloadavg()[0]
+    sheet = Sheet(page, problem.name, cells, found, peers, seconds, load)
     part = file.with_suffix(".part")
     part.write_bytes(pickle.dumps(sheet))
     part.rename(file)
@@ -194,9 +201,10 @@ def drawn(sheet: Sheet) -> str:
     return head + ">" + STYLE + shorter
 
 
-def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path, seconds: float) -> None:
+def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None:
     """Pages and plots; what is not measured yet is named."""
     out.mkdir(parents=True, exist_ok=True)
+    given, load = (_range(getattr(s, n) for s in sheets.values()) for n in ("seconds", "load"))
     pages: dict[str, list[str]] = {}
     for name, sheet in sheets.items():
         (out / f"{slug(name)}.svg").write_text(drawn(sheet), encoding="utf-8")
@@ -204,8 +212,10 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path, seconds
     lines = [
         "# What accuracy costs: an atlas",
         "",
-        f"Measured on {machine()}, at most {seconds:g} s a knob, by",
-        "`python tests/benchmarks/atlas.py`.",
+        f"Measured on {machine()}, at most {given} s a knob,",
+        "by `python tests/benchmarks/atlas.py`.",
+        f"The machine was shared (a load of up to {load.split()[-1]}), so that times are long and",
+        "vary from knob to knob; within a knob they were measured in turns and compare.",
         "Times are warm, those of scenes of the whole picture. Errors are relative root mean",
         "squares, of fits in standard errors. Labels are settings; hollow points lie within three",
         "times the error of the reference (dashed); triangles are peers. `not reached` also stands",
@@ -226,9 +236,17 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path, seconds
         lines.append("")
         lines += [f'<img src="atlas/{slug(n)}.svg" width="32%" alt="{n}">' for n in names]
         lines.append("")
+    lines += defaults(sheet.curve for sheet in sheets.values())
     if missing:
         lines += [f"Not measured yet: {', '.join(missing)}.", ""]
     (out.parent / f"{out.name}.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+def _range(numbers: Iterable[float]) -> str:
+    """The least and the largest of those that are known."""
+    known = sorted(one for one in numbers if np.isfinite(one))
+    ends = [f"{known[0]:.2g}", f"{known[-1]:.2g}"] if known else ["?"]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -251,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     if asked.write or not asked.only:
         missing = [name for name in every if name not in sheets]
-        written(sheets, missing, asked.out, asked.seconds)
+        written(sheets, missing, asked.out)
 
 
 if __name__ == "__main__":

@@ -160,9 +160,10 @@ def of_samples(problem: Problem, found: Curve) -> Iterator[Peer]:
         return
     try:
         from mitsuba_scenes import mitsuba, mitsuba_cornell_box
-    except ImportError:
+
+        mi = mitsuba()
+    except ImportError:  # or LLVM is not where it is said to be
         return
-    mi = mitsuba()
     path = {"type": "path", "max_depth": problem.settings["depth"], "rr_depth": 1000}
     scene = mitsuba_cornell_box(mi, side=128, integrator=path)
 
