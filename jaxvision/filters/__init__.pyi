@@ -50,6 +50,7 @@ from .pyramid import (
     laplacian_pyramid as laplacian_pyramid,
     reduce_by_two as reduce_by_two,
 )
+from .resampling import resize as resize, warp as warp
 from .scipy_operators import scipy_matrix as scipy_matrix, scipy_operator as scipy_operator
 from .shift_variant import (
     correlate_bank as correlate_bank,

@@ -21,6 +21,7 @@ CLOCK = "errors and times of other functions, measured where they run"
 BOUNDS = "bounds in float64, checked against pictures with and without each effect"
 CHOICES = "selects, arranges or decides; its numbers are whole, or those that went in"
 TABLES = "tables in float64, checked against SciPy, NumPy or closed forms"
+INTERPOLATED = "interpolated by JAX in the picture's dtype, checked against SciPy and Pillow"
 DRAWS = "draws, checked by their distribution; their parts stand in the table"
 SOLVERS = "iterates to a tolerance of its own, checked against known optima and posteriors"
 STATISTICS = "statistics in float64, checked against simulations, closed forms and other packages"
@@ -367,6 +368,13 @@ ELSEWHERE = (
             hemisphere: product_nodes
             lights._nodes: square_nodes
             lights.orders: order_for
+        """,
+    ),
+    Elsewhere(
+        INTERPOLATED,
+        "test_resampling",
+        """
+            filters.resampling: resize warp
         """,
     ),
     Elsewhere(

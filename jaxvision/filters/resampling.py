@@ -1,0 +1,118 @@
+"""Pictures on another grid: at another size, or warped by any map of places.
+
+Pixels are squares whose centres lie at whole rows and columns, so that n rows span -1/2 to n - 1/2.
+What shrinks is averaged (antialiased): `resize` widens its kernel by the factor, `warp`
+averages places within each pixel of the result. Values are relative or DN; integer pictures are
+computed as floating numbers.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Array, Float
+
+from .._arguments import takes_numbers
+from .._types import check_choice, check_count, check_shape
+from ..padding import as_planes
+from ._neighbours import AnyPicture, Floats
+
+METHODS = ("nearest", "linear", "cubic", "lanczos3", "lanczos5")
+BORDERS = {  # names of this library and of SciPy
+    "clamp": "nearest",
+    "constant": "constant",
+    "mirror": "reflect",
+    "reflect_101": "mirror",
+}
+
+
+@takes_numbers
+@partial(jax.jit, static_argnames=("size", "method", "antialias"))
+def resize(
+    picture: AnyPicture, size: tuple[int, int], *, method: str = "cubic", antialias: bool = True
+) -> Floats:
+    """A picture at another size, by `jax.image.resize`.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), relative or DN.
+        size: rows and columns of the result, each at least 1; static.
+        method: "nearest", "linear" (a triangle), "cubic" (Keys, a = -1/2), "lanczos3" or
+            "lanczos5". The last three overshoot at edges.
+        antialias: widen the kernel where the picture shrinks, so that every pixel counts.
+
+    Returns:
+        size, or with batch and bands, in the picture's unit. Constants stay constant.
+
+    Raises:
+        ValueError: for an array that is no picture, an unknown method, and a size below 1.
+
+    Example:
+        >>> print(jv.filters.resize(jnp.arange(8.0)[None], (1, 2), method="linear"))
+        [[1.75 5.25]]
+    """
+    check_choice("method", method, METHODS)
+    for count in size:
+        check_count("size", count, 1)
+    image, restore = as_planes(picture)
+    shape = (image.shape[0], *size, image.shape[3])
+    return restore(jax.image.resize(image, shape, method, antialias=antialias))
+
+
+@takes_numbers
+@partial(jax.jit, static_argnames=("samples", "border"))
+def warp(
+    picture: AnyPicture,
+    rows: Float[Array, "h w"],
+    columns: Float[Array, "h w"],
+    *,
+    samples: int = 1,
+    border: str = "clamp",
+    fill: Float[Array, ""] | float = 0.0,
+) -> Floats:
+    """The picture at given places, interpolated linearly.
+
+    Args:
+        picture: (h', w') or (..., h', w', bands), relative or DN.
+        rows: (h, w) where each pixel of the result lies in the picture, pixels.
+        columns: (h, w) pixels.
+        samples: places a side within each pixel of the result, whose mean it is: about the factor
+            by which the map shrinks the picture. 1 takes the middle alone. The map is followed
+            linearly within a pixel, so that it needs two rows and columns.
+        border: what lies outside: "clamp", "constant", "mirror" or "reflect_101".
+        fill: () value outside of "constant", in the picture's unit.
+
+    Returns:
+        (h, w), or with batch and bands, in the picture's unit.
+
+    Raises:
+        ValueError: for an array that is no picture, maps of unequal shape, an unknown border, and
+            `samples` below 1.
+
+    Example:
+        >>> rows, columns = jnp.mgrid[0.5:2, 0.5:3]
+        >>> print(jv.filters.warp(jnp.arange(12.0).reshape(3, 4), rows, columns))
+        [[2.5 3.5 4.5]
+         [6.5 7.5 8.5]]
+    """
+    check_choice("border", border, tuple(BORDERS))
+    check_count("samples", samples, 1)
+    check_shape("columns", columns, rows.shape)
+    image, restore = as_planes(picture)
+    # JAX fills with 0 alone where the value may be traced.
+    outside = jnp.asarray(fill if border == "constant" else 0, image.dtype)
+    offsets = (jnp.arange(samples, dtype=image.dtype) + 0.5) / samples - 0.5
+    places = jnp.stack([rows, columns]).astype(image.dtype)
+
+    def at(places: Float[Array, "2 h w"]) -> Float[Array, "images h w bands"]:
+        def plane(values: Float[Array, "_ _"]) -> Float[Array, "h w"]:
+            return map_coordinates(values, list(places), order=1, mode=BORDERS[border])
+
+        return jax.vmap(jax.vmap(plane, -1, -1))(image - outside) + outside
+
+    if samples == 1:
+        return restore(at(places))
+    down, right = (jnp.gradient(places, axis=axis) for axis in (1, 2))
+    shifts = jnp.stack(jnp.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    total = jax.lax.map(lambda shift: at(places + shift[1] * down + shift[0] * right), shifts)
+    return restore(total.mean(axis=0))

@@ -1,0 +1,81 @@
+"""Resized pictures against Pillow, warped ones against SciPy and block means."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from jaxvision.filters import resize, warp
+
+PICTURE = np.random.default_rng(0).uniform(size=(23, 31)).astype(np.float32)
+OF_PILLOW = {
+    "linear": Image.Resampling.BILINEAR,
+    "cubic": Image.Resampling.BICUBIC,
+    "lanczos3": Image.Resampling.LANCZOS,
+}
+
+
+@pytest.mark.parametrize("method", OF_PILLOW)
+@pytest.mark.parametrize("size", [(7, 9), (50, 64), (11, 40)])
+def test_resized_as_pillow_does(method, size):
+    theirs = np.asarray(Image.fromarray(PICTURE).resize(size[::-1], OF_PILLOW[method]))
+    np.testing.assert_allclose(resize(PICTURE, size, method=method), theirs, atol=2e-6)
+
+
+def test_batches_bands_and_constants():
+    stack = np.stack([PICTURE, 2 * PICTURE], axis=-1)[None]
+    both = resize(stack, (5, 6))
+    assert both.shape == (1, 5, 6, 2)
+    np.testing.assert_allclose(both[0, ..., 1], 2 * resize(PICTURE, (5, 6)), rtol=1e-5)
+    np.testing.assert_allclose(resize(np.full((9, 9), 3.0), (4, 13)), 3.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("border", "theirs"),
+    [
+        ("clamp", "nearest"),
+        ("constant", "grid-constant"),
+        ("mirror", "reflect"),
+        ("reflect_101", "mirror"),
+    ],
+)
+def test_warped_as_scipy_does(border, theirs):
+    rng = np.random.default_rng(1)
+    rows, columns = rng.uniform(-4, 27, (6, 8)), rng.uniform(-4, 35, (6, 8))
+    picture = PICTURE.astype(np.float64)
+    expected = ndimage.map_coordinates(picture, [rows, columns], order=1, mode=theirs, cval=0.3)
+    found = warp(picture, rows, columns, border=border, fill=0.3)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_a_shrunk_picture_is_the_mean_of_its_blocks(factor):
+    picture = PICTURE[:18, :30].astype(np.float64)
+    rows, columns = (factor * (np.arange(side // factor) + 0.5) - 0.5 for side in picture.shape)
+    rows, columns = np.meshgrid(rows, columns, indexing="ij")
+    blocks = picture.reshape(18 // factor, factor, 30 // factor, factor).mean(axis=(1, 3))
+    np.testing.assert_allclose(warp(picture, rows, columns, samples=factor), blocks, rtol=1e-12)
+    checks = np.indices((12, 12)).sum(axis=0) % 2.0  # the finest pattern becomes grey
+    rows, columns = np.meshgrid(np.arange(1, 12, 2) - 0.5, np.arange(1, 12, 2) - 0.5)
+    np.testing.assert_allclose(warp(checks, rows.T, columns.T, samples=2), 0.5)
+
+
+def test_slopes_of_places():
+    """A ramp moves by its slope."""
+    ramp = jnp.outer(jnp.ones(8), jnp.arange(8.0)) * 0.25
+    rows, columns = jnp.mgrid[2.4:5, 2.4:6]
+    slope = jax.grad(lambda c: warp(ramp, rows, c).sum())(columns)
+    np.testing.assert_allclose(slope, 0.25, rtol=1e-6)
+
+
+def test_what_cannot_be_resampled():
+    with pytest.raises(ValueError, match="method must be one of nearest, linear"):
+        resize(PICTURE, (4, 4), method="area")
+    with pytest.raises(ValueError, match="size must be a whole number"):
+        resize(PICTURE, (0, 4))
+    with pytest.raises(ValueError, match="border must be one of clamp"):
+        warp(PICTURE, np.zeros((2, 2)), np.zeros((2, 2)), border="wrap")
+    with pytest.raises(ValueError, match="columns must have shape"):
+        warp(PICTURE, np.zeros((2, 2)), np.zeros((2, 3)))
