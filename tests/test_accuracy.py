@@ -122,6 +122,8 @@ def test_gauss_converges_geometrically():
     found = curve(problem, knob, clock=clock)
     assert [trial.setting for trial in found.trials if trial.hollow] == [12, 16]
     assert law(found).points == 5
+    first, last = found.trials[0].error, found.trials[4].error
+    np.testing.assert_allclose(law(found).exponent, np.log(last / first) / 4, rtol=0.1)
     assert np.exp(law(found).exponent) < 0.05
     given = curve(replace(problem, exact=exact), knob, clock=clock)
     assert given.reference.how == "closed form"
