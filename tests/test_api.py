@@ -23,7 +23,7 @@ def test_every_public_function_has_an_example():
 
 
 def is_float(leaf):
-    return jnp.issubdtype(leaf.dtype, jnp.floating)
+    return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)
 
 
 def direction(x):
