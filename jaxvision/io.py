@@ -325,7 +325,7 @@ def _reads_back(file: Path, written: np.ndarray) -> bool:
 def _read_npy(file: Path) -> np.ndarray:
     try:
         return np.load(file, allow_pickle=False)
-    except (ValueError, OSError, EOFError, MemoryError, TokenError) as error:
+    except (ValueError, OSError, EOFError, MemoryError, SyntaxError, TokenError) as error:
         raise InputError(f"{file}: not a NumPy array file ({_one_line(str(error))}).") from error
 
 

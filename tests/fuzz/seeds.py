@@ -121,9 +121,11 @@ def numpy_file() -> bytes:
 
 
 def kinds(folder: Path) -> dict[str, Kind]:
-    """Every kind by name; `folder` for what writers need."""
+    """Every kind by name; `folder` for what writers need, and what files name beside them."""
     cameras = tuple((PACKAGE / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
     scenes = tuple(file.read_bytes() for file in sorted((PACKAGE / "scenes").glob("*.toml")))
+    for table in (PACKAGE / "scenes").glob("*.csv"):  # beside the scenes that name them
+        (folder / table.name).write_bytes(table.read_bytes())
     merl = measured.merl_bytes(
         lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
     )
@@ -139,7 +141,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         lambda file: write_material(jaxvision.Phong([0.2, 0.1], [0.3, 0.3], 9.0), file),
     )
     return {
-        "camera": Kind(".toml", cameras, read_camera),
+        "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
         "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene, finite=False),
         "material": Kind(".toml", (material,), read_material),
         "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),

@@ -94,6 +94,15 @@ time of a million wavelengths (none that shows on 31); these functions run for e
 - `scaled_to_key`: the exponential of a mean of logarithms.
 - `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, 1e-10 of the result where one
   takes over from another.
+
+## Damaged files
+
+`pytest -m fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each must be
+read, or refused in one sentence, in 10 s of CPU and 12 GiB. The last run, of 39,000 files of 17
+kinds (cameras, scenes, materials, rigs, tables, MERL, RGL, Cornell, OBJ, PLY, PNG, TIFF, JPEG, EXR,
+HDR, NPY): 6,144 were read. Six outcomes were wrong: four names of damaged RGL files told whole,
+and two headers of NPY files that are no Python. They are mended. `jaxvision inspect` of 280: no
+traceback.
 """
 
 
