@@ -25,9 +25,9 @@ from .choice import choose_model
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .fit import LikelihoodFit, likelihood_sheet, needed_window, noise_data
 from .levels import PhotonTransfer, linear_levels
-from .model import SCATTERS, log_density, negative_log_density, predicted_moments
+from .model import log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
-from .quantities import QUANTITIES, Quantity
+from .quantities import QUANTITIES, SCATTERS, Quantity
 from .regressions import through_origin
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"

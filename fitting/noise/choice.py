@@ -14,17 +14,20 @@ from scipy.stats import chi2, f
 
 from ..inference.parameters import Parameter, ParameterSpace, names
 from .emva1288 import Ranges, Sheet
-from .fit import MISFIT, LikelihoodFit, base_space, fitted
+from .fit import MISFIT, LikelihoodFit, base_space, fitted, observations
 from .levels import PhotonTransfer
-from .model import (
+from .model import NoiseData
+from .neighbours import are_known
+from .quantities import (
     BLACK_SCATTER,
+    BRIGHTER_FATTER,
     COMPRESSION,
     COMPRESSION_2,
     LIGHT_OFFSET,
     LIGHT_SCATTER,
+    PIXEL_MIXING,
     SHUTTER_OFFSET,
     VARIANCE_SCATTER,
-    NoiseData,
 )
 from .regressions import line_misfit
 
@@ -78,6 +81,8 @@ def choose_model(
     bright_levels = int(jnp.sum(data.lit))
     offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
     candidates = (LIGHT_SCATTER, COMPRESSION, offset, COMPRESSION_2)[: bright_levels - 3]
+    candidates += (BRIGHTER_FATTER,)
+    candidates += (PIXEL_MIXING,) if are_known(data.neighbours) else ()
     whole = linear.space + dark_scatter(measurement, within) + candidates
     chosen = fitted(whole, data, standard, among=whole)
     while unearned := _unearned(chosen, candidates):
@@ -101,6 +106,8 @@ def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Paramete
         precision = information[i, i] - across @ np.linalg.lstsq(own, across, rcond=None)[0]
         # The ratio of a positive scale to its error is one over the error of its logarithm.
         size = float(fit.solution.vector[i]) if parameter.transform == "identity" else 1.0
+        if parameter is BRIGHTER_FATTER:  # charges repel each other
+            size = max(size, 0.0)
         ratios[parameter] = size**2 * max(precision, 0.0) / _price(fit, parameter)
     weakest = min(ratios, key=ratios.__getitem__, default=None)
     return weakest if weakest is not None and ratios[weakest] < 1 else None
@@ -111,10 +118,10 @@ def _price(fit: LikelihoodFit, parameter: Parameter) -> float:
     about by chance once in a hundred cameras, since errors do not know of the choice. A scatter of
     m lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
     that a term of the curve then has to pass Fisher's F."""
-    price = float(np.log(2 * fit.data.mean.size))
+    price = float(np.log(observations(fit.data)))
     if parameter.transform == "log":
         return price
-    if LIGHT_SCATTER not in fit.space:
+    if LIGHT_SCATTER not in fit.space or parameter not in CURVE:
         return max(price, float(chi2.isf(SPURIOUS, 1)))
     lights = int(jnp.sum(fit.data.lit))
     terms = 1 + sum(p in fit.space for p in CURVE)

@@ -12,6 +12,7 @@ from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
 from .model import Moments, NoiseData, predicted_moments
+from .neighbours import NeighbourData
 from .regressions import line
 
 SIZE = (6.4, 5.2)
@@ -270,6 +271,7 @@ def _model_curve(
         frames=jnp.full(POINTS, 2.0),
         pixels=data.pixels,
         top_signal=data.top_signal,
+        neighbours=data.neighbours and NeighbourData(data.neighbours.variance_terms),
         photons_known=data.photons_known,
     )
     values = fit.values

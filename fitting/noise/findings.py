@@ -4,9 +4,11 @@ import numpy as np
 
 from ..inference.diagnostics import identifiability
 from ..inference.posterior import convergence_in_words
+from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import MISFIT, gain_drop
+from .neighbours import are_known
 from .shared import drift, fixed_lines, temporal_lines
 
 FAR = 3.0  # standard errors between two figures that should agree
@@ -48,6 +50,36 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
         told += _compression(calibration)
     if "light_offset" in chosen.values:
         told.append(_light_offset(calibration))
+    return [*told, *_neighbours(calibration)]
+
+
+def _neighbours(calibration: NoiseCalibration) -> list[str]:
+    """What variances lose to charges that repel each other, and to mixing with neighbours."""
+    chosen, told = calibration.chosen, []
+    if "brighter_fatter" in chosen.values:
+        share, error = float(chosen.values["brighter_fatter"]), chosen.errors["brighter_fatter"]
+        own, own_error = own_area_change(chosen)
+        told.append(
+            "The variance flattens with light more than the mean does: at the brightest level used "
+            f"charges that repel each other (the brighter-fatter effect) take {100 * share:.2g} ± "
+            f"{100 * error:.1g} % of it, a₀₀ = ({own * 1e6:.3g} ± {own_error * 1e6:.1g}) · 10⁻⁶ "
+            "per electron."
+        )
+        told.append(
+            "The covariances of its neighbours, which a compression does not raise, were fitted "
+            "with it: variance and covariances add up to the noise of independent electrons."
+            if are_known(chosen.data.neighbours)
+            else "Only the shape of the variance tells it from a wrong gain: covariances of "
+            "neighbouring pixels are not known from a table, in a mosaic, or under noise that rows "
+            "or columns share; give the frames of a monochrome camera in a rig."
+        )
+    if "pixel_mixing" in chosen.values:
+        share, error = float(chosen.values["pixel_mixing"]), chosen.errors["pixel_mixing"]
+        told.append(
+            f"Neighbouring pixels share {100 * share:.2g} ± {100 * error:.1g} % of the signal's "
+            "variance in proportion to light, as capacitance between pixels or interpolation does "
+            "behind the counting: the variance alone would give a gain too small by that share."
+        )
     return told
 
 

@@ -16,12 +16,6 @@ from ..inference.parameters import ParameterSpace, names, to_unconstrained
 from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
 from .model import (
-    DARK_CURRENT,
-    OFFSET,
-    READ_NOISE,
-    RESPONSIVITY,
-    SIGNAL_RATE,
-    SYSTEM_GAIN,
     NoiseData,
     Residuals,
     compressed,
@@ -29,8 +23,17 @@ from .model import (
     log_likelihood_terms,
     named,
 )
+from .neighbours import are_known, neighbour_data
 from .quantised import FINEST_READ_NOISE, Window, window_for
-from .shared import temporal_lines
+from .quantities import (
+    DARK_CURRENT,
+    OFFSET,
+    READ_NOISE,
+    RESPONSIVITY,
+    SIGNAL_RATE,
+    SYSTEM_GAIN,
+)
+from .shared import believed_lines
 
 MISFIT = 1e-3  # p-value below which a model is not believed
 START_NOISES = 12  # read noises tried where a likelihood has several optima
@@ -74,8 +77,8 @@ class LikelihoodFit:
 
     @property
     def bic(self) -> float:
-        observations = 2 * self.data.mean.size
-        return 2 * float(self.solution.cost) + len(self.space) * float(np.log(observations))
+        price = float(np.log(observations(self.data)))
+        return 2 * float(self.solution.cost) + len(self.space) * price
 
     @property
     def values(self) -> dict[str, Array]:
@@ -119,7 +122,7 @@ def noise_data(
     def of_lines(power: int) -> Array | None:
         """What rows and columns that share noise add to the variance of a level's mean, or of its
         variance."""
-        believed = shared_lines(measurement)
+        believed = believed_lines(dark.shared, dark.variance, dark.frames)
         if not believed:
             return None
         frames = row("frames")
@@ -142,27 +145,8 @@ def noise_data(
         photons_known=measurement.photons_known,
         mean_of_lines=of_lines(1),
         spread_of_lines=of_lines(2),
+        neighbours=neighbour_data(measurement, usable),
     )
-
-
-def shared_lines(measurement: PhotonTransfer) -> list[tuple[float, float]]:
-    """The temporal noise that rows or columns of the darks share, where it is believed.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        Variance (DN^2) and how many lines, of rows, of columns, or of neither.
-    """
-    dark = measurement.dark
-    if dark.shared is None:
-        return []
-    found = [
-        temporal_lines(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames), axis)
-        for axis in (0, 1)
-    ]
-    counts = (float(count) for count in dark.shared.shape)
-    return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
 def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
@@ -341,10 +325,24 @@ def fitted(
         solution = fit_space(space, data, standard)
         vector = solution.vector
     residuals = _residuals(vector, (among or space, data))
-    chi_square = float(jnp.sum(residuals.mean**2) + jnp.sum(residuals.variance**2))
+    chi_square = float(sum(jnp.sum(x**2) for x in jax.tree.leaves(residuals)))
     return LikelihoodFit(
-        space, data, solution, residuals, chi_square, 2 * data.mean.size - len(space)
+        space, data, solution, residuals, chi_square, observations(data) - len(space)
     )
+
+
+def observations(data: NoiseData) -> int:
+    """How many numbers are explained.
+
+    Args:
+        data: of a fit.
+
+    Returns:
+        A mean and a variance of each level, and the covariances with neighbours of the bright ones
+        where they are known.
+    """
+    of_neighbours = int(jnp.sum(data.lit)) if are_known(data.neighbours) else 0
+    return 2 * data.mean.size + of_neighbours
 
 
 @eqx.filter_jit

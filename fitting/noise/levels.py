@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from .shared import SharedVariance
 
 FEWEST_PIXELS = 100
+REACH = 3  # rows and columns up to which pixels count as neighbours
 SATURATED_DROP = 5.0  # standard errors by which the variance falls behind the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations
@@ -36,6 +37,9 @@ class Levels(eqx.Module):
         spatial_variance: (levels,) measured over the pixels' means, DN^2; None where only sums over
             the pixels are known.
         shared: by rows, columns and whole frames; None where only sums over the pixels are known.
+        covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
+            and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
+            to each other.
     """
 
     light: Float[Array, " levels"]
@@ -46,6 +50,7 @@ class Levels(eqx.Module):
     pixels: Float[Array, ""]
     spatial_variance: Float[Array, " levels"] | None = None
     shared: SharedVariance | None = None
+    covariances: Float[Array, "levels lags lags"] | None = None
 
 
 class PhotonTransfer(eqx.Module):

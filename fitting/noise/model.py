@@ -3,13 +3,19 @@
     electrons  mu  = R / K (mu_p + delta) + D t
     signal     x   = K mu
     mean       y   = offset + h(x)
-    variance   s^2 = h'(x)^2 K^2 mu + K^2 sigma_d^2 + 1/12
+    variance   s^2 = h'(x)^2 K^2 V(mu) + K^2 sigma_d^2 + 1/12
+    neighbours T   = h'(x)^2 K^2 (mu - V(mu))       sum of the covariances of all others with one
     h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
+    V(mu)          = mu, or (1 - kappa) C_00(mu)
 
 K: DN per electron and R: DN per photon, both at zero signal; the means know R a hundred times
 better than the variances know K, so that these two, unlike K and the efficiency R / K, are hardly
 correlated. mu_p: photons per pixel; t: s. h: a compression behind the gain, X being the brightest
-level's signal. 1/12: rounding, counted once. Read noise enters behind the compression.
+level's signal. 1/12: rounding, counted once. Read noise enters behind the compression. C_00: of
+charges that repel each other (Astier 2019, `jaxvision.sensor.flat_covariances`), with a_00 = -beta
+K / X, so that beta is the share of the brightest level's variance that is lost, to first order; the
+shape of a is that of the measured covariances. kappa: share of a pixel's signal variance that
+linear mixing with its neighbours takes. Neither loses any of the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L); the observed variance
 is Gamma, given the mean, with as many degrees of freedom as its sampling variance,
@@ -28,23 +34,10 @@ from jaxtyping import Array, Float
 
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
-from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
+from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
+from .neighbours import NeighbourData, own_variance
 from .quantised import Window, quantised_moments
-
-SYSTEM_GAIN = Parameter("system_gain", symbol="K", unit="DN/e⁻", transform="log")
-RESPONSIVITY = Parameter("responsivity", symbol="R", unit="DN/photon", transform="log")
-SIGNAL_RATE = Parameter("signal_rate", symbol="R_t", unit="DN/s", transform="log")
-OFFSET = Parameter("black_level", symbol="μ_y.dark", unit="DN")
-READ_NOISE = Parameter("read_noise", symbol="σ_d", unit="e⁻", transform="log")
-DARK_CURRENT = Parameter("dark_current", symbol="μ_I", unit="e⁻/s")
-COMPRESSION = Parameter("compression", symbol="c₁", unit="1")
-COMPRESSION_2 = Parameter("compression_2", symbol="c₂", unit="1")
-LIGHT_OFFSET = Parameter("light_offset", symbol="δ", unit="photons")
-SHUTTER_OFFSET = Parameter("light_offset", symbol="δ", unit="s")
-LIGHT_SCATTER = Parameter("light_scatter", symbol="τ_H", unit="1", transform="log")
-VARIANCE_SCATTER = Parameter("variance_scatter", symbol="τ_V", unit="1", transform="log")
-BLACK_SCATTER = Parameter("black_scatter", symbol="τ₀", unit="DN", transform="log")
-SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")
+from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
 
 
 class NoiseData(eqx.Module):
@@ -65,6 +58,7 @@ class NoiseData(eqx.Module):
         mean_of_lines: (levels,) what noise that rows or columns share adds to the variance of a
             mean, DN^2; None where there is none.
         spread_of_lines: (levels,) to the variance of a variance, DN^4.
+        neighbours: what is known of the pixels around one.
     """
 
     light: Float[Array, " levels"]
@@ -80,6 +74,7 @@ class NoiseData(eqx.Module):
     photons_known: bool = eqx.field(static=True, default=True)
     mean_of_lines: Float[Array, " levels"] | None = None
     spread_of_lines: Float[Array, " levels"] | None = None
+    neighbours: NeighbourData | None = None
 
 
 class Moments(eqx.Module):
@@ -104,10 +99,12 @@ class Residuals(eqx.Module):
     Attributes:
         mean: (levels,) of the means.
         variance: (levels,) of the temporal variances.
+        neighbours: (levels,) of T, 0 of the darks; None where it is not known.
     """
 
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
+    neighbours: Float[Array, " levels"] | None = None
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
@@ -151,10 +148,33 @@ def level_moments(
     step = slope * gain
     return Moments(
         mean=values["black_level"] + h,
-        variance=step**2 * electrons + (gain * read) ** 2 + QUANTISATION_VARIANCE,
+        variance=step**2 * own_variance(values, data.neighbours, electrons, data.top_signal)
+        + (gain * read) ** 2
+        + QUANTISATION_VARIANCE,
         third=step**3 * electrons,
         fourth=step**4 * electrons,
     )
+
+
+def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Array, " levels"]:
+    """T, the sum of the covariances of all other pixels with one.
+
+    Args:
+        values: natural parameters by name.
+        data: levels.
+
+    Returns:
+        (levels,) DN^2.
+    """
+
+    def at(light: Array, lit: Array, exposure: Array) -> Array:
+        mu = expected_electrons(values, data, light, lit, exposure)
+        x = values["system_gain"] * mu
+        slope = jax.grad(lambda s: compressed(values, s, data.top_signal))(x)
+        own = own_variance(values, data.neighbours, mu, data.top_signal)
+        return (slope * values["system_gain"]) ** 2 * (mu - own)
+
+    return jax.vmap(at)(data.light, data.lit, data.exposure)
 
 
 def expected_electrons(
@@ -271,7 +291,16 @@ def log_likelihood_terms(
         mean=deviation / jnp.sqrt(mean_variance),
         variance=jnp.sign(excess) * jnp.sqrt(2 * shape * jnp.maximum(deviance, 0)),
     )
-    return log_normal + log_gamma, residuals
+    terms = log_normal + log_gamma
+    around = data.neighbours
+    if around is None or around.total is None or around.spread is None:
+        return terms, residuals
+    covariance = expected_neighbours(values, data)
+    spread = around.spread * (model.variance + covariance) ** 2
+    missed = jnp.where(data.lit > 0, around.total - covariance, 0)
+    log_covariance = jnp.where(data.lit > 0, -(missed**2 / spread + jnp.log(spread)) / 2, 0)
+    residuals = Residuals(residuals.mean, residuals.variance, missed / jnp.sqrt(spread))
+    return terms + log_covariance, residuals
 
 
 def log_density(

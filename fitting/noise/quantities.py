@@ -1,6 +1,8 @@
-"""The lines of the EMVA 1288 data sheet: names, symbols and units."""
+"""Names, symbols and units: lines of the EMVA 1288 data sheet, and parameters of the likelihood."""
 
 from typing import NamedTuple
+
+from ..inference.parameters import Parameter
 
 
 class Quantity(NamedTuple):
@@ -61,3 +63,20 @@ HEADINGS = {  # of the sheet, in the order of the standard's summary
     "Linearity error": ("linearity_error_min", "linearity_error_max"),
     "Dark current": ("dark_current_mean", "dark_current_variance", "dark_current"),
 }
+
+SYSTEM_GAIN = Parameter("system_gain", symbol="K", unit="DN/e⁻", transform="log")
+RESPONSIVITY = Parameter("responsivity", symbol="R", unit="DN/photon", transform="log")
+SIGNAL_RATE = Parameter("signal_rate", symbol="R_t", unit="DN/s", transform="log")
+OFFSET = Parameter("black_level", symbol="μ_y.dark", unit="DN")
+READ_NOISE = Parameter("read_noise", symbol="σ_d", unit="e⁻", transform="log")
+DARK_CURRENT = Parameter("dark_current", symbol="μ_I", unit="e⁻/s")
+COMPRESSION = Parameter("compression", symbol="c₁", unit="1")
+COMPRESSION_2 = Parameter("compression_2", symbol="c₂", unit="1")
+BRIGHTER_FATTER = Parameter("brighter_fatter", symbol="β", unit="1")
+PIXEL_MIXING = Parameter("pixel_mixing", symbol="κ", unit="1")
+LIGHT_OFFSET = Parameter("light_offset", symbol="δ", unit="photons")
+SHUTTER_OFFSET = Parameter("light_offset", symbol="δ", unit="s")
+LIGHT_SCATTER = Parameter("light_scatter", symbol="τ_H", unit="1", transform="log")
+VARIANCE_SCATTER = Parameter("variance_scatter", symbol="τ_V", unit="1", transform="log")
+BLACK_SCATTER = Parameter("black_scatter", symbol="τ₀", unit="DN", transform="log")
+SCATTERS = ("light_scatter", "variance_scatter", "black_scatter")

@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +15,9 @@ from jaxvision.sensor import photon_rate
 
 from ..observation import Load, read_frame, split_channels
 from ..rig import Dark, Flat, Rig, load_rig, require
-from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, linear_levels, rounding_step
+from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
+from .neighbours import Neighbours
 from .shared import Moments, shared_variance
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
@@ -131,10 +133,13 @@ def _reduced(
     rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
 ) -> Levels:
     rows = [_level(rig, entry.files, channel, load) for entry in entries]
-    if len({shape for *_, shape in rows}) > 1:
+    if len({row.shape for row in rows}) > 1:
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
-    shape, of_lines = rows[0][-1], np.array([lines for *_, lines, _ in rows]).T
+    shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
     mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
+    # In a mosaic the nearest sites of one colour are two pixels apart.
+    adjacent = rig.camera.pattern is None and min(shape) > 2 * REACH
+    covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
     return Levels(
         light=jnp.zeros(len(rows)),
         exposure=jnp.asarray([entry.exposure for entry in entries]),
@@ -144,17 +149,27 @@ def _reduced(
         pixels=jnp.asarray(float(np.prod(shape))),
         spatial_variance=jnp.asarray(spatial),
         shared=shared_variance(of_lines, shape),
+        covariances=covariances,
     )
 
 
-def _level(
-    rig: Rig, files: Sequence[str], channel: str, load: Load
-) -> tuple[float, float, float, float, tuple[float, ...], tuple[int, ...]]:
-    """(mean, temporal variance, spatial variance, frames, shared variances, shape) of one level."""
+class _Level(NamedTuple):
+    """Statistics of the frames of one level, as `Levels` holds them of all."""
+
+    mean: float
+    variance: float
+    spatial: float
+    frames: float
+    lines: tuple[float, ...]
+    covariances: np.ndarray
+    shape: tuple[int, ...]
+
+
+def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> _Level:
     # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
     first = _plane(rig, files[0], channel, load)
     total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
-    lines = Moments(first)
+    lines, neighbours = Moments(first), Neighbours(first.shape)
     for name in files[1:]:
         frame = _plane(rig, name, channel, load)
         if frame.shape != first.shape:
@@ -166,6 +181,7 @@ def _level(
         total += deviation
         squares += deviation**2
         lines.add(deviation)
+        neighbours.add(deviation)
         shifts.append(float(deviation.mean()))
     count, pixels = len(files), first.size
     if pixels < FEWEST_PIXELS:
@@ -180,7 +196,9 @@ def _level(
     variance = max(own, 0.0) * pixels / (pixels - 1)
     shared = lines.shared(average, variance, wandering)
     spatial = float(average.var(ddof=1))
-    return float(average.mean()), variance, spatial, float(count), shared, first.shape
+    covariances = neighbours.covariances(total, variance, wandering)
+    mean = float(average.mean())
+    return _Level(mean, variance, spatial, float(count), shared, covariances, first.shape)
 
 
 def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:

@@ -9,6 +9,7 @@ from ..inference.estimates import Estimate, not_determined
 from ..inference.parameters import names
 from ..inference.posterior import estimates
 from ..report.section import Section, Table
+from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
 from .findings import findings
@@ -33,7 +34,7 @@ def section(calibration: NoiseCalibration) -> Section:
         estimates=_sheet_estimates(calibration),
         findings=findings(calibration),
         pictures=noise_pictures(calibration),
-        tables=(_models_table(calibration),),
+        tables=(_models_table(calibration), *_area_changes_table(calibration)),
         posteriors={"": calibration.posterior},
         records={"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
@@ -157,4 +158,23 @@ def _models_table(calibration: NoiseCalibration) -> Table:
             for gain in [float(fit.values["system_gain"])]
         ),
         "A good model has χ² per degree of freedom near 1; the smaller BIC is preferred.",
+    )
+
+
+def _area_changes_table(calibration: NoiseCalibration) -> tuple[Table, ...]:
+    chosen = calibration.chosen
+    if "brighter_fatter" not in chosen.values:
+        return ()
+    found = fitted_area_changes(calibration.measurement, calibration.usable, chosen)
+    if found is None:
+        return ()
+    places = sorted(np.ndindex(found.values.shape), key=lambda place: np.hypot(*place))
+    return (
+        Table(
+            "Change of a pixel's area by one electron",
+            ("rows away", "columns away", "a [10⁻⁶ per e⁻]", "standard error"),
+            tuple((*at, found.values[at] * 1e6, found.errors[at] * 1e6) for at in places),
+            "Astier et al. (2019) without b, fitted to the covariances of neighbouring pixels; a₀₀ "
+            "is the likelihood's. Over all pixels, of either sign of the offsets, they sum to 0.",
+        ),
     )

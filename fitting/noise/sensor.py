@@ -11,6 +11,7 @@ from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.camera_files import write_sensor
 
 from ..inference.parameters import names
+from .brighter_fatter import fitted_effect, fitted_kernel
 from .calibration import NoiseCalibration
 from .pattern import SEEN
 
@@ -21,7 +22,8 @@ def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
     """The sensor of a calibration.
 
     Gain and efficiency are those at zero signal: a compression of the chosen model has no place in
-    a `Sensor`. Patterns are the best fit's in every draw. Exposure is the median of the flats', so
+    a `Sensor`, and so has a mixing of pixels. Patterns and the shape of the kernel by which charges
+    repel each other are the best fit's in every draw. Exposure is the median of the flats', so
     that light is a rate, photons per pixel and second.
 
     Args:
@@ -33,8 +35,9 @@ def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
     posterior = calibration.posterior
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     drawn = jnp.asarray(posterior.samples[rows.astype(int)])
-    best = _sensor(calibration, jnp.asarray(posterior.mode))
-    return best, eqx.filter_vmap(lambda values: _sensor(calibration, values))(drawn)
+    kernel = fitted_kernel(calibration.measurement, calibration.usable)
+    best = _sensor(calibration, kernel, jnp.asarray(posterior.mode))
+    return best, eqx.filter_vmap(lambda values: _sensor(calibration, kernel, values))(drawn)
 
 
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
@@ -49,7 +52,11 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     write_sensor(best, path, draws=draws, about=about)
 
 
-def _sensor(calibration: NoiseCalibration, natural: Float[Array, " parameters"]) -> Sensor:
+def _sensor(
+    calibration: NoiseCalibration,
+    kernel: Float[np.ndarray, "rows columns"],
+    natural: Float[Array, " parameters"],
+) -> Sensor:
     space = calibration.posterior.space
     values = dict(zip(names(space), natural, strict=True))
     gain, measurement = values["system_gain"], calibration.measurement
@@ -57,6 +64,7 @@ def _sensor(calibration: NoiseCalibration, natural: Float[Array, " parameters"])
     dark_noise, response = _patterns(calibration)
     return Sensor(
         shot_noise=PoissonShotNoise(),
+        brighter_fatter=fitted_effect(kernel, values, calibration.chosen.data.top_signal),
         exposure_time=jnp.median(measurement.bright.exposure),
         quantum_efficiency=values["responsivity"] / gain if photons else None,
         read_noise=values["read_noise"],

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 SURE = 4.0  # standard errors above zero from which shared noise is believed
@@ -143,6 +144,27 @@ def temporal_lines(
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.rows if axis == 0 else shared.columns)
     return _pooled(values, variance / across, (frames - 1) * lines)
+
+
+def believed_lines(
+    shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
+) -> list[tuple[float, float]]:
+    """The temporal noise that rows or columns share, where it is believed.
+
+    Args:
+        shared: of the darks; None where only sums over the pixels are known.
+        variance: (levels,) of pixels, DN^2.
+        frames: (levels,) how many.
+
+    Returns:
+        Variance (DN^2) and how many lines, of rows, of columns, or of neither.
+    """
+    if shared is None:
+        return []
+    of = np.asarray(variance), np.asarray(frames)
+    found = [temporal_lines(shared, *of, axis) for axis in (0, 1)]
+    counts = (float(count) for count in shared.shape)
+    return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
 def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], axis: int) -> Found:

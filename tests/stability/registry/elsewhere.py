@@ -485,24 +485,26 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_noise test_emva1288 test_photon_transfer test_noise_shared",
+        "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours",
         """
+            fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate sheet_estimate
             fitting.noise.choice: choose_model dark_scatter
             fitting.noise.emva1288: derived_figures evaluate linearity_deviation linearity_errors
             fitting.noise.emva1288: ranges sheet statistics
             fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet needed_window
-            fitting.noise.fit: noise_data shared_lines start_vector window_of
+            fitting.noise.fit: noise_data observations start_vector window_of
             fitting.noise.levels: linear_levels rounding_step saturation_index
             fitting.noise.model: compressed cost expected_electrons level_moments log_density
             fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
-            fitting.noise.model: scatter_prior
+            fitting.noise.model: expected_neighbours scatter_prior
+            fitting.noise.neighbours.*
             fitting.noise.pattern: fitted_pattern pattern_variance population_variance
             fitting.noise.pattern: standard_pattern
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
-            fitting.noise.shared: drift fixed_lines shared_variance temporal_lines
+            fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
         """,
     ),
     Elsewhere(

@@ -1,0 +1,164 @@
+"""Charges that repel each other, as a calibrated camera shows them: a_00 from its variances and
+covariances together, a_ij of the neighbours from their covariances, and the kernel of a sensor."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision import BrighterFatter
+from jaxvision.sensor import area_changes, flat_covariances
+
+from .fit import LikelihoodFit
+from .levels import REACH, PhotonTransfer
+from .model import compressed, expected_electrons
+from .neighbours import Lags, above_dark, copies, measured_shape, tell_of_neighbours
+
+STEPS = 6  # of Gauss and Newton; the model is nearly linear
+
+
+@dataclass(frozen=True)
+class AreaChanges:
+    """By what share one electron changes the areas of pixels.
+
+    Attributes:
+        values: (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns.
+        errors: standard errors; that of a_00 is the likelihood's.
+    """
+
+    values: Lags
+    errors: Lags
+
+
+def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
+    """a_00 and its standard error, per electron.
+
+    Args:
+        fit: with `brighter_fatter`.
+
+    Returns:
+        -beta K / X, with the error that beta and K have together.
+    """
+    labels = [parameter.name for parameter in fit.space]
+    beta, gain = (float(fit.values[name]) for name in ("brighter_fatter", "system_gain"))
+    scale = gain / float(fit.data.top_signal)
+    slope = np.zeros(len(labels))  # the vector holds beta and ln K
+    slope[labels.index("brighter_fatter")] = scale
+    slope[labels.index("system_gain")] = beta * scale
+    return -beta * scale, float(np.sqrt(fit.inflation * slope @ fit.covariance @ slope))
+
+
+def fitted_area_changes(
+    measurement: PhotonTransfer, usable: np.ndarray, fit: LikelihoodFit
+) -> AreaChanges | None:
+    """The closed form of Astier et al. (2019) fitted to the covariances of all levels.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels of the fit.
+        fit: the chosen model, with `brighter_fatter`; gives a_00, K and the compression.
+
+    Returns:
+        The changes; None where the covariances are not known.
+    """
+    if not tell_of_neighbours(measurement):
+        return None
+    found, variances = above_dark(measurement.bright, measurement.dark)
+    bright = slice(0, len(usable))
+    mu, step = electrons_and_steps(fit)
+    scale = step[bright, None, None] ** 2
+    own, own_error = own_area_change(fit)
+    mixing = "pixel_mixing" in fit.values
+    args = mu[bright], jnp.asarray(found[usable] / scale), jnp.asarray(variances[usable] / scale**2)
+    values, errors = (np.array(x) for x in _fitted(jnp.asarray(own), *args, mixing=mixing))
+    errors[0, 0] = own_error
+    return AreaChanges(values, errors)
+
+
+def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
+    """mu of each level, and by how many DN one more electron is read there.
+
+    Args:
+        fit: a model.
+
+    Returns:
+        (levels,) electrons, and (levels,) DN.
+    """
+    values, data = fit.values, fit.data
+    mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
+        data.light, data.lit, data.exposure
+    )
+    slope = jax.vmap(jax.grad(lambda x: compressed(values, x, data.top_signal)))
+    return mu, np.asarray(values["system_gain"] * slope(values["system_gain"] * mu))
+
+
+@eqx.filter_jit
+def _fitted(
+    own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
+) -> tuple[Array, Array]:
+    """a_ij with a_00 held, and their errors; beside them a share of mu at each offset, if mixed."""
+    size = (REACH + 1) ** 2 - 1
+    weight = 1 / jnp.sqrt(variances)
+
+    def missed(vector: Array) -> Array:
+        a = jnp.concatenate([own[None], vector[:size]]).reshape(REACH + 1, REACH + 1)
+        expected = flat_covariances(a, mu)
+        if mixing:
+            share = jnp.concatenate([jnp.zeros(1), vector[size:]]).reshape(1, *a.shape)
+            expected = expected + share * mu[:, None, None]
+        return (weight * (found - expected)).reshape(len(mu), -1)[:, 1:].ravel()
+
+    # mu^2 a_ij and shares of mu, so that all unknowns are alike
+    unit = jnp.concatenate([jnp.full(size, 1 / jnp.max(mu)), jnp.ones(size if mixing else 0)])
+    vector = jnp.zeros(unit.size)
+    slopes = jnp.zeros((1, 1))
+    for _ in range(STEPS):
+        slopes = jax.jacfwd(lambda v: missed(v * unit))(vector / unit)
+        vector = vector - unit * jnp.linalg.lstsq(slopes, missed(vector))[0]
+    errors = unit * jnp.sqrt(jnp.diagonal(jnp.linalg.inv(slopes.T @ slopes)))
+    values = jnp.concatenate([own[None], vector[:size]]).reshape(REACH + 1, REACH + 1)
+    return values, jnp.concatenate([jnp.zeros(1), errors[:size]]).reshape(values.shape)
+
+
+def fitted_kernel(
+    measurement: PhotonTransfer, usable: np.ndarray
+) -> Float[np.ndarray, "rows columns"]:
+    """The kernel whose area changes come nearest to the measured ones, for a_00 = -1.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels of the fit.
+
+    Returns:
+        Without unit; times -a_00 that of a `BrighterFatter`.
+    """
+    around = copies()
+    around[0, 0] = 1
+    weight = np.sqrt(around)
+    of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((REACH, REACH))))
+    design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
+    wanted = -(weight * measured_shape(measurement, usable)).ravel()
+    kernel = np.linalg.lstsq(design, wanted, rcond=None)[0].reshape(REACH, REACH)
+    return kernel / -np.asarray(area_changes(jnp.asarray(kernel)))[0, 0]
+
+
+def fitted_effect(
+    kernel: Float[np.ndarray, "rows columns"], values: dict[str, Array], top: Array
+) -> BrighterFatter | None:
+    """The effect of a sensor.
+
+    Args:
+        kernel: for a_00 = -1.
+        values: natural parameters by name.
+        top: X, DN.
+
+    Returns:
+        The effect; None where the camera shows none.
+    """
+    if "brighter_fatter" not in values:
+        return None
+    change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top
+    return BrighterFatter(jnp.asarray(kernel) * change)

@@ -1,0 +1,295 @@
+"""Covariances of neighbouring pixels, and what they say of charges that repel each other.
+
+Of L frames at one level of light, with d_p the deviation of pixel p from its mean over the frames,
+
+    C_ij = sum over the frames of d_p d_(p + (i, j)) / (L - 1)    averaged over p, (i, j), (i, -j),
+
+less the variance of the frames' means, as for the variance C_00. Independent pixels have C_ij = 0
+within s^2 / sqrt((L - 1) pairs). Light that repels (Antilogus 2014, Astier 2019) gives a_ij x^2 at
+a signal of x DN, a_ij per electron, to first order; mixing of signals behind the counting gives a
+share of x. What every frame has, such as noise of rows, is taken off by the darks.
+"""
+
+from itertools import product
+from math import factorial
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .levels import REACH, Levels, PhotonTransfer
+from .shared import believed_lines
+
+PERIOD = 32  # pixels after which the sensor of the series repeats itself
+TERMS = 20  # the next is below 1e-10 up to a_00 mu = -1
+
+Lags = Float[np.ndarray, "lags lags"]
+
+
+class NeighbourData(eqx.Module):
+    """What a fit needs to know of the pixels around a pixel.
+
+    Attributes:
+        variance_terms: C_00 / mu in powers of a_00 mu, the highest first.
+        total: (levels,) sum of all covariances with other pixels above that of the darks, DN^2, 0
+            of the darks; None where unknown.
+        spread: (levels,) its variance by chance, over the square of the variance and `total`.
+    """
+
+    variance_terms: Float[Array, " terms"]
+    total: Float[Array, " levels"] | None = None
+    spread: Float[Array, " levels"] | None = None
+
+
+def are_known(around: NeighbourData | None) -> bool:
+    """Whether covariances of neighbouring pixels are among the data of a fit.
+
+    Args:
+        around: of the data.
+
+    Returns:
+        True where they are.
+    """
+    return around is not None and around.total is not None
+
+
+class Neighbours:
+    """Sums over the frames of a level, from which the covariances of its neighbours follow."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._reach = tuple(min(REACH, size - 1) for size in shape)
+        self._products, self._count = np.zeros((REACH + 1, REACH + 1)), 1
+
+    def add(self, deviation: np.ndarray) -> None:
+        """One more frame, less the first."""
+        self._count += 1
+        self._products += self._of(deviation)
+
+    def covariances(self, total: np.ndarray, variance: float, wandering: float) -> Lags:
+        """Covariances, the variance at offset (0, 0).
+
+        Args:
+            total: (h, w) sum of the frames, each less the first, DN.
+            variance: of pixels, DN^2.
+            wandering: variance of the frames' means, DN^2.
+
+        Returns:
+            (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns.
+        """
+        count = self._count
+        found = (count * self._products - self._of(total)) / (count * (count - 1))
+        found += variance / total.size - wandering
+        found[0, 0] = variance
+        return found
+
+    def _of(self, x: np.ndarray) -> Lags:
+        """Mean of x_p x_q over the pairs of pixels at each offset; 0 beyond a small frame."""
+        (h, w), (rows, columns) = x.shape, self._reach
+        found = np.zeros_like(self._products)
+        for i, j in product(range(rows + 1), range(columns + 1)):
+            ends = [(x[: h - i, : w - j], x[i:, j:]), (x[: h - i, j:], x[i:, : w - j])]
+            sums = [np.einsum("ij,ij->", *both) for both in (ends if i and j else ends[:1])]
+            found[i, j] = np.mean(sums) / ((h - i) * (w - j))
+        return found
+
+
+def copies() -> Lags:
+    """How many offsets of either sign there are of each size; 0 at the pixel itself."""
+    along = np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)
+    found = np.outer(along, along)
+    found[0, 0] = 0
+    return found
+
+
+def pairs(shape: Float[np.ndarray, "2"]) -> Lags:
+    """Over how many pairs of pixels each covariance is averaged.
+
+    Args:
+        shape: rows and columns of a frame.
+
+    Returns:
+        (lags, lags).
+    """
+    rows, columns = (float(size) - np.arange(REACH + 1) for size in shape)
+    both = np.outer(np.arange(REACH + 1) > 0, np.arange(REACH + 1) > 0)
+    return np.outer(rows, columns) * np.where(both, 2, 1)
+
+
+def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances of bright levels less those that the darks have too.
+
+    Args:
+        bright: with covariances.
+        dark: with covariances.
+
+    Returns:
+        (levels, lags, lags) DN^2, and their variances by chance, DN^4.
+    """
+    assert bright.covariances is not None
+    assert bright.shared is not None
+    assert dark.covariances is not None
+    size = pairs(np.asarray(bright.shared.shape))
+
+    def chance(levels: Levels) -> np.ndarray:
+        freedom = np.asarray(levels.frames) - 1
+        covariances = np.asarray(levels.covariances)
+        total = np.asarray(levels.variance) + np.sum(covariances * copies(), axis=(1, 2))
+        widest = np.maximum(np.asarray(levels.variance), total)
+        return (widest**2 / freedom)[:, None, None] / size
+
+    weight = 1 / chance(dark)
+    common = np.sum(weight * np.asarray(dark.covariances), axis=0) / weight.sum(axis=0)
+    return np.asarray(bright.covariances) - common, chance(bright) + 1 / weight.sum(axis=0)
+
+
+def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
+    """Whether covariances are known and are those of pixels: noise that rows or columns share is a
+    covariance too, larger than that of charges, and not the same in two frames.
+
+    Args:
+        measurement: bright and dark levels.
+
+    Returns:
+        True where they can be used.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    if bright.covariances is None or dark.covariances is None:
+        return False
+    return not believed_lines(dark.shared, dark.variance, dark.frames)
+
+
+def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
+    """The covariances of a measurement as a fit takes them.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        Of these levels and all darks.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    terms = jnp.asarray(variance_terms(measured_shape(measurement, usable)))
+    if not tell_of_neighbours(measurement):
+        return NeighbourData(terms)
+    found, variances = above_dark(bright, dark)
+    total = np.sum(found * copies(), axis=(1, 2))
+    square = (np.asarray(bright.variance) + np.maximum(total, 0)) ** 2
+    spread = np.sum(variances * copies() ** 2, axis=(1, 2)) / square
+    darks = np.zeros(dark.mean.size)
+    return NeighbourData(
+        terms,
+        jnp.asarray(np.concatenate([total[usable], darks])),
+        jnp.asarray(np.concatenate([spread[usable], darks + 1])),
+    )
+
+
+def own_variance(
+    values: dict[str, Array], around: NeighbourData | None, electrons: Array, top: Array
+) -> Array:
+    """V(mu), the variance of the charges of pixels.
+
+    Args:
+        values: natural parameters by name; without `brighter_fatter` and `pixel_mixing` mu.
+        around: the series of C_00.
+        electrons: mu.
+        top: X, DN.
+
+    Returns:
+        Electrons^2.
+    """
+    own = electrons
+    if "brighter_fatter" in values and around is not None:
+        change = -values["brighter_fatter"] * values["system_gain"] * electrons / top
+        own = electrons * jnp.polyval(around.variance_terms, jnp.clip(change, -1, 1))
+    return own * (1 - values["pixel_mixing"]) if "pixel_mixing" in values else own
+
+
+def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
+    """a_ij / a_00 of a camera.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        (lags, lags), as of `shape_of`; where covariances are not known, as of `nearest`.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    if not tell_of_neighbours(measurement):
+        return nearest()
+    found, variances = above_dark(bright, dark)
+    signal = np.asarray(bright.mean - dark.mean[measurement.dark_of])
+    return shape_of(signal[usable], found[usable], variances[usable])
+
+
+def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
+    """a_ij / a_00 from covariances that grow with the square of the signal.
+
+    Each is made smaller by as much of its square as is chance; without any, the four nearest
+    neighbours share alike. It matters in the second order of a_00 only.
+
+    Args:
+        signal: (levels,) x, DN.
+        found: (levels, lags, lags) covariances above dark, DN^2.
+        variances: by chance, DN^4.
+
+    Returns:
+        (lags, lags), 1 at offset (0, 0), which with all others sums to 0.
+    """
+    slopes, errors = squares_of(signal, found, variances)
+    square = np.maximum(slopes**2, np.finfo(float).tiny)
+    kept = slopes * np.maximum(1 - errors**2 / square, 0)
+    total = np.sum(kept * copies())
+    if total <= 3 * np.sqrt(np.sum(errors**2 * copies() ** 2)):
+        return nearest()
+    shape = -kept / total
+    shape[0, 0] = 1
+    return shape
+
+
+def nearest() -> Lags:
+    """a_ij / a_00 where only the four nearest neighbours gain."""
+    shape = np.zeros((REACH + 1, REACH + 1))
+    shape[0, 0], shape[0, 1], shape[1, 0] = 1, -0.25, -0.25
+    return shape
+
+
+def squares_of(
+    signal: np.ndarray, found: np.ndarray, variances: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """b and its error in C = r x + b x^2, at each offset, by weighted least squares.
+
+    Args:
+        signal: (levels,) x, DN.
+        found: (levels, lags, lags) covariances above dark, DN^2.
+        variances: by chance, DN^4.
+
+    Returns:
+        (lags, lags) per electron, twice.
+    """
+    x, weight = signal[:, None, None], 1 / variances
+    moments = [np.sum(weight * x**power, axis=0) for power in (2, 3, 4)]
+    first, second = (np.sum(weight * x**power * found, axis=0) for power in (1, 2))
+    determinant = moments[0] * moments[2] - moments[1] ** 2
+    slopes = (moments[0] * second - moments[1] * first) / determinant
+    return slopes, np.sqrt(moments[0] / determinant)
+
+
+def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
+    """C_00 / mu in powers of a_00 mu: 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, a taken m
+    times (Astier et al. 2019).
+
+    Args:
+        shape: (lags, lags) a_ij / a_00.
+
+    Returns:
+        Coefficients, the highest power first.
+    """
+    lags = np.arange(-REACH, REACH + 1)
+    around = np.zeros((PERIOD, PERIOD))
+    around[np.ix_(lags % PERIOD, lags % PERIOD)] = shape[np.ix_(abs(lags), abs(lags))]
+    spectrum = np.fft.fft2(around).real
+    terms = [2**m / factorial(m + 1) * np.mean(spectrum**m) for m in range(TERMS)]
+    return np.array(terms[::-1])
