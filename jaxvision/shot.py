@@ -94,7 +94,8 @@ def capture(
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
             without samples, unless its f_number is inf or traced; for traced records with a
             tolerance; for samples beside an integrator, or a tolerance beside one that is a
-            function; before anything is rendered, for a scene and a sensor of unequal bands.
+            function. Unequal bands of scene and sensor, and a missing key unless the integrator is
+            a function, are told before anything is rendered.
 
     Example:
         A grey room that shines everywhere: its walls show themselves, and one another.
@@ -108,7 +109,7 @@ def capture(
         >>> print(shot.raw.round(1).ravel())
         [100. 100. 100. 100.]
     """
-    _check_bands(scene, camera.sensor)
+    _check_bands(_bands(scene), camera.sensor)
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
     certificate = None
@@ -124,6 +125,8 @@ def capture(
             integrator = replace(integrator, depth=pruned.depth)
         motion = None if pruned.moments is None else motion
         certificate = pruned.certificate
+    if integrator is None or isinstance(integrator, Paths):
+        _check_keys(key, die_key, camera, _bands(scene))
     renderer = _renderer(integrator, key, rule, samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
@@ -131,13 +134,24 @@ def capture(
     return Capture(radiance, irradiance, raw, picture, certificate)
 
 
-def _check_bands(scene: Scene, sensor: Sensor) -> None:
-    """`ValueError` if scene and sensor have unequal numbers of bands, neither of which is one."""
+def _bands(scene: Scene) -> int:
     materials = [surface.material for surface in scene.surfaces]
     shining = [s.emission for s in scene.surfaces if s.emission is not None]
     if scene.ambient is not None:
         shining.append(scene.ambient.radiance)
-    bands = band_count(materials, scene.lights, shining)
+    return band_count(materials, scene.lights, shining)
+
+
+def _check_keys(key: Key | None, die_key: Key | None, camera: Camera, bands: int) -> None:
+    """`ValueError` for a missing key that the sensor draws from, which is traced, not run."""
+    if key is None or die_key is None:
+        view = camera.view
+        seen = jax.ShapeDtypeStruct((*view.resolution, bands), view.pixel_pitch.dtype)
+        jax.eval_shape(raw_image, key, camera.sensor, seen, die_key=die_key)
+
+
+def _check_bands(bands: int, sensor: Sensor) -> None:
+    """`ValueError` if scene and sensor have unequal numbers of bands, neither of which is one."""
     conversion, mosaic = sensor.photon_conversion, sensor.colour_filter
     spectra = {
         "photon_conversion.wavelength": None if conversion is None else conversion.wavelength,

@@ -389,6 +389,21 @@ def test_unequal_bands_are_refused_before_anything_is_rendered(sensor):
     assert not rendered
 
 
+@pytest.mark.parametrize(
+    ("sensor", "missing"),
+    [
+        (s.Sensor(read_noise=2.0), "key"),
+        (s.Sensor(prnu=0.01), "die_key"),
+    ],
+)
+def test_a_missing_key_is_told_before_anything_is_rendered(sensor, missing, monkeypatch):
+    rendered = []
+    monkeypatch.setattr("jaxvision.shot.render", lambda *_, **__: rendered.append(1))
+    with pytest.raises(ValueError, match=rf"^{missing} must be a random key, got None"):
+        capture(None, SCENE, s.Camera(PINHOLE, sensor))
+    assert not rendered
+
+
 def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
     sensor = read_camera("emva1288", wavelengths=[610e-9, 550e-9, 465e-9]).sensor
     shot = capture(
