@@ -108,15 +108,17 @@ def say_what_is_done() -> None:
     own = logging.getLogger("jaxvision")
     own.setLevel(logging.INFO)
     own.addHandler(handler)
-    compiled = logging.getLogger("jax._src.dispatch")
-    compiled.setLevel(logging.DEBUG)
-    compiled.propagate = False
+    of_jax = logging.getLogger("jax")
+    of_jax.setLevel(logging.DEBUG)
+    of_jax.propagate = False
+    of_jax.addHandler(handler)
     handler.addFilter(
         lambda record: (
-            record.name.startswith("jaxvision") or record.getMessage().startswith("Finished XLA")
+            record.name.startswith("jaxvision")
+            or record.levelno >= logging.WARNING
+            or record.getMessage().startswith("Finished XLA")
         )
     )
-    compiled.addHandler(handler)
 
 
 class _Elapsed(logging.Formatter):

@@ -238,7 +238,7 @@ _OF_CAMERAS = (
         (12, 16),
         order=-1.0,
         whole=True,
-        sets=("*.PixelAperture.oversampling",),
+        sets=("*.PixelAperture.oversampling", "*.warp.samples"),
     ),
     Knob(
         "charge steps",

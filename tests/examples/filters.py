@@ -14,6 +14,8 @@ STACK = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 2, 3, 4)))
 BANK = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 2, 2)))
 SIGMA, ONE, TWO = jnp.asarray(1.3), jnp.asarray(0.7), jnp.asarray(2.3)
 SIGMAS = jnp.asarray(RNG.uniform(0.6, 1.9, size=(3, 4)))
+ROWS = jnp.asarray([[0.3, 0.35], [1.4, 1.45]])  # nowhere on a row or column, where slopes jump
+COLUMNS = jnp.asarray([[0.4, 1.5], [0.45, 1.6]])
 LAYER = jnp.concatenate([X, 0.5 * X[..., :1]], axis=-1)
 BASIS = filters.quadrature_basis(X, ONE, size=5)
 FACTORS = filters.low_rank(KERNEL, rank=1)
@@ -41,6 +43,8 @@ EXAMPLES = {
     "filters.low_rank_kernels.low_rank": ((KERNEL,), {"rank": 1}),
     "filters.low_rank_kernels.correlate_low_rank": ((X, FACTORS), {}),
     "filters.operators.adjoint": ((X,), {"operator": blur}),
+    "filters.resampling.resize": ((X,), {"size": (2, 5)}),
+    "filters.resampling.warp": ((X, ROWS, COLUMNS), {"samples": 2}),
     "filters.shift_variant.correlate_bank": ((X, BANK, SIGMAS - 0.5), {}),
     "filters.shift_variant.correlate_per_pixel": ((X, STACK), {}),
     "filters.shift_variant.disk_profile": ((ONE, SIGMAS), {}),
