@@ -66,6 +66,9 @@ def workplace(tmp_path, monkeypatch, lab):
     write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
     for kind in ("noise", "response", "brdf"):
         (tmp_path / kind).symlink_to(lab[0] / kind)
+    (tmp_path / "init").mkdir()
+    for ms in (2, 4):
+        write_image(tmp_path / "init" / f"flat_{ms}ms_0.tif", np.full((6, 8), 99 * ms, np.uint16))
     others = {"joint": "brdf", "plan": "brdf", "accuracy": "response", "study": "noise"}
     for kind, of in others.items():
         (tmp_path / kind).symlink_to(lab[0] / of)
@@ -83,7 +86,7 @@ def test_every_command_runs(command, workplace):
     for words, fewer in INSTEAD.items():
         command = command.replace(words, fewer)
     name, *arguments = shlex.split(command)
-    arguments = [arguments[0] if word == "PATH" else word for word in arguments]
+    arguments = [arguments[0] if word in ("PATH", "FOLDER") else word for word in arguments]
     result = CliRunner().invoke(COMMANDS[name], arguments)
     assert result.exit_code == 0, result.output
     for option, value in pairwise(arguments):

@@ -48,8 +48,8 @@ def resize(
         ValueError: for an array that is no picture, an unknown method, and a size below 1.
 
     Example:
-        >>> print(jv.filters.resize(jnp.arange(8.0)[None], (1, 2), method="linear"))
-        [[1.75 5.25]]
+        >>> print(jv.filters.resize(jnp.arange(8.0)[None], (1, 2), method="linear").round(2))
+        [[1.89 5.11]]
     """
     check_choice("method", method, METHODS)
     for count in size:
