@@ -7,8 +7,6 @@ mistyped option answer at once.
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,6 +27,7 @@ from .errors import InputError
 from .interrupts import ending_on_interrupt
 from .memory import keep_memory
 from .programs import keep_programs
+from .progress import progress_bar
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
@@ -217,7 +216,7 @@ def render(
         settings, pruned = chosen.render, chosen.effects
         print(choice_in_words(chosen))
     title = f"{source.path.stem}, {settings.integrator}"
-    with workers_of(workers, scheduler=scheduler), _progress(title) as advance:
+    with workers_of(workers, scheduler=scheduler), progress_bar(title) as advance:
         render_to_file(
             source, out, settings, pruned=pruned, preview=shown, fresh=fresh, advance=advance
         )
@@ -330,9 +329,10 @@ def effects(
     sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
     if goal is None:
-        with _progress("measuring programs", shown=timed) as advance:
+        with progress_bar("measuring programs", shown=timed) as advance:
             found = inspected(source, source.render, time=timed, advance=advance, **asked)
-        print(json.dumps([_told(e) for e in found], indent=2) if as_json else listed(found))
+        rows = [_finite_or_null(asdict(effect)) for effect in found]
+        print(json.dumps(rows, indent=2) if as_json else listed(found))
         return
     pruned = pruned_for(source, source.render, goal, **asked)
     certificate = pruned.certificate
@@ -340,30 +340,10 @@ def effects(
         sheet = {name: getattr(certificate, name) for name in ("total", "estimated", "place")}
         sheet |= {"tolerance": goal.value, "unit": goal.unit, "level": certificate.level}
         for name in ("dropped", "kept"):
-            sheet[name] = [_told(effect) for effect in getattr(certificate, name)]
+            sheet[name] = [_finite_or_null(asdict(e)) for e in getattr(certificate, name)]
         print(json.dumps(sheet, indent=2, allow_nan=False))
         return
     print(explain(certificate)[:-1] + smaller(source, pruned))
-
-
-def _told(effect: Any) -> dict[str, Any]:
-    """An effect for JSON, which has no infinity."""
-    return {k: None if v == float("inf") else v for k, v in asdict(effect).items()}
-
-
-@contextmanager
-def _progress(title: str, *, shown: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal's standard error, moved by how many parts of how many are done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    console = Console(stderr=True, highlight=False)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining()
-    hidden = not (shown and console.is_terminal)
-    with Progress(*columns, console=console, disable=hidden) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _pair(option: str, text: str) -> tuple[int, int]:
@@ -377,8 +357,8 @@ def _pair(option: str, text: str) -> tuple[int, int]:
 
 
 def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no NaN."""
-    return {name: None if value != value else value for name, value in values.items()}
+    """JSON has neither NaN nor infinity."""
+    return json.loads(json.dumps(values), parse_constant=lambda _: None)
 
 
 def _print_table(title: str, bands: Any) -> None:

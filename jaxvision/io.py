@@ -316,7 +316,7 @@ def _write(
 
 def _reads_back(file: Path, written: np.ndarray) -> bool:
     try:
-        read = read_image(file)
+        read = _read_by_openimageio(file)
     except InputError:
         return False
     return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)

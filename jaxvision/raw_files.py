@@ -72,7 +72,7 @@ def read_fits(file: Path) -> np.ndarray:
         pixels = np.asarray(image.data)
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)
-    if pixels.ndim != 3 and pixels.ndim != 2:
+    if pixels.ndim not in (2, 3):
         raise InputError(f"{file}: its image has {pixels.ndim} axes; give two, or three.")
     return pixels.astype(pixels.dtype.newbyteorder("="))
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
     {"_primitives"},
-    {"errors", "memory", "programs", "_types", "_staging"},
+    {"errors", "memory", "programs", "progress", "_types", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics", "_chebyshev", "_quadrature"},

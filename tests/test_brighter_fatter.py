@@ -22,6 +22,7 @@ from jaxvision.sensor import (
     raw_image,
     signal_variance,
 )
+from jaxvision.sensor.brighter_fatter import flat_variance
 
 KERNEL = np.array([[1e-6, 2e-7], [1.5e-7, 4e-8]])
 EFFECT = s.BrighterFatter(KERNEL)
@@ -197,3 +198,19 @@ def test_slopes_are_those_of_the_series_also_without_an_effect():
     step = 1e-10
     both = [flat_covariances(a.at[0, 1].add(sign * step), mu)[0, 0] for sign in (1, -1)]
     np.testing.assert_allclose(one[0, 1], (both[0] - both[1]) / (2 * step), rtol=1e-6)
+
+
+@pytest.mark.parametrize("mu", [1e4, 1e7])
+def test_slopes_in_the_kernel_hold_where_the_series_is_held_too(mu):
+    """Central differences with steps of a thousandth of each number."""
+    effect = s.BrighterFatter([[8e-7, 2e-7], [3e-7, 5e-8]])
+
+    def variance(kernel):
+        return flat_variance(s.BrighterFatter(kernel), jnp.asarray(mu))
+
+    slope = jax.grad(variance)(effect.kernel)
+    for at in np.ndindex(2, 2):
+        step = jnp.zeros((2, 2)).at[at].set(1e-3 * effect.kernel[at])
+        ends = [float(variance(effect.kernel + sign * step)) for sign in (1, -1)]
+        wanted = (ends[0] - ends[1]) / (2 * float(step[at]))
+        assert float(slope[at]) == pytest.approx(wanted, rel=1e-4)

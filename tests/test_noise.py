@@ -40,6 +40,19 @@ def simulate(camera, *, seed=0, light=LIGHT, exposure=EXPOSURE, pixels=10_000, f
     return measurement_of(light, exposure, *rows, pixels=pixels, frames=frames, **options)
 
 
+def test_more_electrons_than_photons_is_a_finding_and_no_sensor():
+    """Photons stated ten times too low."""
+    measurement = simulate(CameraTruth())
+    bright = replace(measurement.bright, light=measurement.bright.light / 10)
+    right, wrong = (
+        noise_section(calibrate_noise(one))
+        for one in (measurement, replace(measurement, bright=bright))
+    )
+    assert "photons are stated too low" in wrong.findings[0]
+    assert "photons are stated" not in " ".join(right.findings)
+    assert (set(right.records), set(wrong.records)) == ({"sensor"}, set())
+
+
 def both_methods(measurements):
     """(values, errors) of the standard's sheet and of the likelihood's, for a list of cameras."""
     within, usable = ranges(measurements[0]), linear_levels(measurements[0])

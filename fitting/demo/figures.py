@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from ..report.colours import OF_CHANNEL
 from ..report.formatting import format_name, format_value
 from .compare import Comparison
 
-COLOURS = {"red": "#d1495b", "green": "#2e9e5b", "blue": "#3b82c4"}
 LIMIT = 4.5  # standard errors shown to either side
 
 
@@ -20,7 +20,7 @@ def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
     labels = []
     for row, comparison in enumerate(comparisons):
         estimate = comparison.estimate
-        colour = COLOURS.get(estimate.group, "0.5")
+        colour = OF_CHANNEL.get(estimate.group, "0.5")
         low95, low68, centre, high68, high95 = comparison.deviations
         axis.plot([low95, high95], [row, row], color=colour, lw=1.5)
         axis.plot([low68, high68], [row, row], color=colour, lw=4.5, solid_capstyle="butt")

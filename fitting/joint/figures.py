@@ -3,11 +3,11 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..report.colours import OF_CHANNEL
 from .calibration import JointCalibration
 from .fit import image_errors, predicted_cells
 from .prediction import predict
 
-COLOURS = {"red": "tab:red", "green": "tab:green", "blue": "tab:blue", "grey": "0.25"}
 BINS = 16
 SHOWN_LIGHTS = 4
 
@@ -70,7 +70,7 @@ def noise_figure(calibration: JointCalibration) -> Figure:
         measured = np.bincount(place, squares[seen], BINS) / pixels
         expected = np.bincount(place, (count * variance)[seen], BINS) / pixels
         level = np.bincount(place, (count * mean)[seen], BINS) / pixels
-        colour, error = COLOURS[fit.channel], measured * np.sqrt(2 / pixels)
+        colour, error = OF_CHANNEL[fit.channel], measured * np.sqrt(2 / pixels)
         axis.errorbar(level, measured, error, fmt="o", color=colour, label=fit.channel, ms=4)
         axis.plot(level, expected, color=colour)
     axis.set(xlabel="digital number [DN]", ylabel="variance of a pixel [DN²]", ylim=(0, None))
@@ -90,7 +90,7 @@ def lights_figure(calibration: JointCalibration) -> Figure:
         size = scale * np.asarray(fit.data.relative["light_scatter"])
         mean, spread = (size * x[:, 0] for x in found)
         places = np.arange(len(mean)) + (i - (len(calibration.fits) - 1) / 2) * width
-        axis.errorbar(places, mean, spread, fmt="o", ms=4, color=COLOURS[fit.channel])
+        axis.errorbar(places, mean, spread, fmt="o", ms=4, color=OF_CHANNEL[fit.channel])
     axis.axhline(0, color="0.7", lw=0.8)
     files = np.array(calibration.measurement.observation.files)[calibration.fits[0].grid.lights]
     axis.set_xticks(np.arange(len(files)), files, rotation=90, fontsize=6)

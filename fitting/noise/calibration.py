@@ -64,6 +64,15 @@ class NoiseCalibration(ShownInNotebooks):
     standard_of_chosen: float
     patterns: tuple[PatternVariance, PatternVariance] | None
 
+    @property
+    def efficiency(self) -> float | None:
+        """Electrons per photon at the posterior's mode, above 1 where something is wrong; None
+        where photons are not known."""
+        if not self.measurement.photons_known:
+            return None
+        values = dict(zip(names(self.posterior.space), self.posterior.mode, strict=True))
+        return float(values["responsivity"] / values["system_gain"])
+
 
 def calibrate(
     measurement: PhotonTransfer, *, sampling: SamplingOptions | None = None, seed: int = 0

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..report.colours import BLUE
 from ..report.formatting import decimals_for, format_number
 from ..report.section import Picture
 from .calibration import NoiseCalibration
@@ -16,7 +17,7 @@ from .neighbours import NeighbourData
 from .regressions import line
 
 SIZE = (6.4, 5.2)
-BLUE, ORANGE, GREY = "#3b82c4", "tab:orange", "0.45"
+ORANGE, GREY = "tab:orange", "0.45"
 POINTS = 300  # of a drawn curve
 
 

@@ -17,6 +17,7 @@ FAR = 3.0  # standard errors between two figures that should agree
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     told = [
+        *_efficiency(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
         *_standard_scatter(calibration),
@@ -30,6 +31,26 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *calibration.measurement.remarks,
     ]
     return tuple(told)
+
+
+def is_impossible(calibration: NoiseCalibration) -> bool:
+    """Whether more electrons are counted than photons arrive.
+
+    Args:
+        calibration: of a camera.
+    """
+    return calibration.efficiency is not None and calibration.efficiency > 1
+
+
+def _efficiency(calibration: NoiseCalibration) -> list[str]:
+    if not is_impossible(calibration):
+        return []
+    return [
+        f"The quantum efficiency comes out at {100 * (calibration.efficiency or 0):.3g} %, which "
+        "no sensor has: either photons are stated too low (give photons per pixel and exposure, "
+        "not per area or second), or the images were smoothed or interpolated, which lowers the "
+        "variance and the gain read off it. No sensor.toml is written."
+    ]
 
 
 def _linearity(calibration: NoiseCalibration) -> list[str]:

@@ -12,7 +12,7 @@ from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
-from .findings import findings
+from .findings import findings, is_impossible
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
@@ -36,7 +36,9 @@ def section(calibration: NoiseCalibration) -> Section:
         pictures=noise_pictures(calibration),
         tables=(_models_table(calibration), *_area_changes_table(calibration)),
         posteriors={"": calibration.posterior},
-        records={"sensor": partial(write_fitted_sensor, calibration)},
+        records={}
+        if is_impossible(calibration)
+        else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,
         settings={

@@ -27,7 +27,7 @@ def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
     that light is a rate, photons per pixel and second.
 
     Args:
-        calibration: of the camera.
+        calibration: of the camera, with an efficiency of at most 1.
 
     Returns:
         The best fit; and the same with a leading axis of draws at every number.

@@ -12,12 +12,11 @@ from jaxvision.io import replaced_on_success
 
 from ..inference.parameters import names
 from ..inference.posterior import Posterior
+from .colours import BLUE, OF_CHANNEL, RED
 from .formatting import format_axis
 from .section import Columns, Picture, Section
 
 MOST_PATHS = 16  # drawn; more only blacken the panel
-BLUE, TRUTH = "#3b82c4", "#d1495b"
-COLOURS = {"red": "#d1495b", "green": "#2e9e5b", "blue": BLUE, "grey": "#808080"}
 
 
 def corner_figure(
@@ -52,7 +51,7 @@ def corner_figure(
     size = 1.2 + 1.4 * len(space)
     figure = Figure(figsize=(size, size))
     for channel, samples in draws.items():
-        colour = COLOURS.get(channel, BLUE)
+        colour = OF_CHANNEL.get(channel, BLUE)
         corner.corner(
             samples,
             labels=[f"Δ{format_axis(p.symbol, '%')}" for p in space]
@@ -68,7 +67,7 @@ def corner_figure(
             plot_density=False,
             no_fill_contours=True,
             truths=truths[channel],
-            truth_color=colour if relative else TRUTH,
+            truth_color=colour if relative else RED,
             weights=np.full(len(samples), 1 / len(samples)),
             label_kwargs={"fontsize": 10},
             max_n_ticks=3,

@@ -2,26 +2,20 @@
 map and its coverage."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxvision.point_ops import srgb_encode
+from jaxvision.colour_spaces import luminance
+from jaxvision.point_ops import reinhard, scaled_to_key, srgb_encode, with_luminance
 
+from ..report.colours import OF_CHANNEL
 from ..report.formatting import format_value
 from .calibration import ChannelResponse, ResponseCalibration
 from .findings import DRAWN
 
-COLOURS = {
-    "red": "#d1495b",
-    "green": "#2e9e5b",
-    "green 1": "#2e9e5b",
-    "green 2": "tab:olive",
-    "blue": "#3b82c4",
-    "grey": "0.5",
-}
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB (ITU-R BT.709)
 MOST_GROUPS = 9
 DOTS = 1500  # pixels drawn per channel
 
@@ -42,7 +36,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
 
 
 def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
-    curve, colour = channel.curve, COLOURS[channel.plane.channel]
+    curve, colour = channel.curve, OF_CHANNEL[channel.plane.channel]
     z = curve.codes - curve.bins.black
     g, seen = curve.log_exposure, curve.seen
     rng = np.random.default_rng(0)
@@ -80,7 +74,7 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     for channel in shown:
-        curve, colour = channel.curve, COLOURS[channel.plane.channel]
+        curve, colour = channel.curve, OF_CHANNEL[channel.plane.channel]
         band = np.where(curve.seen, curve.half_width, np.nan)
         judged = curve.standard_error < DRAWN
         for axis, gap in ((left, channel.gamma.departure), (right, channel.gamma.srgb_departure)):
@@ -113,7 +107,7 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
                 fmt="o",
                 ms=4,
                 lw=1,
-                color=COLOURS[channel.plane.channel],
+                color=OF_CHANNEL[channel.plane.channel],
                 label=channel.plane.channel,
             )
         axis.axhline(0, color="0.4", lw=0.8)
@@ -172,16 +166,19 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
 
 
 def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Reinhard's global operator r (1 + r / w^2) / (1 + r) of the luminance over its log average,
-    w the brightest per cent, so that colours keep their ratios; encoded as sRGB, in 0..1, a NaN
-    drawn black."""
-    positive = np.maximum(np.nan_to_num(np.asarray(radiance, np.float64)), 1e-12)
-    bright = positive @ LUMINANCE if positive.ndim == 3 else positive
-    relative = 0.36 * bright / np.exp(np.mean(np.log(bright)))
-    white = np.quantile(relative, 0.99)
-    mapped = relative * (1 + relative / white**2) / (1 + relative)
-    gain = (mapped / bright).reshape(bright.shape + (1,) * (positive.ndim - 2))
-    return np.asarray(jax.jit(srgb_encode)(np.clip(positive * gain, 0, 1)))
+    """Reinhard's global operator on the luminance over its log average, the brightest per cent
+    white, so that colours keep their ratios; encoded as sRGB, in 0..1, a NaN drawn black."""
+    return np.nan_to_num(np.asarray(_tone_mapped(radiance)))
+
+
+@jax.jit
+def _tone_mapped(radiance: Array) -> Array:
+    bands = radiance if radiance.ndim == 3 else radiance[..., None]
+    bright = luminance(bands) if bands.shape[-1] == 3 else bands[..., 0]
+    relative = scaled_to_key(bright, key_value=0.36)
+    wanted = reinhard(relative, white=jnp.nanquantile(relative, 0.99))
+    shown = srgb_encode(jnp.clip(with_luminance(bands, bright, wanted), 0, 1))
+    return shown.reshape(radiance.shape)
 
 
 def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.ndarray, float]:

@@ -9,13 +9,13 @@ import xarray as xr
 
 from jaxvision.plots.inline import INK, inline_svg
 
+from ..report.colours import BLUE, RED
 from .compare import Compared, Drift
 from .outcomes import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BLUE, RED = "#3b82c4", "#d1495b"
 MOST = 12  # figures, those with outliers first
 TALLEST = 60  # cameras that are named beside an axis
 

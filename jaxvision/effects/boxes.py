@@ -7,6 +7,7 @@ A name is a path: "surfaces[0].material.specular", "lights[1].position", "ambien
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
+from itertools import product
 from typing import Any
 
 import jax
@@ -132,3 +133,11 @@ def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
     before = of_scene if of_scene is not None else value_at(camera, name)
     now = value_at(draft if of_scene is not None else draft.camera, name)
     return isinstance(now, jax.Array) and now.shape == before.shape
+
+
+def corners(ends: Ends[Any]) -> list[Any]:
+    """The record with each of its numbers at either end, in all combinations."""
+    low, tree = jax.tree.flatten(ends.low)
+    high = jax.tree.leaves(ends.high)
+    choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]
+    return [jax.tree.unflatten(tree, leaves) for leaves in product(*choices)]

@@ -19,9 +19,9 @@ import numpy as np
 
 from ..optics import airy_kernel, aperture_area, chief_slope, sensor_irradiance, sensor_vergence
 from ..scene import Orthographic, Pinhole, ThinLens, View
-from .boxes import refuse_tracers
+from .boxes import corners, refuse_tracers
 from .certificate import IRRADIANCE, Effect
-from .pixel import INF, clean, corners
+from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
 

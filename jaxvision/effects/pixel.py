@@ -27,10 +27,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ..scene import (
@@ -43,6 +41,7 @@ from ..scene import (
 )
 from ..sensor.dark import BOLTZMANN, ELEMENTARY_CHARGE
 from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
+from .boxes import corners
 from .certificate import Rank
 from .overflow import Charge, Excess, excess
 from .stages import Ends, Gone
@@ -396,11 +395,3 @@ def dark_rate(law: Any) -> float:
             return float(law.rate) * math.exp(kelvin * colder)
         case _:
             return float(law)
-
-
-def corners(ends: Ends[Any]) -> list[Any]:
-    """The record with each of its numbers at either end, in all combinations."""
-    low, tree = jax.tree.flatten(ends.low)
-    high = jax.tree.leaves(ends.high)
-    choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]
-    return [jax.tree.unflatten(tree, leaves) for leaves in product(*choices)]

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..optics import sensor_vergence
 from ..scene import Orthographic, ThinLens, View
+from .boxes import corners
 from .certificate import IRRADIANCE, Effect
-from .pixel import clean, corners
+from .pixel import clean
 from .stages import Draft, Ends, Row
 
 _PARTS = ("rim", "distortion", "diffraction")

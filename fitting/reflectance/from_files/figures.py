@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 
 from jaxvision import Vec
 
+from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, unit_brdf
 from ..names import MODELS, Axis, Model
 from .calibration import BRDFCalibration
@@ -247,8 +248,7 @@ def _draw_bands(axis: Axes, measured: MeasuredBRDF, values: np.ndarray, error: n
         axis.errorbar(measured.wavelengths, values, error, fmt="o-", ms=3, lw=1, capsize=2)
         axis.set_xlabel("wavelength [nm]")
         return
-    known = {"red": "tab:red", "green": "tab:green", "blue": "tab:blue"}
     for i, band in enumerate(measured.bands):
-        axis.errorbar(i, values[i], error[i], fmt="o", color=known.get(band, "0.3"), capsize=4)
+        axis.errorbar(i, values[i], error[i], fmt="o", color=OF_CHANNEL.get(band, "0.5"), capsize=4)
     axis.set_xticks(range(len(measured.bands)), measured.bands)
     axis.margins(x=0.3)

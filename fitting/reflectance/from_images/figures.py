@@ -8,6 +8,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
+from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, predicted_image
@@ -15,7 +16,6 @@ from .model import decoded, encoding_gamma, lobe
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
 
-COLOURS = {"red": "#d1495b", "green": "#2e9e5b", "blue": "#3b82c4", "grey": "0.5"}
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
 SHOWN_LIGHTS = 2  # of each kind
@@ -98,14 +98,9 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
         own = {score.model: score for score in scores if score.channel == channel}
         rows = np.arange(len(models)) + 0.22 * (i - (len(channels) - 1) / 2)
         fitted = np.array([100 * own[model].fitted_error for model in models])
-        shown = np.array(
-            [
-                100 * (own[m].fitted_error if own[m].predicted_error is None else e)
-                for m in models
-                for e in [own[m].predicted_error or 0.0]
-            ]
-        )
-        colour, marker = COLOURS[channel], MARKERS[channel]
+        predicted = np.array([own[model].predicted_error for model in models], float)  # None is NaN
+        shown = np.where(np.isnan(predicted), fitted, 100 * predicted)
+        colour, marker = OF_CHANNEL[channel], MARKERS[channel]
         axis.plot(shown, rows, marker, color=colour, ms=6, label=channel)
         if tested:
             axis.plot(fitted, rows, "|", color="k", ms=9, mew=1.2)
@@ -162,7 +157,7 @@ def _draw_terms(
     calibration: ReflectanceCalibration, fit: ChannelFit, diffuse: Axes, specular: Axes
 ) -> None:
     values, cosine, angle, unit = _per_unit_light(calibration, fit)
-    colour, marker = COLOURS[fit.channel], MARKERS[fit.channel]
+    colour, marker = OF_CHANNEL[fit.channel], MARKERS[fit.channel]
     natural = dict(zip((p.name for p in fit.space), fit.natural, strict=True))
     shown = has_lobe(fit.form.model)
     rough = fit.samples.geometry is not None and not shown
