@@ -363,3 +363,7 @@ def start() -> None:
 def main() -> None:
     """Entry point."""
     ending_on_interrupt("jaxvision-fit", start)
+
+
+if __name__ == "__main__":
+    main()

@@ -16,6 +16,7 @@ from .colours import BLUE, OF_CHANNEL, RED
 from .formatting import format_axis
 from .section import Columns, Picture, Section
 
+MARGIN = 1.0  # inches left of and below a corner plot, for turned numbers and names
 MOST_PATHS = 16  # drawn; more only blacken the panel
 
 
@@ -80,6 +81,7 @@ def corner_figure(
             formatter = direction.get_major_formatter()
             if isinstance(formatter, ScalarFormatter):
                 formatter.set_useOffset(False)
+    figure.subplots_adjust(left=MARGIN / size, bottom=MARGIN / size)
     return figure
 
 

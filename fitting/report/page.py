@@ -18,7 +18,7 @@ from jaxvision.plots.inline import figure_svg
 
 from ..inference.estimates import Estimate
 from .chains import chain_pictures, write_chains
-from .formatting import format_cell, size_in_words
+from .formatting import format_cell, format_unit, size_in_words
 from .section import Input, Section, Table
 from .sentences import said_once
 from .sheet import sheet
@@ -74,7 +74,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
     )
     environment.filters |= {
         function.__name__: function
-        for function in (chain_pictures, format_cell, said_once, sheet, size_in_words)
+        for function in (chain_pictures, format_cell, format_unit, said_once, sheet, size_in_words)
     } | {"svg": lambda picture: Markup(figure_svg(picture.draw))}
     return environment.get_template("report.html.j2").render(
         title=title, created=_now(), versions=versions(), sections=sections
