@@ -13,6 +13,7 @@ from test_emva1288 import measurement_of, noise_free
 
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
+from fitting.inference.left_out import negligible
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
 from fitting.noise.calibration import calibrate as calibrate_noise
@@ -21,7 +22,6 @@ from fitting.noise.fit import (
     base_space,
     fit_space,
     likelihood_sheet,
-    needed_window,
     noise_data,
     start_vector,
 )
@@ -30,6 +30,7 @@ from fitting.noise.model import cost
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
+from fitting.noise.window import needed_window, usual_moments_error
 
 LIGHT, EXPOSURE = np.linspace(250, 6000, 16), np.linspace(1e-3, 2e-2, 16)
 
@@ -250,6 +251,30 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
         # 16 draws of 95 %: fewer than 12 happen once in 1000 times.
         assert np.sum(np.abs(value - true) < 1.96 * error) >= 12, name
     assert abs(np.mean(np.asarray(standard["read_noise"])) / camera.read_noise - 1) > 0.3
+
+
+@pytest.mark.parametrize("deviation", [0.3, 0.5, 0.65, 0.9])
+def test_the_usual_moments_are_left_where_no_fit_can_tell(deviation):
+    """The bound against sums over codes, for the mean between two codes at which it is worst; then
+    clipped black. A million pixels tell rounding up to a read noise of .7 DN."""
+    codes, off = np.arange(60.0), []
+    for mean in np.linspace(20, 21, 41):
+        share = np.diff(norm.cdf((np.append(codes, 60) - 0.5 - mean) / deviation))
+        first = share @ codes
+        off.append((abs(first - mean), abs(share @ (codes - first) ** 2 - deviation**2 - 1 / 12)))
+    worst, total = np.max(off, axis=0), deviation**2 + 1 / 12
+    expected = np.sqrt(1e6 * (2 * worst[0] ** 2 / total + worst[1] ** 2 / (2 * total**2)))
+    levels = [np.array([x]) for x in (20.5, total, 2.0)]
+    assert usual_moments_error(*levels, 1e6).bound == pytest.approx(expected, rel=1e-2)
+    assert bool(negligible([usual_moments_error(*levels, 1e6)])) == (deviation > 0.7)
+    above = 2 * deviation
+    signal = np.linspace(above - 12 * deviation, above + 12 * deviation, 200_001)
+    share = norm.pdf(signal, above, deviation)
+    share, seen = share / share.sum(), np.maximum(signal, 0)
+    clipped = share @ seen
+    lost = clipped - above, share @ (seen - clipped) ** 2 - deviation**2
+    moved = np.sqrt(1e6 * (2 * lost[0] ** 2 / total + lost[1] ** 2 / (2 * total**2)))
+    assert usual_moments_error(np.array([above]), *levels[1:], 1e6).bound >= 0.9 * moved
 
 
 def test_an_ordinary_camera_traces_no_exact_moments_and_no_effect():

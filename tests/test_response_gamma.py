@@ -6,6 +6,7 @@ from oracles.stacks import exposure_stack, gamma, srgb
 from scipy import stats
 
 from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.left_out import TOLERANCE
 from fitting.response.curve import fit_response_curve
 from fitting.response.gamma import fit_gamma
 
@@ -79,3 +80,34 @@ def test_what_is_known_of_black_and_shutter_widens():
     spread = np.sum((np.log(TIMES) - np.log(TIMES).mean()) ** 2)
     expected = np.hypot(2.2 * 0.05 / np.sqrt(spread), plain.standard_error)
     assert of_shutter.standard_error == pytest.approx(expected, rel=0.1)
+
+
+def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
+    """Bounds against the least-squares energy of all pixels, whose irradiances are the best for
+    each shift: the law moves by what the shift adds to the misfit of codes without noise."""
+    _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=4000)
+    curve = fit_response_curve(codes, TIMES, bits=8)
+    known = fit_gamma(curve, black_sd=1e-4, exposure_sd=1e-6)
+    plain = fit_gamma(curve)
+    assert {own.name for own in known.left_out} == {"black_sd", "exposure_sd"}
+    assert not fit_gamma(curve, black_sd=1.0, exposure_sd=0.05).left_out
+    assert not plain.left_out
+    assert known.gamma.interval_95 == plain.gamma.interval_95
+    bounds = {own.name: own.bound for own in known.left_out}
+    assert 0 < sum(bounds.values()) <= TOLERANCE
+    # pixel by pixel: weights are one over the variance of ln X, irradiances are weighted means
+    bin_of = curve.bins.lookup[codes]
+    code = np.maximum(codes.astype(float), 1)
+    variance = curve.pixel_noise[bin_of] ** 2 + (2.2 / code) ** 2 / 12
+    weight = np.where((bin_of >= 0) & (variance < 0.04), 1 / variance, 0)
+    weight /= known.dispersion * curve.design_effect
+    shift = 2.2 * 1e-4 / code
+    best = (weight * shift).sum(0) / np.where(weight.any(0), weight.sum(0), 1)
+    square = (weight * (shift - best) ** 2).sum()
+    assert bounds["black_sd"] == pytest.approx(np.sqrt(1 + square) - 1, rel=0.25)
+    laplacian = np.diag(weight.sum(1)) - np.einsum(
+        "ip,jp->ij", weight, weight / np.where(weight.any(0), weight.sum(0), 1)
+    )
+    squares = np.linalg.eigvalsh(1e-12 * laplacian)
+    expected = np.sqrt(((np.sqrt(1 + np.maximum(squares, 0)) - 1) ** 2).sum())
+    assert bounds["exposure_sd"] == pytest.approx(expected, rel=0.25)

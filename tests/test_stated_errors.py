@@ -10,9 +10,11 @@ from fitting.checks.coverage import coverage
 from fitting.checks.reflectance import Sphere
 from fitting.checks.simulations import simulated
 from fitting.inference.clustering import Robustness
+from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import Form
+from fitting.reflectance.from_images.model import Form, linear_signal
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
+from fitting.report.left_out import left_out_tables
 
 SPHERE = Sphere(lights=5, read_noise=1.0)
 
@@ -88,6 +90,33 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     found = with_stated_errors(wide, none, information, known)
     np.testing.assert_array_equal(found.covariance, wide.covariance)
     np.testing.assert_array_equal(found.freedom, wide.freedom)
+
+
+def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
+    """The bound by the samples one by one: the black level moves all of them together, a light
+    those of its image; both go, and the larger error of the directions stays."""
+    _, fit = fitted
+    sizes = {"exposure_sd": np.full(5, 1e-5), "direction_sd": np.full(5, 5e-3)}
+    found = fit(uncertain=sizes, black_sd=1e-3)
+    samples, light = found.samples, found.selection.light
+    noise = np.asarray(samples.deviation, float)
+    signal = np.asarray(linear_signal(found.vector, samples), float)  # the files are linear
+    of_light = [np.sum((1e-5 * signal / noise)[light == k] ** 2) for k in range(5)]
+    of_black = np.sum((1e-3 / noise) ** 2)
+    bounds = {
+        "exposure_sd": np.sqrt(np.sum((np.sqrt(1 + np.array(of_light)) - 1) ** 2)),
+        "black_sd": np.sqrt(1 + of_black) - 1,
+    }
+    gone = {own.name: (own.size, own.bound) for own in found.stated.left_out}
+    assert gone.keys() == bounds.keys()
+    assert gone["black_sd"] == (1e-3, pytest.approx(bounds["black_sd"], rel=1e-5))
+    assert gone["exposure_sd"] == (1e-5, pytest.approx(bounds["exposure_sd"], rel=1e-3))
+    assert 0 < sum(bounds.values()) <= TOLERANCE
+    assert len(found.stated.of_lights) == 2 * 5
+    assert not len(found.stated.common)
+    (table,) = left_out_tables([("grey", found.stated.left_out)])
+    assert {row[1] for row in table.rows} == bounds.keys()
+    assert not fit(uncertain=sizes, black_sd=2.0).stated.left_out[1:]
 
 
 @pytest.mark.slow

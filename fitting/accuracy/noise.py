@@ -17,14 +17,13 @@ from ..noise.fit import (
     base_space,
     fit_space,
     likelihood_sheet,
-    needed_window,
     noise_data,
     start_vector,
-    window_of,
 )
 from ..noise.levels import PhotonTransfer, linear_levels
 from ..noise.model import cost, log_density
 from ..noise.read import check, reduce_rig
+from ..noise.window import needed_window, window_of
 from ..observation import Load
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs

@@ -8,7 +8,6 @@ from ..inference.posterior import Posterior, convergence_in_words
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
-from .left_out import TOLERANCE
 from .prediction import Score
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
@@ -81,21 +80,6 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
         f"{files[worst]} is {abs(relative[worst]):.1%} {word} than its intensity says, "
         f"{abs(mean[worst]):.1f} times the usual error of a light."
     ]
-
-
-def left_out_table(calibration: JointCalibration) -> Table:
-    """Errors that the rig names and the likelihood leaves out, with what they do at most."""
-    return Table(
-        title="Left out",
-        columns=("channel", "error", "as the rig states it", "moves the data by at most [s.d.]"),
-        rows=tuple(
-            (fit.channel, own.name, own.size, own.bound)
-            for fit in calibration.fits
-            for own in fit.left_out
-        ),
-        caption="Too small for any fit to tell: the law of all data moves by no more than this, in "
-        f"standard deviations of their noise; all together at most {TOLERANCE:g}.",
-    )
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:

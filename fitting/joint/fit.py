@@ -14,12 +14,13 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 
 from ..inference.diagnostics import Identifiability, identifiability
+from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
 from ..reflectance.models import shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
-from .left_out import LeftOut, small, widest, without
+from .left_out import small, widest, without
 from .model import (
     Cells,
     Form,

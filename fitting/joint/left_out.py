@@ -1,47 +1,21 @@
 """Which of the errors that a rig names its likelihood calls for.
 
-In units of their noise the data have the covariance 1 without an error that they share, and with it
-1 + h h'. The 2-Wasserstein distance of the two laws is
-
-    sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
-
-and over images, or pixels, whose errors are independent the squares of the distances add. An error
-shared by all pixels of an image is not averaged over them: it is compared with the noise of all of
-them together. Where the distance is a tenth of the noise or less, no fit can tell the two laws
-apart, and the likelihood is that without the error. The error is taken at the upper end of what its
-prior allows, so that the bound holds wherever a fit may go.
-
-Source:
-    Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.
-    Multivariate Analysis 12 (1982).
+An error shared by all pixels of an image is not averaged over them: it is compared with the noise
+of all of them together (`inference.left_out`). It is taken at the upper end of what its prior
+allows, so that the bound holds wherever a fit may go.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Array
 
+from ..inference.left_out import LeftOut, distance, negligible
 from ..inference.parameters import ParameterSpace, to_natural, to_unconstrained
 from .model import JointData, Prediction, Table
 from .start import SCATTERS
 
-TOLERANCE = 0.1  # standard deviations of the noise of all data
 WIDEST = 3.0  # standard deviations of the prior of an error's size
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """An error that the rig names and the likelihood leaves out.
-
-    Attributes:
-        name: of the parameter that it would be.
-        size: as the rig states it, relative or in rad.
-        bound: by which it moves the law of the data at most, standard deviations of their noise.
-    """
-
-    name: str
-    size: float
-    bound: float
 
 
 def widest(vector: Array, space: ParameterSpace) -> Array:
@@ -91,11 +65,8 @@ def small(
             errors = np.asarray(model.image_errors)[:, at : at + rows]
             squares, count = (np.asarray(weight)[:, None] * errors**2).sum((1, 2)), 1.0
             at += rows
-        moved = float(np.sqrt(np.sum(count * (np.sqrt(1 + squares) - 1) ** 2)))
-        found.append(LeftOut(name, parameter.prior.median, moved))
-    found.sort(key=lambda own: own.bound)
-    total = np.cumsum([own.bound for own in found])
-    return tuple(own for own, sum_ in zip(found, total, strict=True) if sum_ <= TOLERANCE)
+        found.append(LeftOut(name, parameter.prior.median, distance(squares, count)))
+    return negligible(found)
 
 
 def without(data: JointData, vector: Array, gone: tuple[LeftOut, ...]) -> tuple[JointData, Array]:

@@ -6,10 +6,11 @@ from ..inference.estimates import Estimate, not_determined
 from ..inference.posterior import estimates
 from ..reflectance.material import material_files
 from ..reflectance.models import LABELS
+from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
-from .findings import findings, left_out_table, misfit_table, score_table
+from .findings import findings, misfit_table, score_table
 from .prediction import score
 
 
@@ -29,7 +30,7 @@ def section(calibration: JointCalibration) -> Section:
         if fit.channel in calibration.posteriors
     )
     known = calibration.fits[0].data.known
-    gone = (left_out_table(calibration),) if any(f.left_out for f in calibration.fits) else ()
+    gone = left_out_tables((fit.channel, fit.left_out) for fit in calibration.fits)
     return Section(
         kind="joint",
         title=f"Surface, response and sensor: {LABELS[calibration.model]}",

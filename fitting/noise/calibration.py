@@ -17,18 +17,20 @@ from jaxtyping import Array, Int
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.importance import laplace_where_it_holds
+from ..inference.left_out import LeftOut, negligible
 from ..inference.newton import minimise
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior, sample
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
-from .fit import LikelihoodFit, likelihood_sheet, needed_window, noise_data
+from .fit import LikelihoodFit, likelihood_sheet, noise_data
 from .levels import PhotonTransfer, linear_levels
 from .model import log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 from .quantities import QUANTITIES, SCATTERS, Quantity
 from .regressions import through_origin
+from .window import usual_moments, window_of
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
@@ -51,6 +53,7 @@ class NoiseCalibration(ShownInNotebooks):
             own curves.
         patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
             temporal sums are known.
+        left_out: what the likelihood does without, as no fit can tell.
     """
 
     measurement: PhotonTransfer
@@ -63,6 +66,7 @@ class NoiseCalibration(ShownInNotebooks):
     sheet: tuple[Estimate, ...]
     standard_of_chosen: float
     patterns: tuple[PatternVariance, PatternVariance] | None
+    left_out: tuple[LeftOut, ...]
 
     @property
     def efficiency(self) -> float | None:
@@ -93,7 +97,9 @@ def calibrate(
     within = ranges(measurement)
     usable = linear_levels(measurement)
     standard = eqx.filter_jit(evaluate)(measurement, within)
-    data = noise_data(measurement, usable, window=needed_window(measurement, usable))
+    gone = negligible([usual_moments(measurement, usable)])
+    window = None if gone else window_of(measurement, usable)
+    data = noise_data(measurement, usable, window=window)
     linear, chosen = choose_model(measurement, within, data, standard.values)
     posterior = _posterior(chosen, sampling, seed)
     patterns = None
@@ -110,6 +116,7 @@ def calibrate(
         sheet=_likelihood_estimates(chosen, posterior, within, usable),
         standard_of_chosen=_standard_gain_of(chosen, within, usable),
         patterns=patterns,
+        left_out=gone,
     )
 
 

@@ -198,9 +198,9 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     window = calibration.chosen.data.window
     if window is not None:
         told.append(
-            f"Black is clipped or read noise is below 0.4 DN: at {len(window.levels)} levels the "
-            "likelihood uses the exact moments of the clipped, rounded signal; the standard's "
-            "figures are biased there and are not to be trusted."
+            f"Black is clipped or read noise is too small to smooth the rounding: at "
+            f"{len(window.levels)} levels the likelihood uses the exact moments of the clipped, "
+            "rounded signal; the standard's figures are biased there and are not to be trusted."
         )
     if float(calibration.measurement.dark.variance.min()) < LEAST_DARK_VARIANCE:
         told.append(

@@ -24,7 +24,7 @@ from .model import (
     named,
 )
 from .neighbours import are_known, neighbour_data
-from .quantised import FINEST_READ_NOISE, Window, window_for
+from .quantised import FINEST_READ_NOISE, Window
 from .quantities import (
     DARK_CURRENT,
     OFFSET,
@@ -38,9 +38,6 @@ from .shared import believed_lines
 MISFIT = 1e-3  # p-value below which a model is not believed
 START_NOISES = 12  # read noises tried where a likelihood has several optima
 START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
-FINE_READ_NOISE = 0.4  # DN; below, the variance of rounding is not 1/12
-NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
-AFFECTED_DEVIATION = 1.0  # DN; levels noisier than this see rounding as 1/12 in any case
 LOG_NONE = -25.0  # logarithm of a scatter that is none
 SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
 
@@ -147,47 +144,6 @@ def noise_data(
         spread_of_lines=of_lines(2),
         neighbours=neighbour_data(measurement, usable),
     )
-
-
-def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
-    """The exact moments that clipped black or fine read noise call for.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The window; None where the usual moments do.
-    """
-    data = noise_data(measurement, usable)
-    mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
-    deviation, dark = np.sqrt(variance), lit == 0
-    near_black = mean < NEAR_BLACK * deviation
-    clipped = bool(near_black[dark].any())
-    fine = bool(variance[dark].min() < FINE_READ_NOISE**2 + QUANTISATION_VARIANCE)
-    return window_of(measurement, usable) if fine or clipped else None
-
-
-def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """The exact moments of the darks, and of the levels that clipping or rounding may affect.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The window.
-    """
-    data = noise_data(measurement, usable)
-    mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
-    deviation, dark = np.sqrt(variance), lit == 0
-    near_black = mean < NEAR_BLACK * deviation
-    affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
-    # Clipping hides up to half of a deviation.
-    widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
-    read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
-    levels = np.flatnonzero(affected)
-    return window_for(levels, mean[levels], deviation=widest, read_noise=read_noise)
 
 
 def base_space(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:

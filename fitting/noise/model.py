@@ -23,8 +23,8 @@ is Gamma, given the mean, with as many degrees of freedom as its sampling varian
 which correlates the two by kappa_3 / (n L). Two random effects can join, each with one scale: the
 light of a level is off by tau_H mu_p, and its black level by tau_0.
 
-An effect that the space does not name is not traced. Where black is clipped or read noise is below
-about 0.4 DN, the named levels take their moments from `quantised_moments` instead.
+An effect that the space does not name is not traced. Where black is clipped or read noise does not
+smooth the rounding (`window`), the named levels take their moments from `quantised_moments`.
 """
 
 import equinox as eqx

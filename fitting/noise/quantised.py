@@ -17,7 +17,8 @@ know the clipping but no parameter:
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
 
 No sum over electrons is needed, and light may be bright or dim. The usual moments, a variance of
-1/12 for rounding, fail below a read noise of about 0.4 DN and where black is clipped.
+1/12 for rounding, fail where read noise is small and where black is clipped: `window` says whether
+the data can tell.
 """
 
 from collections.abc import Sequence

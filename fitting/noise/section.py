@@ -8,6 +8,7 @@ import numpy as np
 from ..inference.estimates import Estimate, not_determined
 from ..inference.parameters import names
 from ..inference.posterior import estimates
+from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
@@ -34,7 +35,11 @@ def section(calibration: NoiseCalibration) -> Section:
         estimates=_sheet_estimates(calibration),
         findings=findings(calibration),
         pictures=noise_pictures(calibration),
-        tables=(_models_table(calibration), *_area_changes_table(calibration)),
+        tables=(
+            _models_table(calibration),
+            *_area_changes_table(calibration),
+            *left_out_tables([("", calibration.left_out)]),
+        ),
         posteriors={"": calibration.posterior},
         records={}
         if is_impossible(calibration)

@@ -30,6 +30,7 @@ from jaxvision.point_ops import srgb_decode
 from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import QUANTILES, Estimate, quantile_estimate
+from ..inference.left_out import LeftOut
 from ..inference.parameters import (
     Parameter,
     ParameterSpace,
@@ -40,6 +41,7 @@ from ..inference.parameters import (
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from ..inference.priors import LogNormal
 from .curve import ResponseCurve, slope_error
+from .left_out import without_effect
 from .solve import shutter_basis, spread_of_times
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
@@ -118,6 +120,7 @@ class GammaFit:
         srgb_departure: (bins,) less that of the sRGB curve.
         dispersion: misfit of the best gamma over that of the free curve.
         findings: what the data cannot tell apart.
+        left_out: errors that the rig states and that are too small to matter.
     """
 
     gamma: Estimate
@@ -127,6 +130,7 @@ class GammaFit:
     srgb_departure: Float[np.ndarray, " bins"]
     dispersion: float
     findings: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def fit_gamma(
@@ -154,6 +158,16 @@ def fit_gamma(
     """
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
+    gone = without_effect(
+        curve,
+        _least_squares(curve, column) * (log_code_means(curve, shift=black_sd) - column),
+        dispersion * curve.design_effect,
+        black_sd=black_sd,
+        exposure_sd=exposure_sd,
+    )
+    named = {own.name for own in gone}
+    black_sd = 0.0 if "black_sd" in named else black_sd
+    exposure_sd = 0.0 if "exposure_sd" in named else exposure_sd
     sums = _gamma_sums(curve, column, dispersion, exposure_sd)
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
@@ -180,6 +194,7 @@ def fit_gamma(
         srgb_departure=_departure(curve, _srgb(curve)),
         dispersion=dispersion,
         findings=identifiability(space, information).sentences,
+        left_out=gone,
     )
 
 
@@ -263,12 +278,20 @@ def _mode(start: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, "
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
     """How much the best gamma misfits the pixels beyond their noise: its chi-square over that of
     the free curve, at least 1. Stretches the intervals of a curve that is not a gamma."""
-    matrix, size = curve.statistics.matrix, len(column)
+    matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
-    gamma = -(column @ matrix[:size, size:] @ log_t) / (column @ matrix[:size, :size] @ column)
-    of_gamma = np.concatenate([gamma * column, log_t])
+    of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
     of_curve = np.concatenate([curve.bin_means, log_t])
     return max(1.0, float((of_gamma @ matrix @ of_gamma) / (of_curve @ matrix @ of_curve)))
+
+
+def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
+    """The gamma of least squares, at the shutter errors of the curve."""
+    matrix, size = curve.statistics.matrix, len(column)
+    log_t = np.log(curve.exposures) + curve.shutter_offsets
+    return -float(
+        (column @ matrix[:size, size:] @ log_t) / (column @ matrix[:size, :size] @ column)
+    )
 
 
 def _from_elsewhere(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
+from ..report.left_out import left_out_tables
 from ..report.section import Columns, Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
@@ -34,7 +35,14 @@ def section(calibration: ResponseCalibration) -> Section:
         estimates=tuple(estimates),
         findings=findings(calibration),
         pictures=_pictures(calibration),
-        tables=(_channel_table(calibration.channels), _curve_table(calibration.channels)),
+        tables=(
+            _channel_table(calibration.channels),
+            _curve_table(calibration.channels),
+            *left_out_tables(
+                (channel.plane.label or "grey", channel.gamma.left_out)
+                for channel in calibration.channels
+            ),
+        ),
         posteriors={
             channel.plane.label or "grey": channel.gamma.posterior
             for channel in calibration.channels

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
 from ...inference.posterior import estimates
+from ...report.left_out import left_out_tables
 from ...report.section import Picture, Section
 from ..material import material_files
 from ..models import CLEAR, LABELS
@@ -39,7 +40,11 @@ def section(calibration: ReflectanceCalibration) -> Section:
         estimates=_estimates(calibration),
         findings=(verdict(calibration.scores, held_out), *findings(calibration)),
         pictures=_pictures(calibration),
-        tables=(comparison_table(calibration.scores, held_out), misfit_table(calibration)),
+        tables=(
+            comparison_table(calibration.scores, held_out),
+            misfit_table(calibration),
+            *left_out_tables((fit.channel, fit.stated.left_out) for fit in calibration.reported),
+        ),
         posteriors=calibration.posteriors,
         settings={
             "model": calibration.model,

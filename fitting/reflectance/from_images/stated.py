@@ -11,6 +11,9 @@ alone. The residuals show them too, so the covariance of few lights gives way to
 states, unless the residuals show more. Errors of all images at once (`black_sd`, `gamma_sd`) are
 like another surface; no residual shows them, and their covariance is added. The gain only weighs
 the samples: its `gain_sd` moves no parameter to first order.
+
+What moves the law of the samples by no more than a tenth of their noise is left out
+(`inference.left_out`).
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +23,7 @@ from jaxtyping import Array, Float, Int
 from scipy.special import chdtri
 
 from ...inference.clustering import Robustness
+from ...inference.left_out import LeftOut, distance, negligible
 from .model import (
     Samples,
     encoding_gamma,
@@ -41,10 +45,12 @@ class StatedErrors:
     Attributes:
         of_lights: (errors, P), each of one image.
         common: (errors, P), each of all images.
+        left_out: errors that the rig states and that are too small to matter.
     """
 
     of_lights: Float[np.ndarray, "errors parameters"]
     common: Float[np.ndarray, "more parameters"]
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def stated_errors(
@@ -64,33 +70,68 @@ def stated_errors(
         selection: of the samples.
 
     Returns:
-        The pulls; without rows where all is exact.
+        The pulls; without rows where all is exact, or so nearly that no fit can tell.
     """
-    sizes, light = observation.uncertain, selection.light
+    sizes, light, count = observation.uncertain, selection.light, len(vector)
+    lights = len(next(iter(sizes.values()), ()))
     own = _shifts_of_lights(observation, channel, vector, samples, selection)
-    shared = []
+    shared = _shifts_of_all(observation, vector, samples)
+    if not own and not shared:
+        return StatedErrors(np.empty((0, count)), np.empty((0, count)))
+    deviation = np.asarray(samples.deviation, np.float64)
+
+    def by_light(values: np.ndarray) -> np.ndarray:
+        return np.bincount(light, values, lights)
+
+    squares = {name: _squares(shifts, deviation) for name, shifts in (own | shared).items()}
+    errors = [
+        LeftOut(name, float(np.median(sizes[name])), distance(by_light(squares[name])))
+        for name in own
+    ]
+    errors += [
+        LeftOut(name, getattr(observation, name), distance(squares[name].sum())) for name in shared
+    ]
+    gone = negligible(errors)
+    named = {error.name for error in gone}
+    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
+    of_lights = [
+        np.stack([by_light(row * shift) for row in slopes], axis=1)
+        for name, shifts in own.items()
+        if name not in named
+        for shift in shifts / deviation
+    ]
+    of_all = [
+        slopes @ shift
+        for name, shifts in shared.items()
+        if name not in named
+        for shift in shifts / deviation
+    ]
+    return StatedErrors(
+        np.concatenate(of_lights) if of_lights else np.empty((0, count)),
+        np.array(of_all).reshape(-1, count),
+        gone,
+    )
+
+
+def _squares(shifts: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(samples,) of all shifts, (shifts, samples) DN, in standard deviations."""
+    return ((shifts / deviation) ** 2).sum(0)
+
+
+def _shifts_of_all(
+    observation: ReflectanceObservation, vector: Array, samples: Samples
+) -> dict[str, np.ndarray]:
+    """(1, samples) DN that each error of all images at once moves a prediction by."""
+    found = {}
     if observation.black_sd:
-        shared.append(np.full(len(light), observation.black_sd))
+        found["black_sd"] = np.full((1, len(samples.dn)), observation.black_sd)
     if observation.gamma_sd and samples.gamma is not None:
         steps = observation.gamma_sd, -observation.gamma_sd
         up, down = (
             predicted_dn(vector, replace(samples, gamma=samples.gamma + step)) for step in steps
         )
-        shared.append(np.asarray(up - down, np.float64) / 2)
-    count = len(vector)
-    if not own and not shared:
-        return StatedErrors(np.empty((0, count)), np.empty((0, count)))
-    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
-    slopes = slopes / np.asarray(samples.deviation, np.float64)
-    lights = len(next(iter(sizes.values()), ()))
-    by_light = [
-        np.stack([np.bincount(light, row * shift, lights) for row in slopes], axis=1)
-        for shift in own
-    ]
-    return StatedErrors(
-        np.concatenate(by_light) if by_light else np.empty((0, count)),
-        np.array([slopes @ shift for shift in shared]).reshape(-1, count),
-    )
+        found["gamma_sd"] = np.asarray(up - down, np.float64)[None] / 2
+    return found
 
 
 def _shifts_of_lights(
@@ -99,23 +140,27 @@ def _shifts_of_lights(
     vector: Array,
     samples: Samples,
     selection: Selection,
-) -> list[np.ndarray]:
-    """(samples,) DN that each kind of error of the lights moves a prediction by."""
-    light, found = selection.light, []
-    known = {name: sd[light] for name, sd in observation.uncertain.items() if np.any(sd)}
+) -> dict[str, np.ndarray]:
+    """(shifts, samples) DN that each kind of error of the lights moves a prediction by."""
+    known = {n: sd[selection.light] for n, sd in observation.uncertain.items() if np.any(sd)}
     signal = linear_signal(vector, samples)
     slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
-    strength = [known[name] for name in ("intensity_sd", "exposure_sd") if name in known]
-    if strength:
-        found.append(np.asarray(slope * signal, np.float64) * np.linalg.norm(strength, axis=0))
-    if "stray_sd" in known:
-        found.append(np.asarray(slope * samples.irradiance, np.float64) * known["stray_sd"])
+    along = {
+        "intensity_sd": slope * signal,
+        "exposure_sd": slope * signal,
+        "stray_sd": slope * samples.irradiance,
+    }
+    found = {
+        name: np.asarray(moved, np.float64)[None] * known[name]
+        for name, moved in along.items()
+        if name in known
+    }
     if "direction_sd" in known:
-        here = predicted_dn(vector, samples)
+        here, there = predicted_dn(vector, samples), []
         for turned in _turned(observation):
             moved = make_samples(turned, channel, samples.form, selection)
-            there = predicted_dn(vector, replace(moved, gamma=samples.gamma))
-            found.append(np.asarray(there - here, np.float64))
+            there.append(predicted_dn(vector, replace(moved, gamma=samples.gamma)) - here)
+        found["direction_sd"] = np.asarray(np.stack(there), np.float64)
     return found
 
 

@@ -462,10 +462,12 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_likelihoods test_parameters test_problem test_clustering test_diagnostics",
+        "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
+        "test_joint_left_out test_stated_errors",
         """
             fitting.inference.clustering: cluster_robust curvature_stretch
             fitting.inference.design: ranked
+            fitting.inference.left_out: distance negligible
             fitting.inference.diagnostics: identifiability listed
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: sampled_estimate
@@ -492,8 +494,8 @@ ELSEWHERE = (
             fitting.noise.choice: choose_model dark_scatter
             fitting.noise.emva1288: derived_figures evaluate linearity_deviation linearity_errors
             fitting.noise.emva1288: ranges sheet statistics
-            fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet needed_window
-            fitting.noise.fit: noise_data observations start_vector window_of
+            fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet noise_data
+            fitting.noise.fit: observations start_vector
             fitting.noise.levels: linear_levels rounding_step saturation_index
             fitting.noise.model: compressed cost expected_electrons level_moments log_density
             fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
@@ -504,6 +506,7 @@ ELSEWHERE = (
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
+            fitting.noise.window.*
             fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
         """,
     ),
@@ -516,6 +519,7 @@ ELSEWHERE = (
             fitting.response.code_pairs: pair_statistics total
             fitting.response.curve: fit_response_curve slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
+            fitting.response.left_out: without_effect
             fitting.response.pilot: fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.places: clear_of_clipping layout_of steepness_classes tiles_of

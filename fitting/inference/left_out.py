@@ -1,0 +1,68 @@
+"""Which errors a likelihood can do without: those that no fit can tell from none.
+
+In units of their noise the data have the covariance 1 without an error that they share, and with it
+1 + h h'. The 2-Wasserstein distance of the two laws is
+
+    sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
+
+and over parts of the data whose errors are independent the squares of the distances add. A shift h
+that all data have for certain is |h| away. Where the distance is a tenth of the noise or less, no
+estimate can move by more than a tenth of its standard deviation, and the likelihood is that without
+the error.
+
+Source:
+    Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.
+    Multivariate Analysis 12 (1982).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+TOLERANCE = 0.1  # standard deviations of the noise of all data
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An error that a likelihood leaves out.
+
+    Attributes:
+        name: of the error, as the rig or the model calls it.
+        size: as the rig states it, in its unit; None where the data tell it.
+        bound: by which it moves the law of the data at most, standard deviations of their noise.
+    """
+
+    name: str
+    size: float | None
+    bound: float
+
+
+def distance(
+    squares: Float[np.ndarray, "..."], count: float | Float[np.ndarray, "..."] = 1.0
+) -> float:
+    """How far errors of independent parts of the data move their law.
+
+    Args:
+        squares: (...) |h|^2 of each part.
+        count: how many parts there are of each.
+
+    Returns:
+        Standard deviations of the noise of all data.
+    """
+    return float(np.sqrt(np.sum(count * (np.sqrt(1 + squares) - 1) ** 2)))
+
+
+def negligible(errors: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
+    """Those that may be left out together.
+
+    Args:
+        errors: each with its bound.
+
+    Returns:
+        The smallest, in order, all together within `TOLERANCE`.
+    """
+    found = sorted(errors, key=lambda own: own.bound)
+    total = np.cumsum([own.bound for own in found])
+    return tuple(own for own, moved in zip(found, total, strict=True) if moved <= TOLERANCE)

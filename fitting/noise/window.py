@@ -1,0 +1,115 @@
+"""Which levels need the exact moments of rounding and of clipped black, and whether any does.
+
+The usual moments have a variance of 1/12 for rounding and no black level below which nothing is
+counted. Of a normal signal of standard deviation s rounded to whole numbers, mean and variance
+differ from that by no more than
+
+    sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
+
+(Widrow and Kollar, "Quantization Noise", 2008, chapter 4), wherever its mean lies between two
+codes; and clipped at m below the mean, with z = m / s, phi and Q the normal density and tail,
+
+    a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
+
+Both are shifts that all frames have for certain (`inference.left_out`).
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import norm
+
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
+from ..inference.left_out import LeftOut, negligible
+from .fit import noise_data
+from .levels import PhotonTransfer
+from .quantised import Window, window_for
+
+NAME = "exact rounding and clipping"
+HARMONICS = np.arange(1, 9)
+NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
+AFFECTED_DEVIATION = 1.0  # DN; levels noisier than this see rounding as 1/12 in any case
+
+
+def usual_moments_error(
+    mean: Float[np.ndarray, " levels"],
+    variance: Float[np.ndarray, " levels"],
+    frames: Float[np.ndarray, " levels"],
+    pixels: float,
+) -> LeftOut:
+    """By how much the usual moments miss those of the rounded, clipped signal at most.
+
+    Args:
+        mean: (levels,) DN.
+        variance: (levels,) temporal, DN^2.
+        frames: (levels,) of each level.
+        pixels: of a frame.
+
+    Returns:
+        The bound, over all levels.
+    """
+    own = np.maximum(variance - QUANTISATION_VARIANCE, 0)
+    decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
+    of_mean = (decay / (np.pi * HARMONICS)).sum(1)
+    of_variance = 4 * ((own[:, None] + 1 / (2 * np.pi * HARMONICS) ** 2) * decay).sum(1)
+    total = np.maximum(variance, QUANTISATION_VARIANCE)
+    deviation, above = np.sqrt(total), np.maximum(mean, 0)
+    z = above / deviation
+    tail, density = norm.sf(z), norm.pdf(z)
+    lost = deviation * np.maximum(density - z * tail, 0)
+    squares = total * np.maximum((1 + z**2) * tail - z * density, 0)
+    of_mean = of_mean + lost
+    of_variance = of_variance + squares + 2 * above * lost + lost**2
+    share = frames * of_mean**2 / total + (frames - 1) * of_variance**2 / (2 * total**2)
+    return LeftOut(NAME, None, float(np.sqrt(pixels * share.sum())))
+
+
+def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> LeftOut:
+    """What clipped black and rounding do beyond the usual moments, at most.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The bound, over all levels of a fit.
+    """
+    data = noise_data(measurement, usable)
+    mean, variance, frames = (np.asarray(x) for x in (data.mean, data.variance, data.frames))
+    return usual_moments_error(mean, variance, frames, float(data.pixels))
+
+
+def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
+    """The exact moments that clipped black or fine read noise call for.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The window; None where no fit can tell the usual moments from them.
+    """
+    known = negligible([usual_moments(measurement, usable)])
+    return None if known else window_of(measurement, usable)
+
+
+def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
+    """The exact moments of the darks, and of the levels that clipping or rounding may affect.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The window.
+    """
+    data = noise_data(measurement, usable)
+    mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
+    deviation, dark = np.sqrt(variance), lit == 0
+    near_black = mean < NEAR_BLACK * deviation
+    affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
+    # Clipping hides up to half of a deviation.
+    widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
+    read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
+    levels = np.flatnonzero(affected)
+    return window_for(levels, mean[levels], deviation=widest, read_noise=read_noise)

@@ -1,0 +1,28 @@
+"""What a likelihood left out, as its reader sees it."""
+
+from collections.abc import Iterable
+
+from ..inference.left_out import TOLERANCE, LeftOut
+from .section import Table
+
+
+def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
+    """Errors that were too small to matter, with what they do at most.
+
+    Args:
+        channels: by name, what was left out of each.
+
+    Returns:
+        One table, or none where nothing was.
+    """
+    rows = tuple((name, own.name, own.size, own.bound) for name, gone in channels for own in gone)
+    if not rows:
+        return ()
+    table = Table(
+        title="Left out",
+        columns=("channel", "error", "as the rig states it", "moves the data by at most [s.d.]"),
+        rows=rows,
+        caption="Too small for any fit to tell: the law of all data moves by no more than this, in "
+        f"standard deviations of their noise; all together at most {TOLERANCE:g}.",
+    )
+    return (table,)

@@ -1,0 +1,43 @@
+"""Which of the errors that a rig states a response's pixels cannot tell from none.
+
+The energy of the code pairs, v' A v / 2 of a shift v of the curve and of the log exposures, is half
+of the square of what the shift is in standard deviations of all pixels, their irradiances
+eliminated: so |h|^2 = v' A v of an error of one standard deviation (`inference.left_out`).
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..inference.left_out import LeftOut, distance, negligible
+from .curve import ResponseCurve
+
+
+def without_effect(
+    curve: ResponseCurve,
+    of_black: Float[np.ndarray, " bins"],
+    overstated: float,
+    *,
+    black_sd: float,
+    exposure_sd: float,
+) -> tuple[LeftOut, ...]:
+    """What a rig states of black and of the exposures and no pixel tells.
+
+    Args:
+        curve: with the sufficient statistics of its pixels.
+        of_black: (bins,) change of ln X where black lies `black_sd` higher.
+        overstated: how many pixels count as one.
+        black_sd: DN, standard deviation of the black level; 0 for exactly known.
+        exposure_sd: relative error of the exposures, each its own; likewise.
+
+    Returns:
+        The errors, with their bounds.
+    """
+    found, size = [], len(of_black)
+    matrix = curve.statistics.matrix / overstated
+    if black_sd:
+        square = max(float(of_black @ matrix[:size, :size] @ of_black), 0.0)
+        found.append(LeftOut("black_sd", black_sd, distance(np.array(square))))
+    if exposure_sd:
+        squares = np.linalg.eigvalsh(exposure_sd**2 * matrix[size:, size:])
+        found.append(LeftOut("exposure_sd", exposure_sd, distance(np.maximum(squares, 0))))
+    return negligible(found)
