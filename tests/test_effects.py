@@ -200,6 +200,37 @@ def test_13_bounds_are_of_the_integral():
     assert bound_of(scene, "lights[0]").bound == pytest.approx(0.25 * np.pi)
 
 
+FAR_OFF = np.array([1e6, -1e6, 1e6])
+SUN = jv.PointLight([0, 1e11, 1.5e11], [1e22])
+
+
+@pytest.mark.parametrize(
+    ("floor", "place", "lamp"),
+    [
+        (jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), np.zeros(3), SUN),
+        (
+            jv.Quad(FAR_OFF - [1, 1, 0], [2, 0, 0], [0, 2, 0]),
+            FAR_OFF,
+            jv.PointLight(FAR_OFF + np.array([1, 0, 1]), [1.0]),
+        ),
+        (
+            jv.Quad([-5e6, -5e6, 0], [1e7, 0, 0], [0, 1e7, 0]),
+            np.zeros(3),
+            jv.PointLight([1, 0, 1], [1.0]),
+        ),
+    ],
+    ids=["a sun at its place", "far from the origin", "a floor of 10,000 km"],
+)
+def test_what_is_far_away_makes_nothing_near_touch(floor, place, lamp):
+    """The shadow of a ball of 40 cm, in scenes of which it is less than a millionth."""
+    ball = jv.Sphere(place + np.array([0, 0, 0.3]), 0.2)
+    scene = jv.Scene([jv.Surface(floor, GREY), jv.Surface(ball, GREY)], [lamp])
+    view = replace(VIEW, position=place + np.array([0.3, 0, 3]))
+    full, lit = drawn(scene, view), drawn(replace(scene, occluders=()), view)
+    assert np.abs(full - lit).max() > 0.1 * full.max()
+    assert not effects.prune(scene, view, "0%").certificate.dropped
+
+
 # ---------------------------------------------------------------- what every effect must have
 
 
@@ -278,6 +309,14 @@ def test_a_lamp_that_may_move_is_bounded_wherever_it_goes(where):
         assert bound_of(moved, name).bound <= bound_of(scene, name, free=box).bound
 
 
+@pytest.mark.parametrize("end", [np.inf, np.nan])
+def test_a_box_without_end_is_refused(end):
+    """A place that may be anywhere is nowhere: its shadows were called exactly none."""
+    scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
+    with pytest.raises(jv.InputError, match="finite ends"):
+        effects.inspect(scene, VIEW, free={"lights[0].position": (-1.0, end)})
+
+
 def test_unknown_names_are_told_the_nearest():
     scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
     with pytest.raises(jv.InputError, match=r"surfaces\[0\].material.diffuse"):
@@ -291,6 +330,20 @@ def test_unknown_names_are_told_the_nearest():
 def test_tolerances_are_read(text, value, unit):
     found = effects.parse(text)
     assert (found.value, found.unit) == (value, unit)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"tolerance": 0.01}, "a Tolerance or its text"),
+        ({"free": ["lights[0].intensity"]}, "names of fields"),
+        ({"depth": 2.5}, "a whole number"),
+    ],
+)
+def test_options_of_another_kind_are_refused(options, sentence):
+    scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
+    with pytest.raises(jv.InputError, match=sentence):
+        effects.prune(scene, VIEW, **({"tolerance": "1%", "level": 1.0} | options))
 
 
 @pytest.mark.parametrize("text", ["", "1 cm", "-1%", "nan%", "%"])

@@ -3,12 +3,14 @@
 A one-sided convex surface does not shade itself. Nothing is blocked where lamp, receiver and
 occluder are parted by the plane of one of them: both of the others on one closed side of a flat
 occluder, the lamp or the occluder behind a flat receiver, the receiver or the occluder behind the
-lamp. Elsewhere the hull of lamp and receiver and the occluder must be apart (`bodies.gap`). Lengths
-in m.
+lamp. Elsewhere the hull of lamp and receiver and the occluder must be apart (`bodies.gap`). What
+touches a plane but for the rounding of its own coordinates, as `geometry.offset_length` has it,
+counts as in it. Lengths in m.
 """
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
 from ..scene import Box, Sphere, Surface, TriangleMesh
@@ -17,7 +19,8 @@ from .cells import plane_between
 from .illumination import Source
 from .stages import Ends
 
-TOUCHING = 1e-6  # of the scene's reach: nearer to a plane than that is in it
+_ROUNDINGS = 32.0  # of a coordinate, by which what touches a plane may miss it
+_BEYOND = 4  # times the reach, where a light that is infinitely far away is taken to be
 _AT_ONCE = 1 << 15
 
 
@@ -29,6 +32,27 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
         np.linalg.norm(p, axis=1).max() + r.max() for b in bodies if b is not None for p, r in [b]
     ]
     return float(max([*far, 1e-9]))
+
+
+def touching(surfaces: Sequence[Ends[Surface]]) -> float:
+    """What coordinates may be off by where shapes touch: a few roundings of their own precision,
+    relative."""
+    leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
+    kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
+    return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
+
+
+def certain(reach: float) -> float:
+    """m, by which sums of coordinates so large may be off in float64."""
+    return _ROUNDINGS * float(np.finfo(np.float64).eps) * reach
+
+
+def slack_over(
+    bodies: Bodies, point: np.ndarray, normal: np.ndarray, relative: float
+) -> np.ndarray:
+    """(n,) m, by how much the height of each body over a plane may be off."""
+    size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
+    return relative * (size + np.abs(point) @ np.abs(normal))
 
 
 def _parts(
@@ -44,28 +68,34 @@ def _parts(
 
 
 def _extent(
-    bodies: Bodies, bounded: np.ndarray, own: dict[int, tuple], plane: tuple
+    bodies: Bodies, bounded: np.ndarray, own: dict[int, tuple], plane: tuple, relative: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest height of each body over a plane, m; an endless plane parallel to
-    it has one height."""
+    """The least and the largest height of each body over a plane, m, 0 where it touches; an endless
+    plane parallel to it has one height."""
     point, normal = plane
     moved = Bodies(bodies.points - point, bodies.radii)
+    slack = slack_over(bodies, point, normal, relative)
     high, low = heights(moved, normal[None])[:, 0], -heights(moved, -normal[None])[:, 0]
+    high, low = (np.where(np.abs(x) <= slack, 0, x) for x in (high, low))
     for i in map(int, np.flatnonzero(~bounded)):
         parallel = i in own and np.linalg.norm(np.cross(own[i][1], normal)) < 1e-12
         low[i], high[i] = -np.inf, np.inf
         if parallel:
-            low[i] = high[i] = (own[i][0] - point) @ normal
+            height = (own[i][0] - point) @ normal
+            off = relative * (np.abs(own[i][0]) + np.abs(point)) @ np.abs(normal)
+            low[i] = high[i] = 0 if abs(height) <= off else height
     return low, high
 
 
-def _of_light(source: Source, plane: tuple, reach: float) -> tuple[float, float]:
-    """The least and the largest height of a light over a plane, m."""
+def _of_light(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
+    """The least and the largest height of a light over a plane, m, 0 where it touches."""
     point, normal = plane
     if source.body is not None:
-        points, radii = source.body
-        over = (points - point) @ normal
-        return float((over - radii).min()), float((over + radii).max())
+        body = stacked([source.body])
+        slack = slack_over(body, point, normal, relative)[0]
+        over, radii = (body.points[0] - point) @ normal, body.radii[0]
+        low, high = float((over - radii).min()), float((over + radii).max())
+        return (0.0 if abs(low) <= slack else low), (0.0 if abs(high) <= slack else high)
     if source.kind == "direction":
         along, slack = (
             float(source.places[0] @ normal),
@@ -93,7 +123,7 @@ def may_block(
         wanted: (lights, receivers), the pairs that matter; None: all.
 
     Returns:
-        (lights, receivers, occluders); False is certain, to a millionth of the scene's reach, m.
+        (lights, receivers, occluders); False is certain, but for the rounding of coordinates.
     """
     n = len(surfaces)
     may = np.zeros((len(sources), n, n), bool)
@@ -105,30 +135,29 @@ def may_block(
         may[:, i, i] &= kind is TriangleMesh or (two_sided and kind in (Sphere, Box))
     reach = reach_of(surfaces, sources)
     bodies, bounded, planes = _parts(surfaces, reach)
-    tolerance = TOUCHING * reach
+    relative = touching(surfaces)
     for i, plane in planes.items():
-        low, high = _extent(bodies, bounded, planes, plane)
+        low, high = _extent(bodies, bounded, planes, plane, relative)
         for k, source in enumerate(sources):
-            light_low, light_high = _of_light(source, plane, reach)
-            above, below = light_low >= -tolerance, light_high <= tolerance
+            light_low, light_high = _of_light(source, plane, relative)
+            above, below = light_low >= 0, light_high <= 0
             # as an occluder: lamp and receiver on one closed side
-            may[k, above & (low >= -tolerance), i] = False
-            may[k, below & (high <= tolerance), i] = False
+            may[k, above & (low >= 0), i] = False
+            may[k, below & (high <= 0), i] = False
             # as a receiver: lamp and occluder on different closed sides
-            may[k, i, below & (low >= -tolerance)] = False
-            may[k, i, above & (high <= tolerance)] = False
+            may[k, i, below & (low >= 0)] = False
+            may[k, i, above & (high <= 0)] = False
             if not surfaces[i].low.two_sided:
-                may[k, i, high <= tolerance] = False
+                may[k, i, high <= 0] = False
                 may[k, i, :] &= not below
     for k, source in enumerate(sources):
         if source.normal is not None and source.body is not None:
             plane = source.body[0][0], source.normal
-            slack = source.size[0] if source.kind == "place" else 0.0
-            _, high = _extent(bodies, bounded, planes, plane)
-            behind = high <= tolerance - slack
+            _, high = _extent(bodies, bounded, planes, plane, relative)
+            behind = high <= (-source.size[0] if source.kind == "place" else 0)
             may[k, behind, :] = False
             may[k, :, behind] = False
-    _apart(may, sources, bodies, bounded, reach, tolerance)
+    _apart(may, sources, bodies, bounded, reach)
     return may
 
 
@@ -138,10 +167,9 @@ def _apart(
     bodies: Bodies,
     bounded: np.ndarray,
     reach: float,
-    tolerance: float,
 ) -> None:
     """Clears the triples whose occluder is apart from the hull of lamp and receiver."""
-    n = len(bounded)
+    n, tolerance = len(bounded), certain(_BEYOND * reach)
     for k, source in enumerate(sources):
         if source.kind == "sky":
             continue
@@ -171,6 +199,6 @@ def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
         each = len(bodies.points)
         lamp = Bodies(np.tile(points, (each, 1, 1)), np.tile(radii, (each, 1)))
         return hulls(bodies, lamp)
-    far = 4 * reach
+    far = _BEYOND * reach
     wide = far * np.tan(min(float(source.size[0]), 1.5))
     return hulls(bodies, Bodies(bodies.points + far * source.places[0], bodies.radii + wide))

@@ -103,6 +103,8 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
         InputError: for an unknown name, and for values that do not fit the field.
     """
     scenes, cameras = [scene, scene], [camera, camera]
+    if not isinstance(free or {}, Mapping):
+        raise InputError(f"free must map names of fields to their two ends, got {free!r}.")
     for name, values in (free or {}).items():
         held, known = (scenes, scene) if value_at(scene, name) is not None else (cameras, camera)
         own = value_at(known, name)
@@ -122,6 +124,8 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
         raise InputError(
             f"free: {name} needs a low and a high value of shape {own.shape}, got {values!r}."
         ) from None
+    if not (np.all(np.isfinite(low)) and np.all(np.isfinite(high))):
+        raise InputError(f"free: {name} needs finite ends, got {values!r}.")
     if not np.all(low <= high):
         raise InputError(f"free: {name} must not have its low end above its high end.")
     return [end.astype(own.dtype) for end in (low, high)]

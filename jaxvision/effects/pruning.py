@@ -72,8 +72,11 @@ def _chain_of(
 ) -> Chain:
     """The same, none of the rows bounded where a number is not finite."""
     refuse_tracers(scene, camera)
-    if depth is not None and depth < 1:
-        raise InputError(f"depth must be at least 1 piece, or None for direct light; got {depth}.")
+    if depth is not None and (depth < 1 or depth != int(depth)):
+        raise InputError(
+            "depth must be at least 1 piece, and a whole number of them, or None for direct light; "
+            f"got {depth}."
+        )
     if moments < 1:
         raise InputError(f"moments must be at least 1, got {moments}.")
     ends, wrong = ends_of(scene, camera, free), unbounded(scene, camera)
@@ -231,6 +234,10 @@ def prune(
         1 ()
     """
     goal = parse(tolerance) if isinstance(tolerance, str) else tolerance
+    if not isinstance(goal, Tolerance):
+        raise InputError(
+            f'tolerance must be a Tolerance or its text, as in "1%" or "0.5DN"; got {goal!r}.'
+        )
     whole = isinstance(camera, Camera)
     if goal.unit != "relative" and not whole:
         raise InputError(f"a tolerance in {goal.unit} needs a camera with a sensor, got a view.")

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..scene import Box, Disc, Quad, Sphere, Surface
 from ..scene.shapes import Shape
-from .blocking import TOUCHING, reach_of, swept
+from .blocking import certain, reach_of, swept, touching
 from .bodies import (
     DIRECTIONS,
     Bodies,
@@ -33,7 +33,7 @@ from .illumination import Source
 from .stages import Ends
 
 _PAIRS = 60_000  # of cells and occluders; a scene of more is judged surface by surface
-_DEEP = 100  # times that: what is no farther beyond an occluder is in its plane
+_DEEP = 1e-4  # of its coordinates: what is no farther beyond an occluder is in its plane
 _SEARCHED = 2000  # pairs for which the best separating direction is searched
 
 
@@ -65,7 +65,7 @@ def shaded(
     bounded = [body_of(surface.of("shape")) for surface in surfaces]
     endless = np.array([body is None for body in bounded])
     occluders = stacked([(np.zeros((1, 3)), np.ones(1)) if b is None else b for b in bounded])
-    own = outward(surfaces, cells) > 0
+    own, relative = outward(surfaces, cells) > 0, touching(surfaces)
     for k, source in enumerate(sources):
         cell, occluder = np.nonzero(found[k][:, None] & may[k][cells.surface])
         itself = own[cell] & (occluder == cells.surface[cell])
@@ -76,7 +76,7 @@ def shaded(
         never = endless[occluder] | np.isinf(cells.radius[cell])
         found[k, cell[never]] = True
         cell, occluder = cell[~never], occluder[~never]
-        meets = _meets(source, cells, occluders, (cell, occluder), reach)
+        meets = _meets(source, cells, occluders, (cell, occluder), reach, relative)
         found[k, cell[meets]] = True
     return found
 
@@ -87,12 +87,13 @@ def _meets(
     occluders: Bodies,
     pairs: tuple[np.ndarray, np.ndarray],
     reach: float,
+    relative: float,
 ) -> np.ndarray:
     """Whether the hull of a light and each cell may meet an occluder: not below the horizon of a
     flat cell; then by the ball about it, by fixed directions, and by the best direction where few
     are left."""
     cell, occluder = pairs
-    tolerance = TOUCHING * reach
+    tolerance = certain(reach)
     about = (occluders.points.min(1) + occluders.points.max(1)) / 2
     size = (np.linalg.norm(occluders.points - about[:, None], axis=2) + occluders.radii).max(1)
     hulls = swept(source, bodies_of(cells), reach)
@@ -104,7 +105,10 @@ def _meets(
     left = np.flatnonzero(meets & (cells.spread[cell] == 0))
     i, j = cell[left], occluder[left]
     over = np.einsum("npk,nk->np", occluders.points[j] - cells.centre[i][:, None], cells.axis[i])
-    meets[left] = (over + occluders.radii[j]).max(1, initial=-np.inf) > tolerance
+    own = np.abs(cells.axis[i])
+    size = np.einsum("npk,nk->np", np.abs(occluders.points[j]), own) + occluders.radii[j]
+    off = relative * (size.max(1, initial=0) + (np.abs(cells.centre[i]) * own).sum(1))
+    meets[left] = (over + occluders.radii[j]).max(1, initial=-np.inf) > off
     low, high = -heights(occluders, -DIRECTIONS), heights(hulls, DIRECTIONS)
     left = np.flatnonzero(meets)
     meets[left] = (low[occluder[left]] - high[cell[left]]).max(1) <= tolerance
@@ -163,10 +167,12 @@ class _Shadow(NamedTuple):
     Attributes:
         normals: (h, 3) unit, inward; the first is that of the occluder's own plane.
         offsets: (h,) m.
+        size: m, the largest coordinate of its rim.
     """
 
     normals: np.ndarray
     offsets: np.ndarray
+    size: float
 
     def least(self, bodies: Bodies) -> np.ndarray:
         """(n, h) m, by how much each body is inside at its worst point."""
@@ -189,28 +195,33 @@ def in_umbra(
         occluders: numbers of the surfaces that block at all; None: all.
 
     Returns:
-        (l, c); True is certain, to a millionth of the scene's reach.
+        (l, c); True is certain, but for the rounding of coordinates.
     """
     dark = np.zeros((len(sources), len(cells.radius)), bool)
-    tolerance = TOUCHING * reach_of(surfaces, sources)
+    relative = touching(surfaces)
     found = [body_of(surface.of("shape")) for surface in surfaces]
     bounded = np.array([body is not None for body in found])[cells.surface]
     if not bounded.any():
         return dark
     none = np.zeros((1, 3)), np.zeros(1)
     balls = np.array([isinstance(surface.low.shape, Sphere) for surface in surfaces])
-    whole, deep = stacked([none if body is None else body for body in found]), _DEEP * tolerance
+    whole = stacked([none if body is None else body for body in found])
+    of_body = np.abs(whole.points).max((1, 2)) + whole.radii.max(1)
+    of_cell = np.abs(cells.centre).max(1) + np.minimum(cells.radius, 1e300)
     for j in range(len(surfaces)) if occluders is None else occluders:
         for k, source in enumerate(sources):
-            shadow = _shadow_of(surfaces[j].of("shape"), source, tolerance)
+            shadow = _shadow_of(surfaces[j].of("shape"), source)
             if shadow is None:
                 continue
+            deep = _DEEP * (shadow.size + of_body)
             farthest = heights(whole, shadow.normals[:1])[:, 0] - shadow.offsets[0]
             some = (farthest > deep)[cells.surface] & bounded & (cells.surface != j) & ~dark[k]
             there = Cells(*(x[some] for x in cells))
             least = np.maximum(shadow.least(whole)[there.surface], shadow.least(bodies_of(there)))
-            inside = (least >= -tolerance).all(1)
-            dark[k, some] = inside & _beyond(there, balls[there.surface], shadow, least[:, 0], deep)
+            size = shadow.size + of_cell[some]
+            inside = (least >= -relative * size[:, None]).all(1)
+            beyond = _beyond(there, balls[there.surface], shadow, least[:, 0], _DEEP * size)
+            dark[k, some] = inside & beyond
     return dark
 
 
@@ -222,10 +233,11 @@ def covered(
     source = _as_source(eye)
     if source is None:
         return False
-    tolerance = TOUCHING * reach_of(surfaces, [source])
-    found = (_shadow_of(surface.of("shape"), source, tolerance) for surface in surfaces)
+    bodies = stacked([body])
+    size = np.abs(bodies.points).max() + bodies.radii.max()
+    found = (_shadow_of(surface.of("shape"), source) for surface in surfaces)
     return any(
-        bool((shadow.least(stacked([body])) > _DEEP * tolerance).all())
+        bool((shadow.least(bodies) > _DEEP * (shadow.size + size)).all())
         for shadow in found
         if shadow is not None
     )
@@ -239,7 +251,7 @@ def _as_source(eye: Eye) -> Source | None:
     return Source(one, body[0], body[1], one, None, body, "place")
 
 
-def _shadow_of(shape: Ends[Shape], source: Source, tolerance: float) -> _Shadow | None:
+def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
     """None where there is none: of a shape that is not flat or may move, of a sky, and of a light
     that is not wholly on one side."""
     plane = plane_between(shape)
@@ -254,10 +266,11 @@ def _shadow_of(shape: Ends[Shape], source: Source, tolerance: float) -> _Shadow 
     else:
         return None
     side, rim = np.sign(above[0]), _rim(shape.low)
+    size = float(np.abs(rim if len(rim) else origin).max())
     along = np.roll(rim, -1, axis=0) - rim
     if (
-        not np.all(side * above > _DEEP * tolerance)
-        or (np.linalg.norm(along, axis=1) <= tolerance).any()
+        not np.all(side * above > _DEEP * (size if ends is None else np.abs(ends).max() + size))
+        or (np.linalg.norm(along, axis=1) <= _DEEP * size).any()
     ):
         return None
     toward = source.places[0] if ends is None else ends[:, None] - rim
@@ -267,7 +280,7 @@ def _shadow_of(shape: Ends[Shape], source: Source, tolerance: float) -> _Shadow 
     if len(rim):
         across = across * np.sign(((rim.mean(0) - through) * across).sum(1))[:, None]
     normals = np.concatenate([-side * normal[None], across])
-    return _Shadow(normals, (normals * np.concatenate([origin[None], through])).sum(1))
+    return _Shadow(normals, (normals * np.concatenate([origin[None], through])).sum(1), size)
 
 
 def _rim(shape: Shape) -> np.ndarray:
@@ -282,7 +295,7 @@ def _rim(shape: Shape) -> np.ndarray:
 
 
 def _beyond(
-    cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: float
+    cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
     """(c,) whether a cell is beyond the occluder and not in its plane, where nothing tells which of
     the two is in front; a cell of a ball, or a flat one, may touch it."""

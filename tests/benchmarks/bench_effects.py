@@ -178,7 +178,8 @@ def all_bands(compiled, pruned, view):
     """The picture of what is left, in the bands of the whole scene."""
     if pruned.expand is None:
         return partial(compiled, pruned.scene, view)
-    join, table = jax.jit(jnp.matmul), jnp.asarray(pruned.expand.T)
+    dtype = jax.eval_shape(compiled, pruned.scene, view).dtype
+    join, table = jax.jit(jnp.matmul), jnp.asarray(pruned.expand.T, dtype)
     return lambda: join(compiled(pruned.scene, view), table)
 
 
