@@ -66,11 +66,11 @@ def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.nda
         load: how an image is had by its path.
 
     Returns:
-        (h, w) or (h, w, channels) DN, float64, as stored.
+        (h, w) or (h, w, 3) DN, float64, as stored.
 
     Raises:
-        InputError: for non-finite, negative or too large numbers, and for data of a depth that
-            contradicts the camera's `bits`.
+        InputError: for non-finite, negative or too large numbers, for another number of channels,
+            and for data of a depth that contradicts the camera's `bits`.
     """
     stored = load(path)
     numeric = np.issubdtype(stored.dtype, np.integer) or np.issubdtype(stored.dtype, np.floating)
@@ -83,6 +83,11 @@ def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.nda
         raise InputError(
             f"{path}: 8-bit data, but the rig declares a {camera.bits}-bit camera; "
             "save the frames with 16 bits or correct camera.bits."
+        )
+    if stored.ndim == 3 and stored.shape[2] != 3:
+        raise InputError(
+            f"{path}: has {stored.shape[2]} channels; save it as grey (or mosaic), or as RGB "
+            "without an alpha channel."
         )
     frame = stored.astype(np.float64)
     if not np.isfinite(frame).all():
@@ -105,7 +110,7 @@ def read_stack(rig: Rig, files: Sequence[str], *, load: Load = read_image) -> np
         load: how an image is had by its path.
 
     Returns:
-        (frames, h, w) or (frames, h, w, channels) DN.
+        (frames, h, w) or (frames, h, w, 3) DN.
 
     Raises:
         InputError: for frames of different size, and as `read_frame` does.
@@ -130,15 +135,8 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     Returns:
         `grey` for (h, w), `red green blue` for (h, w, 3), and for a Bayer mosaic its four sites
         `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2).
-
-    Raises:
-        InputError: for another number of channels.
     """
     if frame.ndim == 3:
-        if frame.shape[2] != 3:
-            raise InputError(
-                f"a frame has {frame.shape[2]} channels; give one (grey or mosaic) or three (RGB)."
-            )
         return dict(zip(("red", "green", "blue"), np.moveaxis(frame, -1, 0), strict=True))
     if camera.pattern is None:
         return {"grey": frame}

@@ -61,6 +61,34 @@ def test_section_of_a_colour_stack(calibration):
     assert all(sentence.endswith(".") for sentence in section.findings)
 
 
+@pytest.mark.parametrize(
+    ("times", "change", "expected"),
+    [
+        (
+            TIMES[::-1],
+            np.asarray,
+            "0.png, the longest, is darker than 8.png, .* order of the times",
+        ),
+        (
+            TIMES,
+            np.invert,
+            "is darker than 0.png, the shortest, at .*% of the pixels; .* negatives",
+        ),
+        (TIMES * np.resize([1, 1.8], 9), np.asarray, "agree on no response curve"),
+        (
+            TIMES,
+            lambda x: np.random.default_rng(int(x.sum())).permuted(x, axis=1),
+            "agree on no response curve",
+        ),
+    ],
+    ids=["reversed", "negatives", "wrong times", "noise"],
+)
+def test_images_that_contradict_their_times_are_refused(tmp_path, times, change, expected):
+    images = [change(image[..., 0]) for image in colour_images()]
+    with pytest.raises(InputError, match=expected):
+        calibrate_response(read_exposure_stack(load_rig(write_rig(tmp_path, images, times))))
+
+
 def test_the_curve_leaves_whole(calibration):
     """Every code of every channel; where pixels were seen it is the sRGB curve, within 5 %."""
     curve = response_section(calibration).data["curve"]

@@ -36,7 +36,7 @@ from jaxvision.errors import InputError
 
 from .code_bins import MAX_BINS, CodeBins, code_bins
 from .code_pairs import PairStatistics, pair_statistics, total
-from .pilot import fit_pilot, on_bins, rising
+from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import Layout, steepness_classes, tiles_of
 from .repeats import HeldOut, Repeats, Shutter, over_exposures, over_tiles, widened
@@ -161,7 +161,7 @@ def fit_response_curve(
 
     Raises:
         InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, or
-            when the exposures fall into sets that share no such pixel.
+            when the exposures fall into sets that share no such pixel, or agree on no curve.
     """
     clip = 2.0**bits - 1 if clip is None else clip
     bins = code_bins(bits, black, clip, count=most_bins)
@@ -169,7 +169,7 @@ def fit_response_curve(
     linked = _well_exposed(codes, bins)
     if linked.sum() < max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1]):
         raise InputError(
-            f"only {linked.sum()} pixels are well exposed in two images and beyond mid-scale "
+            f"too few pixels ({linked.sum()}) are well exposed in two images and beyond mid-scale "
             "in one; add exposures between the present ones, or longer or shorter ones."
         )
     classes = np.zeros(codes.shape[1], np.int32)
@@ -187,6 +187,7 @@ def fit_response_curve(
             pair_statistics(codes[:, tile], classes[tile], offset_t, bins, rule, means)
             for tile in _tiles(codes, bins, layout)
         ]
+        degrees_of_freedom(total(tiles))
         start = pilot.solution.suggested
         found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))

@@ -107,12 +107,14 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     if size <= PURE:
         return (
             f"A pure gamma describes the response over {_judged_in_words(channels)}: the measured "
-            f"curve departs from it by at most {np.expm1(size):.1%} in exposure ({where}, code "
-            f"{code:g})."
+            f"curve departs from it by at most {100 * np.expm1(size):.2g}% in exposure ({where}, "
+            f"code {code:g})."
         )
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
-        f"; the sRGB curve fits better, to within {np.expm1(srgb):.1%}" if srgb < size / 2 else ""
+        f"; the sRGB curve fits better, to within {100 * np.expm1(srgb):.2g}%"
+        if srgb < size / 2
+        else ""
     )
     many = sum(s > PURE for s, _ in sizes)
     return (
@@ -157,7 +159,8 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
     told = [
-        f"{c.curve.held_out.mean:.2g} ± {c.curve.held_out.standard_error:.1g} DN"
+        f"{float(f'{c.curve.held_out.mean:.2g}'):g} ± "
+        f"{float(f'{c.curve.held_out.standard_error:.1g}'):g} DN"
         f"{f' ({c.plane.label})' if c.plane.label else ''}"
         for c in channels
         if c.curve.held_out is not None and np.isfinite(c.curve.held_out.standard_error)
@@ -210,7 +213,8 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
         worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
         found.append(
             f"In {len(shaky)} of {len(channels)} channels the images disagree on their exposure "
-            f"times by more than pixel noise, at most {worst.curve.shutter_error:.1%} rms "
+            "times by more than pixel noise, at most "
+            f"{100 * (worst.curve.shutter_error or 0.0):.2g}% rms "
             f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
             "misfit of the curve. The intervals include it, and channels of one image share it."
         )

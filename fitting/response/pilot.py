@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from jaxvision.errors import InputError
 
 from .code_bins import CodeBins, interval_variance
-from .code_pairs import pair_statistics
+from .code_pairs import PairStatistics, pair_statistics
 from .pixel_noise import NoiseModel
 from .solve import MOST_ROUNDS, STEADIEST, Hyperparameters, Solution, solve
 from .weights import Observations, WeightRule, hat_rule, noise_rule, observe
@@ -22,6 +22,10 @@ FIRST_ERROR = 0.01  # of the shutter
 MOST_CELLS, FEWEST_CELLS = 48, 6  # of predicted exposure, for a noise model
 REWEIGHTED = 4  # times that a noise model is fitted
 IN_CELL, FEWEST_IN_CELL = 40, 10  # observations wanted and needed
+NO_CURVE = (
+    "the images agree on no response curve; check the exposure times, the black level, that "
+    "neither scene nor camera moved, and that the images are not mostly noise."
+)
 WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal's median
 
 
@@ -65,7 +69,7 @@ def fit_pilot(
         The pilot.
 
     Raises:
-        InputError: where no class is left.
+        InputError: where no class is left, or no pixel that two exposures show above the noise.
     """
     x = np.log(bins.centres - bins.black)
     means, binned = x - x[bins.middle], bins.lookup[codes]
@@ -76,10 +80,8 @@ def fit_pilot(
     hyper, offset_t, found = Hyperparameters(FIRST_SMOOTHNESS, STEADIEST), log_t, None
     for turn in range(PASSES):
         statistics = pair_statistics(codes, classes, offset_t, bins, rule, means)
-        free = float(statistics.observations.sum() - statistics.pixels)
-        misfit = (
-            max(1.0, statistics.chi_square / free) if turn else 1.0
-        )  # of noise models and curve
+        free = degrees_of_freedom(statistics)
+        misfit = max(1.0, statistics.chi_square / free) if turn else 1.0  # of noises and curve
         hyper = replace(hyper, design_effect=misfit)
         rounds = MOST_ROUNDS if turn == PASSES - 1 else 1
         found = solve([statistics], log_t, bins, hyper, least_error=least_error, rounds=rounds)
@@ -89,10 +91,7 @@ def fit_pilot(
         seen = observe(binned, classes, offset_t, means, rule, screened=False)
         alive &= np.bincount(seen.classes, minlength=count) >= KEPT * full
         if not alive.any():
-            raise InputError(
-                "the images agree on no response curve; check the exposure times, the black level, "
-                "and that neither scene nor camera moved."
-            )
+            raise InputError(NO_CURVE)
         noises = [
             fit_noise(seen, seen.classes == kind, offset_t, means) if alive[kind] else None
             for kind in range(count)
@@ -100,6 +99,24 @@ def fit_pilot(
         rule = noise_rule(noises, means)
     assert found is not None
     return Pilot(means, tuple(noises), rule, found)
+
+
+def degrees_of_freedom(statistics: PairStatistics) -> float:
+    """Observations beyond one a pixel: what a curve is known from.
+
+    Args:
+        statistics: of any pixels.
+
+    Returns:
+        Their number.
+
+    Raises:
+        InputError: where there are none.
+    """
+    free = float(statistics.observations.sum() - statistics.pixels)
+    if free <= 0:
+        raise InputError(NO_CURVE)
+    return free
 
 
 def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:

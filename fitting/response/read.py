@@ -18,6 +18,7 @@ from ..rig import Camera, Exposure, Rig, require
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
+MOSTLY = 0.5  # share of pixels beyond which a longer exposure is called darker than a shorter
 FEWEST_ALIKE = 0.005  # share of the pixels that such a level rests on
 LOWEST_STUCK = 0.01  # quantile of the stuck codes
 
@@ -93,8 +94,9 @@ def read_exposure_stack(
         The stack.
 
     Raises:
-        InputError: for a group without two different exposure times, for images of different size,
-            for values that are not integers, and for a mask of another size or with nothing in it.
+        InputError: for a group without two different exposure times, or whose images get darker as
+            they last longer, for images of different size, for values that are not integers, and
+            for a mask of another size or with nothing in it.
     """
     require(rig, "a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
@@ -128,6 +130,13 @@ def _planes(
                 f"{rig.path(entry.file)}: is {frame.shape}, but {entries[0].file} is "
                 f"{frames[0].shape}; all images of one stack need the same size."
             )
+    darker = float(np.mean(frames[-1] < frames[0]))
+    if darker > MOSTLY and np.mean(frames[-1] > frames[0]) < 1 - MOSTLY:
+        raise InputError(
+            f"{where}: {entries[-1].file}, the longest, is darker than {entries[0].file}, the "
+            f"shortest, at {darker:.0%} of the pixels; check the order of the times, and that the "
+            "images are no negatives."
+        )
     scene = _scene_mask(mask, frames[0].shape[:2], where)
     files = tuple(entry.file for entry in entries)
     channels = [split_channels(frame, rig.camera) for frame in frames]

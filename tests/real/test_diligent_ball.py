@@ -11,6 +11,7 @@ from fitting.reflectance.from_images.calibration import calibrate as calibrate_r
 from fitting.reflectance.from_images.calibration import mean_residual
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.section import section as reflectance_section
+from fitting.reflectance.from_images.shading_check import contradictions, directions_by_shading
 from fitting.rig import load_rig
 
 pytestmark = pytest.mark.real
@@ -43,6 +44,15 @@ def test_rounded_light_directions_are_renormalised(ball, data_folder):
 
 
 @pytest.mark.slow
+def test_shading_tells_the_directions(ball):
+    """Calibrated by a mirror ball; the matt ball's shading agrees within 3 degrees."""
+    observation = read_reflectance_observation(load_rig(ball))
+    shown, told = directions_by_shading(observation)
+    assert told.all()
+    assert (shown * observation.wi.mean(axis=1)).sum(axis=1).min() > np.cos(np.radians(3))
+    assert contradictions(observation) == []
+
+
 @pytest.mark.parametrize("model", ["phong", "gaussian-lobe"])
 def test_a_lobe_predicts_held_out_lights_better_in_every_channel(calibration, model):
     lambert, lobe = (predicted_errors(calibration, name) for name in ("lambert", model))

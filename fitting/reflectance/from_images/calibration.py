@@ -162,7 +162,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     gain = 2 * (fit.log_likelihood - without_lobe.log_likelihood) / fit.design_effect
     if fit.form.model != "lambert" and gain < 2 * np.log(size):
         unseen = (
-            "no highlight is seen: a fit without one does as well"
+            "a fit without a highlight does as well"
             if "specular" in present
             else "the surface looks smooth: Lambert's model does as well"
         )

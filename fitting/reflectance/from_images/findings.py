@@ -11,6 +11,7 @@ from ..models import CLEAR, LABELS, facet_sentence
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters
 from .comparison import equally_good
 from .fit import ChannelFit
+from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
 SIDES = {"upper": (0, 1), "lower": (0, -1), "left": (-1, 0), "right": (1, 0)}
@@ -19,6 +20,8 @@ OUTLINE = 0.4  # component of the normal toward the camera below which it belong
 SHADOWED, GLOW = -0.05, 0.002  # n.l of a safe shadow; its light, as a part of k_d, worth a word
 FEWEST_SHADOWED = 100
 FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
+CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
+HOPELESS = 2.0  # relative misfit from which a fit describes nothing
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 
@@ -26,6 +29,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     """Misfit, identifiability, saturation, convergence and structure in the residuals."""
     requested = calibration.reported[0].requested
     return (
+        *contradictions(calibration.observation),
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
@@ -90,15 +94,25 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
     if fit.sensor_chi_square is not None and fit.spread.relative is not None:
         found.append(
             f"{name}Residuals are larger than the sensor's noise (chi-square per degree of freedom "
-            f"{fit.sensor_chi_square:.2f}); an error of {fit.spread.relative:.2%} of the signal "
-            "explains them: unequal pixels (PRNU), uneven light or a surface that is not the "
-            "model's."
+            f"{fit.sensor_chi_square:.2f}); "
+            + (
+                f"an error of {fit.spread.relative:.2%} of the signal explains them: unequal "
+                "pixels (PRNU), uneven light or a surface that is not the model's."
+                if fit.spread.relative < HOPELESS
+                else "they are larger than the signal: the images do not show such a surface under "
+                "these lights, so do not use the numbers."
+            )
+        )
+    elif fit.sensor_chi_square is not None and fit.sensor_chi_square < CALM:
+        found.append(
+            f"{name}Residuals are smaller than the stated noise (chi-square per degree of freedom "
+            f"{fit.sensor_chi_square:.2g}): check camera.gain and camera.read_noise."
         )
     if fit.robustness is not None and np.isnan(fit.robustness.by_light):
         found.append(
-            f"{name}With {len(np.unique(fit.selection.light))} fitted lights it cannot be judged "
-            "how far the pixels of one image share an error (of its light, say); the intervals "
-            "assume that they do not and may be far too narrow, so use more lights."
+            f"{name}From so few lights as fitted ({len(np.unique(fit.selection.light))}) it cannot "
+            "be judged how far the pixels of one image share an error (of its light, say); the "
+            "intervals assume that they do not and may be far too narrow, so use more lights."
         )
     elif fit.robustness is not None and np.min(fit.robustness.freedom) < FEW_FREEDOM:
         found.append(

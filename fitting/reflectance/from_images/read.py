@@ -161,10 +161,6 @@ def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w
     stack = read_stack(rig, [light.file for light in rig.light], load=load)
     if stack.ndim == 3:
         return stack[None]
-    if stack.shape[3] != 3:
-        raise InputError(
-            f"{rig.path(rig.light[0].file)}: has {stack.shape[3]} channels; give one or three."
-        )
     return np.moveaxis(stack, 3, 0)
 
 
@@ -306,8 +302,8 @@ def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
         return chosen, ()
     if len(chosen) < FEWEST_LIGHTS_TO_SPLIT:
         return chosen, (
-            f"With {len(chosen)} lights none was kept back, so the fit's prediction of other "
-            "lights is untested; add lights.",
+            f"Of {len(chosen)} light{'s' * (len(chosen) > 1)} none was kept back, so the fit's "
+            "prediction of other lights is untested; add lights.",
         )
     chosen[HOLD_OUT_EVERY - 1 :: HOLD_OUT_EVERY] = True
     return chosen, (
@@ -355,5 +351,5 @@ def _refuse_clipped_or_dark(
         raise InputError(
             f"{rig.folder}: the lit pixels of the {channel} channel are dark (median "
             f"{np.median(lit_dn):g} DN over a black level of {observation.black:g} DN); expose "
-            "more, or correct camera.black_level."
+            "more, or correct camera.black_level or the directions of the lights."
         )

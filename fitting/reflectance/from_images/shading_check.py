@@ -1,0 +1,159 @@
+"""Whether the images show the lights, and the object, where the rig puts them.
+
+Under a distant light a matt surface shows g.n, so that each image by itself tells the direction of
+its light (Woodham 1980, the normals being known), the highlight left out as an outlier. A sign
+turned around, files in another order or a sphere in another place show in the angle between the
+direction that is told and the one that is stated, whatever the model of the surface.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+
+from .read import ReflectanceObservation
+
+LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
+OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
+MATT = 0.9  # share of the variance of what is kept that g.n must explain
+UNEVEN = 0.2  # relative range of the irradiance over the object of a light that is not distant
+FEWEST_PIXELS, FLAT = 30, 0.05  # to tell a direction by; least spread of the normals
+FAR, NEAR = 15.0, 10.0  # degrees: from where a direction is doubted; where another one is believed
+DARK, SHARE = 0.01, 0.05  # of the brightest: a pixel without light; share of them that is told
+CAMERA = np.array([0.0, 0.0, 1.0])
+SIDE = 0.3  # cosine of incidence from which a pixel faces a light
+CHANGES = {
+    "the sign of y turned around": lambda v: v * [1, -1, 1],
+    "the sign of x turned around": lambda v: v * [-1, 1, 1],
+    "the signs of x and y turned around": lambda v: v * [-1, -1, 1],
+    "x and y exchanged": lambda v: v[:, [1, 0, 2]],
+}
+
+
+def directions_by_shading(
+    observation: ReflectanceObservation,
+) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
+    """Direction of each light as its own image shows it.
+
+    Args:
+        observation: of the object.
+
+    Returns:
+        (lights, 3) unit directions, and (lights,) whether the light is distant and the
+        image matt enough to tell.
+    """
+    signal = np.mean(observation.dn - observation.black, axis=0)
+    if observation.gamma is not None:
+        signal = np.maximum(signal, 0) ** observation.gamma
+    clear = ~np.any(observation.saturated, axis=0)
+    distant = np.ptp(observation.falloff, axis=1) < UNEVEN * observation.falloff.mean(axis=1)
+    found, told = np.zeros((len(signal), 3)), np.zeros(len(signal), bool)
+    for light, kept in enumerate(np.atleast_2d(clear)):
+        found[light], told[light] = _direction(signal[light, kept], observation.normals[kept])
+    return found, told & distant
+
+
+def _direction(
+    values: Float[np.ndarray, " pixels"], normals: Float[np.ndarray, "pixels 3"]
+) -> tuple[Float[np.ndarray, "3"], bool]:
+    """One light's, by least squares over what is neither in shadow nor a highlight."""
+    if len(values) < FEWEST_PIXELS:
+        return CAMERA, False
+    kept = lit = values > LIT * np.quantile(values, 0.98)
+    toward, fitted = CAMERA, np.zeros(3)
+    for _ in range(ROUNDS):
+        if kept.sum() < FEWEST_PIXELS or _spread(normals[kept]) < FLAT:
+            return toward, False
+        fitted = np.linalg.lstsq(normals[kept], values[kept], rcond=None)[0]
+        if not np.any(fitted):
+            return toward, False
+        toward = fitted / np.linalg.norm(fitted)
+        shown = normals @ fitted
+        off = np.abs(values - shown)
+        kept = lit & (shown > 0) & (off <= OUTLYING * max(np.median(off[lit]), 1e-9))
+    rest = values[kept] - normals[kept] @ fitted
+    explained = float(np.var(rest)) < (1 - MATT) * float(np.var(values[kept]))
+    return toward, bool(kept.sum() > lit.sum() / 2) and explained
+
+
+def contradictions(observation: ReflectanceObservation) -> list[str]:
+    """What in the images speaks against the stated directions and outline, in sentences.
+
+    Args:
+        observation: of the object.
+
+    Returns:
+        At most one sentence on directions and one on the outline.
+    """
+    return [*_of_directions(observation), *_of_outline(observation)]
+
+
+def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
+    """Root mean square of their components along the direction in which they are least."""
+    return float(np.linalg.svd(normals, compute_uv=False)[2] / np.sqrt(len(normals)))
+
+
+def _of_directions(observation: ReflectanceObservation) -> list[str]:
+    shown, told = directions_by_shading(observation)
+    if told.sum() < 2:
+        return []
+    stated = observation.wi.mean(axis=1)
+    stated /= np.linalg.norm(stated, axis=1, keepdims=True)
+    off = float(np.median(_angles(shown, stated)[told]))
+    if off < FAR:
+        return _of_single_lights(observation.files, _angles(shown, stated), told, off)
+    words = (
+        "The shading of the images shows the lights "
+        f"{off:.0f}° (median of {told.sum()}) from where the rig states them"
+    )
+    changed = {name: turn(stated) for name, turn in CHANGES.items()}
+    _, order = linear_sum_assignment(-shown[told] @ stated[told].T)
+    changed["the files in another order"] = stated.copy()
+    changed["the files in another order"][told] = stated[told][order]
+    left = {name: float(np.median(_angles(shown, v)[told])) for name, v in changed.items()}
+    best = min(left, key=lambda name: left[name])
+    if left[best] < NEAR:
+        return [
+            f"{words}; with {best} it would be {left[best]:.0f}°. Check the directions (x right, "
+            "y up, z toward the camera) and which file belongs to which light."
+        ]
+    return [
+        f"{words}. Check the directions (x right, y up, z toward the camera), the order of the "
+        "files, the object's outline and normals, and the camera's gamma."
+    ]
+
+
+def _of_single_lights(
+    files: tuple[str, ...],
+    angles: Float[np.ndarray, " lights"],
+    told: Bool[np.ndarray, " lights"],
+    median: float,
+) -> list[str]:
+    """Lights that alone are elsewhere."""
+    odd = np.flatnonzero(told & (angles > max(FAR, 4 * median)))
+    names = ", ".join(f"{files[i]} {angles[i]:.0f}°" for i in odd[np.argsort(-angles[odd])][:5])
+    return [
+        f"The shading shows {len(odd)} of {len(files)} lights elsewhere than the rig states them: "
+        f"{names} off (median of all {median:.1f}°). Check their directions and files."
+    ] * bool(len(odd))
+
+
+def _angles(
+    one: Float[np.ndarray, "lights 3"], other: Float[np.ndarray, "lights 3"]
+) -> Float[np.ndarray, " lights"]:
+    """Degrees between directions."""
+    return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
+
+
+def _of_outline(observation: ReflectanceObservation) -> list[str]:
+    """Pixels that stay dark under lights that they face."""
+    signal = np.mean(observation.dn - observation.black, axis=0)
+    facing = observation.cosine.max(axis=0) > SIDE
+    dark = facing & (signal.max(axis=0) < DARK * np.quantile(signal, 0.98))
+    share = float(dark.sum() / max(facing.sum(), 1))
+    if share < SHARE:
+        return []
+    return [
+        f"{share:.0%} of the object's pixels stay dark under every light, although they face one: "
+        "its outline (the sphere's centre and radius, or the mask) reaches too far, or it is black "
+        "there."
+    ]
