@@ -89,7 +89,7 @@ def share_lowering_context() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a sweep over like cases the default run takes the first, and those whose ids hold a word
     that the mark names; the others are slow. So are hard cases in float64, the easier precision,
-    and what needs the simulated afternoon; CI runs both."""
+    and what needs the simulated afternoon; `.ci/nightly` runs both."""
     begun = set()
     for item in items:
         hard = item.path.parent.name == "stability" and "float64" in item.name

@@ -26,7 +26,7 @@ from fitting.response.read import read_exposure_stack
 from fitting.rig import load_rig
 from jaxvision.brdf.measured import BRDFSamples
 
-pytestmark = pytest.mark.slow  # every calibration, twice; CI runs them
+pytestmark = pytest.mark.slow  # every calibration, twice
 
 
 def material():
