@@ -44,7 +44,8 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
 def noise(
     path: Path, step: Step, draws: Draws, *, bits: int | None = None, channel: str = ""
 ) -> Found:
-    """Photon transfer of flats and darks, or of a CSV of sums per exposure.
+    """Photon transfer of flats and darks, or of a CSV of sums per exposure; of several gains or
+    temperatures each by itself and all together.
 
     Args:
         path: folder of a rig, or the CSV.
@@ -54,7 +55,7 @@ def noise(
         channel: site of a Bayer mosaic; "" for the first green.
 
     Returns:
-        One section, no pictures.
+        One section, or that of the camera and one a setting; no pictures.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -66,8 +67,11 @@ def noise(
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
     from .noise.section import section
+    from .noise.settings import by_setting
     from .report.inputs import with_inputs
 
+    if rig is not None and len(by_setting(rig)) > 1:
+        return _noise_of_settings(rig, step, draws, channel), {}
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     with step("fitting photon transfer") as progress:
@@ -75,6 +79,26 @@ def noise(
     if rig is None:
         return [section(calibration)], {}
     return [with_inputs(section(calibration), rig, "photon transfer")], {}
+
+
+def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
+    from .noise.across_settings.calibration import calibrate_one, calibrate_settings
+    from .noise.across_settings.read import reduce_by_setting
+    from .noise.across_settings.section import sections
+    from .report.inputs import with_inputs
+
+    with step("reading frames"):
+        frames = reduce_by_setting(rig, channel=channel)
+    own = []
+    with step("fitting photon transfer of each setting") as progress:
+        for i, one in enumerate(frames):
+            own.append(calibrate_one(one, **draws(f"noise_{i}", lambda done, total: None)))
+            progress(i + 1, len(frames))
+    with step("fitting all settings together"):
+        seed = draws("noise", lambda done, total: None)["seed"]
+        calibration = calibrate_settings(frames, calibrations=own, seed=seed)
+    whole, *others = sections(calibration)
+    return [with_inputs(whole, rig, "photon transfer"), *others]
 
 
 def response(

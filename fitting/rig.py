@@ -95,34 +95,49 @@ class Camera(Entry):
         return float(self.full_scale) if self.saturation is None else self.saturation
 
 
-class Flat(Entry):
+class Level(Entry):
+    """What an entry of flats and one of darks say alike.
+
+    A rig may hold frames of several gains and temperatures, each entry its own; then all entries
+    state their gain by the same word.
+
+    Attributes:
+        files: names.
+        exposure: s, or as "1/8".
+        iso: the ISO speed that the gain was set to.
+        gain_db: the gain that was set, in dB, in place of an ISO speed.
+        temperature: K, of the sensor (default: that of the camera).
+    """
+
+    files: Annotated[tuple[str, ...], Field(min_length=2)]
+    exposure: Seconds
+    iso: Positive | None = None
+    gain_db: Finite | None = None
+    temperature: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_gain(self) -> "Level":
+        if self.iso is not None and self.gain_db is not None:
+            raise ValueError("give either iso or gain_db")
+        return self
+
+
+class Flat(Level):
     """`[[flat]]`: two or more images of one uniform field.
 
     Neither photons nor irradiance is needed unless the quantum efficiency is wanted.
 
     Attributes:
-        files: names.
-        exposure: s, or as "1/8".
         photons: mean photons per pixel and exposure.
         irradiance: W m^-2 on the sensor (with the camera's pixel_pitch and wavelength).
     """
 
-    files: Annotated[tuple[str, ...], Field(min_length=2)]
-    exposure: Seconds
     photons: NonNegative | None = None
     irradiance: NonNegative | None = None
 
 
-class Dark(Entry):
-    """`[[dark]]`: two or more images without light.
-
-    Attributes:
-        files: names.
-        exposure: s, or as "1/8".
-    """
-
-    files: Annotated[tuple[str, ...], Field(min_length=2)]
-    exposure: Seconds
+class Dark(Level):
+    """`[[dark]]`: two or more images without light."""
 
 
 class Exposure(Entry):

@@ -23,6 +23,7 @@ from .rig import RIG_FILE
 
 SUFFIXES = INTEGER_FORMATS + JPEG_FORMATS + RAW_FORMATS + FITS_FORMATS + (*FLOAT_FORMATS, ".npy")
 BITS = (8, 10, 12, 14, 16)  # of usual converters
+APART = 2.0  # K, between temperatures that are two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
 _DARK, _FLAT, _LIGHT = (
     re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
@@ -33,6 +34,8 @@ _TIME = re.compile(
     r"(?<![a-z\d.])(?:(\d+)[_-](\d+)|(\d+(?:[.,]\d+)?)) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE
 )
 _UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+
+Key = tuple[float | None, float | None, float | None, str]  # exposure, ISO, temperature, stem
 
 
 @dataclass
@@ -112,7 +115,11 @@ def rig_of(folder: Path) -> FoundRig:
     stack = [image for image in images if image not in dark + flat + light]
     found = FoundRig(kind="noise" if flat else "brdf" if light else "response")
     lines = _camera(folder, images, found)
-    lines += _levels("flat", flat, found) + _levels("dark", dark, found)
+    warmth = _warmth(flat + dark)
+    isos = {image.settings.iso for image in flat + dark if image.settings.iso}
+    for kind, levels in (("flat", flat), ("dark", dark)):
+        lines += _levels(kind, levels, found, warmth, several_gains=len(isos) > 1)
+    _refuse_gains(stack + light, found)
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
         lines += _geometry(shape, found)
@@ -161,11 +168,31 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
     warmth = [one.temperature for one in said if one.temperature]
     if warmth:
         lines.append(f"temperature = {np.mean(warmth):.5g}")
-    sensitivities = sorted({one.iso for one in said if one.iso})
+    return lines
+
+
+def _refuse_gains(images: Sequence[_Image], found: FoundRig) -> None:
+    """Only flats and darks may be of several gains."""
+    sensitivities = sorted({one.settings.iso for one in images if one.settings.iso})
     if len(sensitivities) > 1:
         listed = ", ".join(f"{iso:g}" for iso in sensitivities)
         found.missing.append(f"The images differ in ISO ({listed}); keep those of one gain.")
-    return lines
+
+
+def _warmth(images: Sequence[_Image]) -> dict[str, float]:
+    """The temperature of each image by its name, K: the mean of those that lie together, no gap
+    between neighbours wider than `APART`; none where all do."""
+    known = sorted((i.settings.temperature, i.name) for i in images if i.settings.temperature)
+    groups: list[list[tuple[float, str]]] = []
+    for kelvin, name in known:
+        if groups and kelvin - groups[-1][-1][0] <= APART:
+            groups[-1].append((kelvin, name))
+        else:
+            groups.append([(kelvin, name)])
+    if len(groups) < 2:
+        return {}
+    means = [round(float(np.mean([kelvin for kelvin, _ in group])), 1) for group in groups]
+    return {name: mean for mean, group in zip(means, groups, strict=True) for _, name in group}
 
 
 def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
@@ -184,28 +211,41 @@ def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
     return f"bits = {bits}  # at least: the largest number read is {top:g}"
 
 
-def _levels(kind: str, images: Sequence[_Image], found: FoundRig) -> list[str]:
-    """Entries of flats or darks: images of one exposure and one name but for its last number."""
-    groups: dict[tuple[float | None, str], list[str]] = defaultdict(list)
+def _levels(
+    kind: str,
+    images: Sequence[_Image],
+    found: FoundRig,
+    warmth: dict[str, float],
+    *,
+    several_gains: bool,
+) -> list[str]:
+    """Entries of flats or darks: images of one exposure, gain and temperature, and of one name but
+    for its last number."""
     stems = {image.name: re.sub(r"[_-]?\d+$", "", Path(image.name).stem) for image in images}
     several = len(set(stems.values())) > 1
-    for image in images:
-        stem = stems[image.name] if several else ""
-        groups[image.exposure, stem].append(image.name)
-    if any(len(names) < 2 for names in groups.values()):  # numbers tell levels, not frames
-        merged: dict[tuple[float | None, str], list[str]] = defaultdict(list)
+
+    def grouped(stem_counts: bool) -> dict[Key, list[str]]:
+        groups: dict[Key, list[str]] = defaultdict(list)
         for image in images:
-            merged[image.exposure, ""].append(image.name)
-        groups = merged
+            iso = image.settings.iso if several_gains else None
+            stem = stems[image.name] if stem_counts else ""
+            groups[image.exposure, iso, warmth.get(image.name), stem].append(image.name)
+        return groups
+
+    groups = grouped(several)
+    if any(len(names) < 2 for names in groups.values()):  # numbers tell levels, not frames
+        groups = grouped(False)
     lines = []
-    for (exposure, _), names in groups.items():
+    for (exposure, iso, kelvin, _), names in groups.items():
         listed = "".join(f'\n    "{name}",' for name in names)
         lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", _seconds(exposure)]
+        lines += [f"iso = {iso:g}"] if iso else []
+        lines += [f"temperature = {kelvin:g}"] if kelvin else []
         if kind == "flat":
             lines.append("# photons = ?  # a pixel and exposure, for the quantum efficiency")
         if len(names) < 2:
             found.missing.append(f"{names[0]}: a {kind} level needs two images or more.")
-    if None in {exposure for exposure, _ in groups}:
+    if None in {exposure for exposure, *_ in groups}:
         found.missing.append(f"Exposures of {kind}s are in neither files nor names; give them.")
     if kind == "flat" and groups:
         found.missing.append("photons of the flats: give them for the quantum efficiency.")

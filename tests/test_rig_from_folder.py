@@ -15,8 +15,9 @@ from PIL.TiffImagePlugin import IFDRational
 
 from fitting.cli import app
 from fitting.rig import load_rig
-from fitting.rig_from_folder import rig_of, write_rig
+from fitting.rig_from_folder import _Image, _warmth, rig_of, write_rig
 from jaxvision.errors import InputError
+from jaxvision.image_settings import ImageSettings
 from jaxvision.io import write_image
 
 run = partial(called, app)
@@ -89,6 +90,31 @@ def test_names_make_levels_of_flats_and_darks(tmp_path):
         "bits = 12 is the least that holds 3100 DN",
         "photons of the flats: give them for the quantum efficiency.",
     ]
+
+
+def test_flats_and_darks_of_several_gains_are_entries_of_their_own(tmp_path):
+    for kind in ("flat", "dark"):
+        for iso in (100, 400):
+            for frame in range(2):
+                name = f"{kind}_{iso}_{frame}.jpg"
+                photograph(tmp_path / name, seconds=0.5, iso=iso)
+    path, found = write_rig(tmp_path)
+    rig = load_rig(path)
+    assert [(one.iso, one.exposure) for one in rig.flat] == [(100, 0.5), (400, 0.5)]
+    assert rig.dark[1].files == ("dark_400_0.jpg", "dark_400_1.jpg")
+    assert not any("ISO" in sentence for sentence in found.missing)
+    photograph(tmp_path / "scene.jpg", seconds=0.5, iso=200)
+    photograph(tmp_path / "scene2.jpg", seconds=1, iso=400)
+    assert any("differ in ISO (200, 400)" in sentence for sentence in rig_of(tmp_path).missing)
+
+
+def test_temperatures_that_lie_apart_are_settings():
+    def image(name, kelvin):
+        return _Image(name, ImageSettings(temperature=kelvin), 1.0)
+
+    images = [image(f"a{i}", 290 + 0.5 * i) for i in range(4)] + [image("b", 300.04)]
+    assert _warmth(images) == dict.fromkeys(("a0", "a1", "a2", "a3"), 290.8) | {"b": 300.0}
+    assert _warmth(images[:4]) == {}
 
 
 def test_what_is_not_known_stands_as_comments(tmp_path):

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
+from ..noise.settings import require_one_setting
 from ..observation import Load, read_stack
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
 from ..rig import Camera, Rig
@@ -85,6 +86,7 @@ def _levels(
     entries = [*rig.flat, *(rig.dark if with_darks else ())]
     if not entries:
         return None
+    require_one_setting(rig, "give those of the images' gain and temperature alone")
     rows = np.array([_level(rig, entry.files, channels, load) for entry in entries])
     dark = np.arange(len(entries)) >= len(rig.flat)
     levels = tuple(UniformLevels(*rows[:, channel].T, dark=dark) for channel in range(channels))

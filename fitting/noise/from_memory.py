@@ -8,8 +8,8 @@ from jaxvision.errors import InputError
 
 from ..observation import MEMORY, in_memory, require_as_many
 from ..rig import Camera
-from .levels import PhotonTransfer
-from .read import check, reduce_rig
+from .levels import Levels, PhotonTransfer
+from .read import check, reduce_darks, reduce_rig
 
 
 def from_frames(
@@ -67,6 +67,37 @@ def from_frames(
     measurement = reduce_rig(rig, channel=channel, load=load)
     check(MEMORY, measurement)
     return measurement
+
+
+def darks_from_frames(
+    darks: Sequence[Sequence[ArrayLike]],
+    exposures: Sequence[float],
+    *,
+    camera: Camera,
+    channel: str = "",
+) -> Levels:
+    """Darks from frames in memory, of a gain and temperature at which there are no flats.
+
+    Args:
+        darks: of each exposure two or more frames, (h, w) DN.
+        exposures: of the darks, s.
+        camera: its bits, and what else is known of it.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        Their statistics, for `FramesOfSetting`.
+
+    Raises:
+        InputError: for lists of unequal length, and for frames that do not belong together.
+    """
+    require_as_many("exposures", exposures, "sets of darks", darks)
+    images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}
+    dark = [
+        {"files": _names("darks", i, level), "exposure": float(exposures[i])}
+        for i, level in enumerate(darks)
+    ]
+    rig, load = in_memory(images, camera=camera, dark=dark)
+    return reduce_darks(rig, channel=channel, load=load)
 
 
 def _names(kind: str, i: int, level: Sequence[ArrayLike]) -> list[str]:

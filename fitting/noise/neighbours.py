@@ -174,14 +174,14 @@ def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> Neighbour
     if not tell_of_neighbours(measurement):
         return NeighbourData(terms)
     found, variances = above_dark(bright, dark)
-    total = np.sum(found * copies(), axis=(1, 2))
-    square = (np.asarray(bright.variance) + np.maximum(total, 0)) ** 2
-    spread = np.sum(variances * copies() ** 2, axis=(1, 2)) / square
+    total = np.sum(found * copies(), axis=(1, 2))[usable]
+    square = (np.asarray(bright.variance)[usable] + np.maximum(total, 0)) ** 2
+    spread = np.sum(variances * copies() ** 2, axis=(1, 2))[usable] / square
     darks = np.zeros(dark.mean.size)
     return NeighbourData(
         terms,
-        jnp.asarray(np.concatenate([total[usable], darks])),
-        jnp.asarray(np.concatenate([spread[usable], darks + 1])),
+        jnp.asarray(np.concatenate([total, darks])),
+        jnp.asarray(np.concatenate([spread, darks + 1])),
     )
 
 

@@ -18,6 +18,7 @@ from ..rig import Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
 from .neighbours import Neighbours
+from .settings import require_one_setting
 from .shared import Moments, shared_variance
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
@@ -64,6 +65,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         InputError: for frames that do not belong together.
     """
     require(rig, "photon transfer")
+    require_one_setting(rig, "read them with fitting.noise.read_by_setting")
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
     darks = _pooled(rig.dark)
     light = [_light(rig, flat) for flat in flats]
@@ -104,6 +106,24 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         full_scale=rig.camera.clip_level,
         remarks=tuple(remarks),
     )
+
+
+def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
+    """Reduces the darks of a rig alone.
+
+    Args:
+        rig: with `[[dark]]`.
+        channel: site of a Bayer mosaic; empty for the first green.
+        load: how an image is had by its path.
+
+    Returns:
+        Levels without light, in the order of their exposure.
+
+    Raises:
+        InputError: for frames that do not belong together.
+    """
+    channel = channel or ("grey" if rig.camera.pattern is None else "green 1")
+    return _reduced(rig, _pooled(rig.dark), channel, load)
 
 
 def _pooled(darks: Sequence[Dark]) -> list[Dark]:

@@ -160,6 +160,14 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
+        "test_noise_settings",
+        """
+            fitting.noise.across_settings.sensor.*
+            fitting.noise.settings.*
+        """,
+    ),
+    Elsewhere(
+        FILES,
         "test_fitted_material test_record_files",
         """
             fitting.reflectance.material.*
@@ -508,6 +516,20 @@ ELSEWHERE = (
             fitting.noise.sampling: sampling_errors
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_noise_settings",
+        """
+            fitting.noise.across_settings.calibration: calibrate_one calibrate_settings
+            fitting.noise.across_settings.fit: fitted judged
+            fitting.noise.across_settings.model: assembled cost cost_and_slopes expected figures
+            fitting.noise.across_settings.model: knows log_density no_deviations parts residuals
+            fitting.noise.across_settings.model: slopes space_of
+            fitting.noise.across_settings.pooled: ends_at_full_scale full_well pattern
+            fitting.noise.across_settings.proportional: proportional_gain
+            fitting.noise.across_settings.setting: told_by_calibration told_by_darks
         """,
     ),
     Elsewhere(

@@ -1,0 +1,267 @@
+"""Pictures of a camera over its settings: gain, read noise, dark current."""
+
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+from ...inference.parameters import names
+from ...report.colours import BLUE
+from ...report.section import Picture
+from ..figures import GREY, ORANGE, SIZE
+from .calibration import CameraCalibration
+from .model import BOLTZMANN_EV
+from .proportional import proportional_gain
+from .setting import FROM_DARKS
+
+POINTS = 200  # of a drawn curve
+HALF_BAND = (0.025, 0.975)  # quantiles of what is shaded
+ZERO_CELSIUS = 273.15  # K
+
+
+def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
+    """The pictures of what the settings differ in, drawn when asked for."""
+    gains = {setting.gain for setting in calibration.settings}
+    found = []
+    if len(gains) > 1:
+        found.append(
+            Picture(
+                "gain_over_settings",
+                "Conversion gain",
+                "K against the stated gain: of each setting by itself, and of all together, which "
+                "the shared quantum efficiency ties to each other. Below: how far each is off "
+                "proportion, with 95 % intervals.",
+                partial(gain_figure, calibration),
+            )
+        )
+        found.append(
+            Picture(
+                "read_noise_over_gain",
+                "Read noise over gain",
+                "Noise before the amplifier (dashed) and noise behind it (dotted), which falls "
+                "with gain; shaded: the 95 % band of the law. Points: each setting by itself, with "
+                "95 % intervals; below, in per cent of the fit.",
+                partial(read_noise_figure, calibration),
+            )
+        )
+    if len({setting.temperature for setting in calibration.settings}) > 1 and any(
+        known for known in _dark_points(calibration)[0]
+    ):
+        found.append(
+            Picture(
+                "dark_current_over_temperature",
+                "Dark current over temperature",
+                "Arrhenius' plot: a straight line is one mechanism, its slope the activation "
+                "energy; shaded: the 95 % band. Points: each setting by itself, with 95 % "
+                "intervals; arrows are upper ends where nothing was seen.",
+                partial(dark_current_figure, calibration),
+            )
+        )
+    return tuple(found)
+
+
+def gain_figure(calibration: CameraCalibration) -> Figure:
+    """K against the stated gain, and its deviations from proportion."""
+    fit = calibration.fit
+    factor = np.array([setting.gain_factor for setting in calibration.settings])
+    proportion = proportional_gain(calibration)
+    assert proportion is not None
+    scale = proportion[0]
+    figure, upper, lower = _panels()
+    alone = [i for i, told in enumerate(fit.told) if "system_gain" in told.names]
+    log_gain, error = np.array([_told(calibration, i, "system_gain") for i in alone]).T
+    shared = np.exp(np.asarray(calibration.figures.log_gain))
+    count = fit.model.sizes[0]
+    spread = np.sqrt(np.diagonal(fit.covariance))[:count][np.asarray(fit.model.gain_of)]
+    upper.loglog(factor, shared, "o", color=ORANGE, ms=8, mfc="none", label="all settings together")
+    upper.loglog(factor[alone], np.exp(log_gain), ".", color=BLUE, ms=6, label="each by itself")
+    ends = np.array([factor.min(), factor.max()])
+    upper.loglog(ends, scale * ends, color="k", lw=0.8, ls="--", label="proportional")
+    upper.set_ylabel("K [DN/e⁻]")
+    _plain_ticks(upper.yaxis)
+    upper.legend(fontsize=8)
+    aside = _aside(factor[alone])
+    off = 100 * (np.exp(log_gain) / (scale * factor[alone]) - 1)
+    lower.errorbar(factor[alone] * aside, off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
+    off = 100 * (shared / (scale * factor) - 1)
+    lower.errorbar(factor, off, 196 * spread, fmt="o", color=ORANGE, ms=8, mfc="none", lw=1.5)
+    lower.axhline(0, color="k", lw=0.8, ls="--")
+    lower.set_ylabel("off proportion [%]")
+    lower.set_xlabel(_gain_label(calibration))
+    _mark(lower, calibration)
+    return figure
+
+
+def read_noise_figure(calibration: CameraCalibration) -> Figure:
+    """Read noise against the conversion gain, with its law."""
+    fit = calibration.fit
+    gain = np.exp(np.asarray(calibration.figures.log_gain))
+    figure, axis, lower = _panels()
+    alone = [i for i, told in enumerate(fit.told) if "read_noise" in told.names]
+    value, error = np.array([_told(calibration, i, "read_noise") for i in alone]).T
+    if fit.model.read_noise_law:
+        x = np.geomspace(gain.min() / 1.15, 1.15 * gain.max(), POINTS)
+        place = names(fit.space).index("variance_before_gain")
+        before, behind = np.asarray(fit.solution.vector)[place : place + 2]
+        drawn = calibration.posterior.samples[:, place : place + 2]
+        low, high = _band(np.sqrt(np.maximum(drawn[:, :1] + drawn[:, 1:] / x**2, 0)))
+        curve = np.sqrt(before + behind / x**2)
+        _shade(axis, lower, x, curve, low, high, "law")
+        if before > 0:
+            axis.axhline(np.sqrt(before), color=GREY, lw=0.8, ls="--", label="before the amplifier")
+        if behind > 0:
+            axis.plot(x, np.sqrt(behind) / x, color=GREY, lw=0.8, ls=":", label="behind it")
+    off = np.exp(value - np.log(np.asarray(calibration.figures.read_variance))[alone] / 2) - 1
+    value = np.exp(value)
+    bars = value * (1 - np.exp(-1.96 * error)), value * (np.exp(1.96 * error) - 1)
+    aside = gain[alone] * _aside(gain[alone])
+    axis.errorbar(
+        aside, value, bars, fmt=".", color=BLUE, ms=6, lw=0.8, label="each setting by itself"
+    )
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_ylim(0.6 * value.min(), 1.6 * value.max())
+    lower.errorbar(aside, 100 * off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
+    lower.axhline(0, color=ORANGE, lw=1.0)
+    lower.set_ylabel("off the fit [%]")
+    lower.set_xlabel("K [DN/e⁻]")
+    axis.set_ylabel("read noise [e⁻]")
+    _plain_ticks(axis.xaxis)
+    _plain_ticks(axis.yaxis)
+    axis.legend(fontsize=8)
+    return figure
+
+
+def dark_current_figure(calibration: CameraCalibration) -> Figure:
+    """Dark current against the inverse of temperature."""
+    fit = calibration.fit
+    known, kelvin, value, error = _dark_points(calibration)
+    x = 1000 / kelvin
+    figure, axis, lower = _panels()
+    floor = np.inf
+    expected = np.asarray(calibration.figures.dark_current)
+    if fit.model.dark_current_law:
+        place = names(fit.space).index("dark_current")
+        line = np.linspace(x.min(), x.max(), POINTS)
+        colder = -(line / 1000 - 1 / (fit.reference or 1.0)) / BOLTZMANN_EV
+        log_rate, energy = np.asarray(fit.solution.vector)[place : place + 2]
+        curve = np.exp(log_rate + energy * colder)
+        drawn = calibration.posterior.samples[:, place : place + 2]
+        low, high = _band(drawn[:, :1] * np.exp(drawn[:, 1:] * colder))
+        _shade(axis, lower, line, curve, low, high, f"Arrhenius' law, E = {energy:.3g} eV")
+        floor = float(low.min())
+    seen = known & (value > 1.96 * error)
+    aside = x * (1 + 0.002 * (_aside(x) - 1) / 0.02)
+    axis.errorbar(
+        *(aside[seen], value[seen], 1.96 * error[seen]),
+        fmt=".",
+        color=BLUE,
+        ms=6,
+        lw=0.8,
+        label="each setting by itself",
+    )
+    hidden = known & ~seen
+    upper = value + 1.96 * error
+    axis.plot(aside[hidden], upper[hidden], "v", color=BLUE, ms=5, mfc="none")
+    axis.set_yscale("log")
+    lowest = min([floor, *(value[seen] - 1.96 * error[seen]), *upper[hidden]])
+    axis.set_ylim(max(lowest, 1e-12) / 1.5, 1.5 * float(np.max(upper[known])))
+    off, bars = 100 * (value / expected - 1)[seen], np.abs(196 * error / expected)[seen]
+    lower.errorbar(aside[seen], off, bars, fmt=".", color=BLUE, ms=5, lw=0.8)
+    lower.axhline(0, color=ORANGE, lw=1.0)
+    lower.set_ylabel("off the fit [%]")
+    lower.set_xlabel("1000 / temperature [1/K]")
+    axis.set_ylabel("dark current [e⁻/s]")
+    above = axis.secondary_xaxis(
+        "top", functions=(lambda u: 1000 / np.maximum(u, 1e-3), lambda t: 1000 / np.maximum(t, 1))
+    )
+    above.set_ticks(np.unique(kelvin))
+    above.set_xlabel("temperature [K]")
+    axis.legend(fontsize=8)
+    return figure
+
+
+def _panels() -> tuple[Figure, Axes, Axes]:
+    figure = Figure(figsize=SIZE, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.6))
+    return figure, upper, lower
+
+
+def _shade(
+    upper: Axes,
+    lower: Axes,
+    x: np.ndarray,
+    curve: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    label: str,
+) -> None:
+    """A law with its band, and below the band alone in per cent of the law."""
+    upper.fill_between(x, low, high, color=ORANGE, alpha=0.25, lw=0)
+    upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
+    lower.fill_between(
+        x, 100 * (low / curve - 1), 100 * (high / curve - 1), color=ORANGE, alpha=0.25, lw=0
+    )
+
+
+def _dark_points(
+    calibration: CameraCalibration,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Whether it is told, temperature, dark current in e-/s and its error, of each setting."""
+    fit = calibration.fit
+    gain = np.exp(np.asarray(calibration.figures.log_gain))
+    rows = []
+    for i, (setting, told) in enumerate(zip(fit.settings, fit.told, strict=True)):
+        if "dark_current" in told.names:
+            row = (1.0, *_told(calibration, i, "dark_current"))
+        elif FROM_DARKS[0] in told.names:
+            rate, error = _told(calibration, i, FROM_DARKS[0])
+            row = 1.0, rate / gain[i], error / gain[i]
+        else:
+            row = 0.0, 0.0, 0.0
+        rows.append((row[0], setting.temperature or ZERO_CELSIUS, *row[1:]))
+    known, kelvin, value, error = np.array(rows).T
+    return known > 0, kelvin, value, error
+
+
+def _told(calibration: CameraCalibration, i: int, name: str) -> tuple[float, float]:
+    """What a setting tells of a quantity, and its error."""
+    told = calibration.fit.told[i]
+    place = told.names.index(name)
+    return float(told.values[place]), float(np.sqrt(told.covariance[place, place]))
+
+
+def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+    """Factors by which points of one place stand beside each other."""
+    order = np.zeros(len(x))
+    for place in np.unique(x):
+        own = np.flatnonzero(x == place)
+        order[own] = np.arange(len(own)) - (len(own) - 1) / 2
+    return 1 + 0.02 * order
+
+
+def _band(drawn: Float[np.ndarray, "draws points"]) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.quantile(drawn, HALF_BAND, axis=0)
+    return low, high
+
+
+def _gain_label(calibration: CameraCalibration) -> str:
+    unit = calibration.settings[0].gain_unit
+    return "stated gain [ISO speed]" if unit == "ISO" else "stated gain [factor]"
+
+
+def _mark(axis: Axes, calibration: CameraCalibration) -> None:
+    factors = sorted({setting.gain_factor for setting in calibration.settings})
+    axis.set_xticks(factors, [f"{factor:.4g}" for factor in factors], minor=False)
+    axis.set_xticks([], minor=True)
+
+
+def _plain_ticks(axis: Axis) -> None:
+    """Whole numbers instead of powers, where an axis spans few of them."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,130 @@
+"""What a die has once, whatever its gain: full well and fixed pattern, averaged over settings.
+
+The same pixels are seen at each setting, so that settings differ by temporal noise alone; how far n
+pixels stand for their population is added to the average once. Full well comes from the settings
+whose well fills before the converter's range ends, on the same grid of levels or a similar one, so
+that its error is that of the best of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from ...inference.estimates import find
+from ..calibration import LIKELIHOOD, NoiseCalibration
+from ..fit import MISFIT
+from ..levels import CLEAR_OF_CLIPPING
+from ..pattern import SEEN, population_variance
+
+AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """An average over settings.
+
+    Attributes:
+        settings: indices of those that enter.
+        value: of full well, e-; of a pattern its variance, e-^2 or relative squared.
+        error: its standard error.
+        chi_square: of the settings about it.
+    """
+
+    settings: tuple[int, ...]
+    value: float
+    error: float
+    chi_square: float
+
+    @property
+    def p_value(self) -> float:
+        return float(chi2.sf(self.chi_square, len(self.settings) - 1)) if self.settings[1:] else 1.0
+
+    @property
+    def holds(self) -> bool:
+        return self.p_value >= MISFIT
+
+    @property
+    def seen(self) -> bool:
+        return self.value > SEEN * self.error
+
+
+def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
+    """Whether the converter's range ends before the well is full.
+
+    Args:
+        calibration: of one setting.
+    """
+    measurement = calibration.measurement
+    if measurement.full_scale is None:
+        return False
+    bright = measurement.bright
+    reached = np.asarray(bright.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(bright.variance))
+    return float(reached.max()) >= AT_FULL_SCALE * measurement.full_scale
+
+
+def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
+    """Electrons at saturation where the well fills first.
+
+    Args:
+        calibrations: of the settings; None where there are darks alone.
+
+    Returns:
+        The average; None where no well was filled.
+    """
+    found = []
+    for i, one in enumerate(calibrations):
+        if one is None or one.within.saturation is None or ends_at_full_scale(one):
+            continue
+        names = [estimate.name for estimate in one.sheet]
+        if "saturation_electrons" in names:
+            estimate = find(one.sheet, "saturation_electrons", method=LIKELIHOOD)
+            found.append((i, estimate.value or 0.0, estimate.standard_error or 0.0))
+    if not found:
+        return None
+    index, values, errors = (np.array(column) for column in zip(*found, strict=True))
+    average, _, chi_square = _average(values, errors)
+    return Pooled(tuple(index.tolist()), average, float(errors.min()), chi_square)
+
+
+def pattern(
+    calibrations: Sequence[NoiseCalibration | None], gains: np.ndarray, which: str
+) -> Pooled | None:
+    """DSNU or PRNU, squared.
+
+    Args:
+        calibrations: of the settings; None where there are darks alone.
+        gains: (settings,) DN/e-.
+        which: "dsnu" or "prnu".
+
+    Returns:
+        The average; None where only sums over the pixels are known.
+    """
+    found = []
+    for i, one in enumerate(calibrations):
+        if one is None or one.patterns is None:
+            continue
+        fitted, dark = one.patterns[1], one.measurement.dark
+        pixels = float(dark.pixels)
+        if which == "prnu":
+            of_die = 2 * fitted.response**2 / pixels
+            found.append((i, fitted.response, fitted.response_error**2 - of_die, of_die))
+        else:
+            known = population_variance(dark, np.full(dark.mean.size, fitted.dark))
+            of_die, scale = float(np.median(known)), float(gains[i]) ** 2
+            rest = fitted.dark_error**2 - of_die
+            found.append((i, fitted.dark / scale, rest / scale**2, of_die / scale**2))
+    if not found:
+        return None
+    index, values, variances, of_die = (np.array(column) for column in zip(*found, strict=True))
+    average, error, chi_square = _average(values, np.sqrt(variances))
+    die = float(np.median(of_die))
+    return Pooled(tuple(index.tolist()), average, float(np.hypot(error, np.sqrt(die))), chi_square)
+
+
+def _average(values: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
+    """Weighted mean, its standard error, and chi-square about it."""
+    weights = 1 / errors**2
+    average = float(np.average(values, weights=weights))
+    return average, float(weights.sum() ** -0.5), float(np.sum(weights * (values - average) ** 2))

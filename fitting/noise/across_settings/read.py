@@ -1,0 +1,67 @@
+"""Flats and darks of a rig reduced setting by setting."""
+
+import os
+from pathlib import Path
+
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+
+from ...observation import Load
+from ...rig import Rig, load_rig
+from ..read import check, reduce_darks, reduce_rig
+from ..settings import by_setting
+from .setting import FramesOfSetting
+
+
+def read_by_setting(
+    path: str | os.PathLike[str], *, channel: str = ""
+) -> tuple[FramesOfSetting, ...]:
+    """Photon transfer of a rig at several gains and temperatures.
+
+    A setting may have darks alone, for the dark current of its temperature.
+
+    Args:
+        path: a rig folder or file.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        One for each gain and temperature, in their order.
+
+    Raises:
+        InputError: for what cannot be used.
+    """
+    return reduce_by_setting(load_rig(path), channel=channel)
+
+
+def reduce_by_setting(
+    rig: Rig, *, channel: str = "", load: Load = read_image
+) -> tuple[FramesOfSetting, ...]:
+    """As `read_by_setting`, of a rig that was read.
+
+    Args:
+        rig: with `[[flat]]` and `[[dark]]`.
+        channel: site of a Bayer mosaic; empty for the first green.
+        load: how an image is had by its path.
+
+    Returns:
+        One for each gain and temperature, in their order.
+
+    Raises:
+        InputError: for what cannot be used.
+    """
+    rigs = by_setting(rig)
+    lit = {setting.gain for setting, own in rigs.items() if own.flat}
+    found = []
+    for setting, own in rigs.items():
+        place = Path(rig.folder) / f"({setting.label})" if len(rigs) > 1 else rig.folder
+        if not own.dark:
+            raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
+        if own.flat:
+            frames = reduce_rig(own, channel=channel, load=load)
+            check(place, frames)
+        elif setting.gain in lit:
+            frames = reduce_darks(own, channel=channel, load=load)
+        else:
+            raise InputError(f"{place}: its darks have no flats of their gain at any temperature.")
+        found.append(FramesOfSetting(setting, frames))
+    return tuple(found)

@@ -1,0 +1,114 @@
+"""Gain and temperature at which a camera took the frames of a rig.
+
+The standard (EMVA 1288, release 4.0, section 2) calls them, with the black level, the camera's
+operating point: a sheet holds for one.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxvision.errors import InputError
+
+from ..rig import Dark, Flat, Level, Rig
+
+
+@dataclass(frozen=True, order=True)
+class Setting:
+    """Gain and temperature of an operating point.
+
+    Attributes:
+        gain: what it was set to; None where that is not told.
+        gain_unit: "ISO" for an ISO speed or any other number that the gain is proportional to,
+            "dB" for 20 log10 of such a number.
+        temperature: K, of the sensor; None where it is not told.
+
+    Example:
+        >>> from fitting.noise import Setting
+        >>> Setting(gain=6.0, gain_unit="dB", temperature=293.0).label
+        '6 dB, 293 K'
+    """
+
+    gain: float | None = None
+    gain_unit: Literal["ISO", "dB"] = "ISO"
+    temperature: float | None = None
+
+    @property
+    def gain_factor(self) -> float:
+        """What the gain in DN/e- is to be proportional to."""
+        gain = 1.0 if self.gain is None else self.gain
+        return gain if self.gain_unit == "ISO" or self.gain is None else 10 ** (gain / 20)
+
+    @property
+    def gain_label(self) -> str:
+        if self.gain is None:
+            return ""
+        return f"ISO {self.gain:g}" if self.gain_unit == "ISO" else f"{self.gain:g} dB"
+
+    @property
+    def temperature_label(self) -> str:
+        return "" if self.temperature is None else f"{self.temperature:g} K"
+
+    @property
+    def label(self) -> str:
+        return ", ".join(part for part in (self.gain_label, self.temperature_label) if part)
+
+
+def by_setting(rig: Rig) -> dict[Setting, Rig]:
+    """The flats and darks of a rig, one rig for each gain and temperature.
+
+    Args:
+        rig: with `[[flat]]` and `[[dark]]`.
+
+    Returns:
+        Rigs, in the order of gain and temperature.
+
+    Raises:
+        InputError: where some entries state what others do not.
+    """
+    flats, darks = _by_setting(rig, rig.flat), _by_setting(rig, rig.dark)
+    settings = {*flats, *darks}
+    for name, word in (("gain", "iso (or gain_db)"), ("temperature", "temperature")):
+        if len({getattr(setting, name) is None for setting in settings}) > 1:
+            raise InputError(
+                f"{rig.folder}: some flats or darks state their {name} and others do not; give "
+                f"every one its {word}."
+            )
+    if len({setting.gain_unit for setting in settings if setting.gain is not None}) > 1:
+        raise InputError(f"{rig.folder}: gains are stated as iso and as gain_db; use one of them.")
+    return {
+        setting: rig.model_copy(
+            update={
+                "flat": tuple(entry for entry in flats.get(setting, ()) if isinstance(entry, Flat)),
+                "dark": tuple(entry for entry in darks.get(setting, ()) if isinstance(entry, Dark)),
+            }
+        )
+        for setting in sorted(settings, key=lambda one: (one.gain_factor, one.temperature or 0))
+    }
+
+
+def _by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, list[Level]]:
+    found: dict[Setting, list[Level]] = {}
+    for entry in entries:
+        gain = entry.iso if entry.gain_db is None else entry.gain_db
+        warmth = entry.temperature or rig.camera.temperature
+        setting = Setting(gain, "ISO" if entry.gain_db is None else "dB", warmth)
+        found.setdefault(setting, []).append(entry)
+    return found
+
+
+def require_one_setting(rig: Rig, remedy: str) -> None:
+    """Refuses flats and darks of several gains or temperatures.
+
+    Args:
+        rig: that may have them.
+        remedy: what to do, as a clause.
+
+    Raises:
+        InputError: names the settings.
+    """
+    settings = list(by_setting(rig))
+    if len(settings) > 1:
+        told = "; ".join(setting.label for setting in settings)
+        raise InputError(
+            f"{rig.folder}: flats and darks are of {len(settings)} settings ({told}); {remedy}."
+        )
