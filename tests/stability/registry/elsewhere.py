@@ -248,6 +248,7 @@ ELSEWHERE = (
         """
             command_line.*
             interrupts.*
+            progress.*
             render_command.*
             fitting.commands.*
             memory.*
