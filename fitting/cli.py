@@ -36,7 +36,6 @@ from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .reflectance.paths import check_files, check_one_rig
 from .report.progress import Reporter
 
-LEAST = 0.2  # of the time asked for, to measure in after a long calibration
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
@@ -341,8 +340,8 @@ def accuracy(
 
     check_request(seconds, out)
     begun = time.perf_counter()
-    found = problems(described)
-    left = max(seconds - (time.perf_counter() - begun) / len(found), LEAST * seconds)
+    found = problems(described, seconds=seconds)
+    left = seconds - (time.perf_counter() - begun) / len(found)
     words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
     command = " ".join([*words, f"--seconds {seconds:g}"])
     for fit, (problem, known) in found.items():

@@ -7,6 +7,7 @@ mistyped option answer at once.
 
 import json
 import sys
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -241,17 +242,20 @@ def accuracy(
 ) -> None:
     """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
     0.1 %. An interrupt keeps what was measured."""
+    begun = time.perf_counter()
     file = existing_file(scene, "scene")
     _prepare()
     from .accuracy import measured
     from .accuracy.console import check_request, show
+    from .accuracy.curves import LEAST
     from .scene_files import read_scene
 
     check_request(seconds, out)
     source = read_scene(file)
     norms = ("rms", "p99", "max", "delta_e")
+    left = max(seconds - (time.perf_counter() - begun), LEAST)
     problem, curves = measured(
-        source, source.render, names=tuple(knob or ()) or None, seconds=seconds, metrics=norms
+        source, source.render, names=tuple(knob or ()) or None, seconds=left, metrics=norms
     )
     command = " ".join(["jaxvision accuracy", scene, *(f"--knob {k!r}" for k in knob or ())])
     command += f" --seconds {seconds:g}"

@@ -12,7 +12,8 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
-from jaxvision.accuracy.scene_settings import Chosen, checked_error, settled
+from jaxvision.accuracy.checks import checked_error, settled
+from jaxvision.accuracy.scene_settings import Chosen
 from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of
 from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
 from jaxvision.cli import app

@@ -2,11 +2,15 @@
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 
+import numpy as np
+
 from jaxvision.accuracy import Curve, Problem, curve
-from jaxvision.accuracy.curves import asked_knobs, in_turn
+from jaxvision.accuracy.curves import LEAST, asked_knobs, in_turn
+from jaxvision.accuracy.deadlines import OutOfTime, in_time
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
@@ -52,22 +56,40 @@ def fits_of(rig: Rig) -> tuple[str, ...]:
     return found
 
 
-def problems(rig: Rig, *, load: Load = read_image) -> dict[str, tuple[Problem, tuple[str, ...]]]:
+def problems(
+    rig: Rig, *, load: Load = read_image, seconds: float = np.inf
+) -> dict[str, tuple[Problem, tuple[str, ...]]]:
     """The fits of a rig as problems.
 
     Args:
         rig: from `load_rig`.
         load: how an image is had by its path, for images in memory.
+        seconds: s, that the calibration which errors are measured by may take for each fit.
 
     Returns:
         By the name of the fit, its problem and the knobs that turn it. Results are in standard
         errors.
 
     Raises:
-        InputError: for a rig that holds no fit, or one that cannot be calibrated.
+        InputError: for a rig that holds no fit, and one that cannot be calibrated, or not in that
+            time.
     """
+    fits, now = fits_of(rig), time.perf_counter
+    until = now() + seconds * len(fits)
+    try:
+        return in_time(lambda: _calibrated(rig, fits, load), lambda: until - now())
+    except OutOfTime:
+        raise InputError(
+            f"{rig.folder}: the calibration that errors are measured by takes longer than "
+            f"{seconds:g} s; allow more."
+        ) from None
+
+
+def _calibrated(
+    rig: Rig, fits: tuple[str, ...], load: Load
+) -> dict[str, tuple[Problem, tuple[str, ...]]]:
     found = {}
-    for fit in fits_of(rig):
+    for fit in fits:
         if load is read_image:
             require_images(rig, FITS[fit])
         make: Callable[[Rig, Load], Mapping[str, Turn]] = getattr(
@@ -116,12 +138,15 @@ def measured(
     """
 
     def measure(name: str, share: float) -> Curve:
-        knob, begun = KNOBS[name], now()
-        whole = problem.prepare({"pixels": 1.0})(0) if name == "pixels" else None
+        knob, begun, whole = KNOBS[name], now(), None
+        if name == "pixels":
+            every = problem.prepare({"pixels": 1.0})
+            with suppress(OutOfTime):  # then `curve` has no time left, too
+                whole = in_time(lambda: every(0), lambda: share + begun - now())
         settings = knob.settings
         if name == "posterior" and not find_spec("blackjax"):
             settings = tuple(setting for setting in settings if setting != "nuts")
-        left = max(share - (now() - begun), 1e-3)
+        left = max(share - (now() - begun), LEAST)
         return curve(problem, knob, settings=settings, reference=whole, seconds=left, clock=clock)
 
     now = clock or time.perf_counter

@@ -114,6 +114,8 @@ def choose(
         if not enough:
             raise InputError(_not_reached(curve, found, floor, tolerance))
         return min(enough, key=lambda trial: trial.seconds)
+    if not found:
+        raise InputError(f"No setting takes at most {seconds:g} s: none was run; allow more time.")
     quick = [trial for trial in found if trial.seconds <= seconds]
     if not quick:
         fastest = min(found, key=lambda trial: trial.seconds)

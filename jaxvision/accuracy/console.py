@@ -43,7 +43,15 @@ def show(
         command: by which it can be repeated.
         out: folder of the page, or None.
         as_json: whether to print JSON instead of the table.
+
+    Raises:
+        InputError: where time was too short for any setting of any knob.
     """
+    if not any(curve.trials for curve in curves):
+        raise InputError(
+            f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
+            "--seconds."
+        )
     written = write_page(out, problem, curves, command=command) if out is not None else ()
     if as_json:
         sheet = as_dict(problem, curves, machine=machine(), command=command)

@@ -10,18 +10,20 @@ import numpy as np
 
 from ..errors import InputError
 from ..interrupts import is_handled, raised_interrupts
+from .deadlines import OutOfTime
 from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms
 from .records import Curve, Knob, Problem, Reference, Trial
 from .reference import PAIRED, paired_reference, random_reference
-from .session import Clock, Point, Session
+from .session import GRACE, Clock, Point, Session, whole_seconds
 from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
 HOLLOW = 3.0  # errors below so many of the reference's say little
 WRONG = 3.0  # standard deviations between a reference and the finest setting
+LEAST = 2e-3  # s, below which nothing is begun
 REPEATS = 5  # of the time of a setting that is not random
 
 
@@ -40,14 +42,16 @@ def curve(
 
     Two calls of each setting, the cheapest first; then a reference; then the settings in turns with
     other seeds, so that a machine of drifting speed favours none. An interrupt ends it and keeps
-    what was measured.
+    what was measured. A call that takes longer than was foreseen, and than what is left, is left
+    behind, whatever it does: a program that XLA compiles meanwhile goes on in the background.
 
     Args:
         problem: what is computed.
         knob: or its name, one of `KNOBS`.
         settings: instead of those of the knob, cheapest first.
         reference: the result to be reached, in the problem's unit, instead of one that is made.
-        seconds: s, the budget; settings that would exceed it are not run.
+        seconds: s, the budget; settings that would exceed it are not run, and one that does is
+            given up.
         seeds: with which a random setting is run, at most.
         metrics: norms to keep, "rms", "p99", "max" and for pictures "delta_e"; choices are by the
             first.
@@ -58,7 +62,8 @@ def curve(
 
     Raises:
         InputError: for an unknown knob or norm, no settings, fewer than two seeds, a budget that is
-            not above 0, and a problem that refuses every setting.
+            not above 0, a problem that refuses every setting, and results of another shape than the
+            reference.
 
     Example:
         The midpoint rule on x^2 over [0, 1] errs by 1 / (12 n^2).
@@ -97,13 +102,18 @@ def curve(
     except KeyboardInterrupt:
         is_handled()
         stopped = "interrupted"
+    except OutOfTime:
+        pass
     run = [s for s in turned.settings if s in session.points and session.points[s].results]
-    if not run:
+    if not run and stopped:
         raise KeyboardInterrupt("interrupted before anything was measured.")
     not_run = tuple(s for s in turned.settings if s not in run)
-    late = any(setting not in session.refused for setting in not_run)
+    late = session.given_up or any(setting not in session.refused for setting in not_run)
     refused = next((f"refused ({why})" for why in session.refused.values()), "")
-    stopped = stopped or ("out of time" if late else refused)
+    stopped = stopped or (f"out of time{session.given_up}" if late else refused)
+    if not run:
+        nothing = Reference(None, np.inf, "none")
+        return Curve(problem.name, turned, (), nothing, None, (), not_run, stopped, session.taken)
     if found is None:
         last = session.points[run[-1]].results
         found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
@@ -113,24 +123,36 @@ def curve(
 
 def _look(session: Session) -> None:
     """Two calls of each setting while they fit; where none does, of one that takes no new program
-    or of the first. What the problem refuses, such as too few pixels for a fit, is left out."""
+    or of the first, if one call may. What the problem refuses, such as too few pixels for a fit, is
+    left out."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
+    if session.left <= LEAST:
+        raise OutOfTime
     for setting in settings:
         share = LAST_LOOK if setting in finest else FIRST_LOOK
         if session.expected(setting, calls=2) <= share * session.left:
             _run_twice(session, setting)
-    if not session.points and not session.refused:
-        _run_twice(session, next(filter(session.is_compiled, settings), settings[0]))
+        if session.given_up:
+            break
+    if not session.points and not session.refused and not session.given_up:
+        first = next(filter(session.is_compiled, settings), settings[0])
+        if session.expected(first, calls=1) <= session.left:
+            _run_twice(session, first)
     if not session.points:
-        raise next(iter(session.refused.values()))
+        raise next(iter(session.refused.values()), OutOfTime())
 
 
 def _run_twice(session: Session, setting: Any) -> None:
+    """What one setting may take leaves something for a reference, where there are others."""
+    share = LAST_LOOK if session.points else 1 + GRACE
+    until = session.taken + share * session.left
     try:
         for seed in PAIRED:
-            session.call(setting, seed)
+            session.call(setting, seed, within=until - session.taken)
     except InputError as refusal:
         session.refuse(setting, refusal)
+    except OutOfTime:  # one call alone tells a bias from chance no more than none
+        session.points.pop(setting, None)
 
 
 def _take_turns(session: Session, seeds: int) -> None:
@@ -140,8 +162,12 @@ def _take_turns(session: Session, seeds: int) -> None:
         for setting in session.knob.settings:
             known = setting in session.points
             if known and session.expected(setting, calls=1) <= session.left:
-                with suppress(InputError):  # a part of the pixels that cannot be fitted
-                    session.call(setting, number if session.knob.random else PAIRED[0])
+                try:
+                    with suppress(InputError):  # a part of the pixels that cannot be fitted
+                        session.call(setting, number if session.knob.random else PAIRED[0])
+                except OutOfTime:  # slower than the calls before: it has been measured all the same
+                    session.given_up = ""
+                    return
 
 
 def _told(
@@ -155,6 +181,12 @@ def _told(
 ) -> Curve:
     problem = session.problem
     some = np.asarray(next(iter(exact.values())) if isinstance(exact, dict) else exact)
+    shape = next(iter(points[0].results.values())).shape
+    if not _spreads_over(some.shape, shape):
+        raise InputError(
+            f"{problem.name}: a result has shape {shape}, and the reference {some.shape}; give one "
+            "of the same shape."
+        )
     level = level_of(some, problem.level)
     own = reference.error
     if session.knob.random and reference.how == "other seeds":
@@ -174,6 +206,13 @@ def _told(
         stopped,
         session.taken,
     )
+
+
+def _spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
+    try:
+        return np.broadcast_shapes(reference, result) == result
+    except ValueError:
+        return False
 
 
 def _gap(finest: Point, reference: np.ndarray, error: float) -> float:
@@ -212,7 +251,7 @@ def _trial(
         apart = np.stack([point.results[s] - truth[s] for s in seeds]) / level
         error, low, high = _bias(main, apart)
     hollow = bool(norms["rms"] < HOLLOW * floor)
-    times = problem.whole * np.array(point.warm or [point.first])
+    times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)
     quartiles = np.quantile(times, [0.25, 0.5, 0.75])
     return Trial(
         point.setting,
@@ -348,7 +387,13 @@ def in_turn(
     until = now() + seconds
     found: list[Curve] = []
     for number, name in enumerate(names):
-        found.append(measure(name, max(until - now(), 1e-3) / (len(names) - number)))
+        left = max(until - now(), 0.0) / (len(names) - number)
+        try:
+            found.append(measure(name, max(left, LEAST)))
+        except KeyboardInterrupt:  # before anything of this knob was measured
+            if not found:
+                raise
+            break
         if found[-1].stopped == "interrupted":
             break
     return tuple(found)

@@ -63,6 +63,8 @@ class Problem:
             takes no longer than others; None: every setting takes its own.
         about: what errors and times are of, in sentences.
         compiling: s that one more program is expected to take, before any was seen to.
+        once: s of the last call that the whole takes no longer for, such as what comes before the
+            first pixel of a picture.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Problem:
     whole: float = 1.0
     compiled: Callable[[Mapping[str, Any]], bool] | None = None
     compiling: float = 0.0
+    once: Callable[[], float] = lambda: 0.0
     about: str = "Errors are root mean squares over the result, relative to that of the result."
 
 
@@ -116,7 +119,8 @@ class Reference:
     Attributes:
         setting: that made it; None: a closed form, or the caller's.
         error: relative, its own, estimated; 0 for a closed form, inf where there is no estimate.
-        how: "closed form", "given", "other seeds", "twice as fine" or "finest setting".
+        how: "closed form", "given", "other seeds", "twice as fine", "exact setting", "finest
+            setting" or "none".
     """
 
     setting: Any
@@ -158,12 +162,13 @@ class Curve:
     Attributes:
         problem: its name.
         knob: that was turned.
-        trials: of each setting that was run, cheapest first.
+        trials: of each setting that was run, cheapest first; none where time was too short.
         reference: of the errors.
         order: fitted, or None for fewer than two points.
         pareto: indices of the trials that no other beats in both error and time.
         not_run: settings for which time was too short.
-        stopped: "" where all was done; "out of time" or "interrupted".
+        stopped: "" where all was done; else why not, such as "out of time", with the setting that
+            took longer than was foreseen and was given up, or "interrupted".
         taken: s, of the whole measurement.
     """
 

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from .deadlines import OutOfTime
 from .records import Reference
 from .session import Session
 
 DRAWS = 4  # independent ones that a random reference is the mean of, at least
 MOST_DRAWS = 16
 SHARE = 0.6  # of the time that is left
+LATEST = 0.9  # of the time that is left, after which a reference is given up
 FIRST_SEED = 1_000_000  # no seed of a reference is one of a trial
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
 UNITS = 4  # in the last place, to which no sum is right
@@ -26,17 +28,40 @@ def _rms(values: np.ndarray) -> float:
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
     """The mean of independent draws of the finest setting that time allows; its error, in the unit
     of the result, is the scatter of the draws over the root of their number."""
-    setting = _finest(session, calls=DRAWS)
+    setting, run = _finest(session, calls=DRAWS), tuple(session.points)
+    try:
+        draws = _drawn(session, setting)
+    except OutOfTime:
+        if setting not in run:
+            session.points.pop(setting, None)
+        coarser = run[: run.index(setting)] if setting in run else run
+        if not coarser:
+            raise
+        setting = coarser[-1]
+        draws = _drawn(session, setting)
+    mean = np.mean(draws, axis=0)
+    scatter = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)))
+    return Reference(setting, float(scatter) / len(draws) ** 0.5, "other seeds"), mean
+
+
+def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
+    """Independent draws of a setting, as many as are worth their time; what was foreseen wrongly
+    leaves something for a coarser one."""
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
+    latest = session.taken + LATEST * session.left
     while len(draws) < MOST_DRAWS:
         if len(draws) >= DRAWS and session.taken + session.expected(setting, calls=1) > until:
             break
         seed = FIRST_SEED + len(draws)
-        draws.append(session.call(setting, seed).results.pop(seed))
-    mean = np.mean(draws, axis=0)
-    scatter = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)))
-    return Reference(setting, float(scatter) / len(draws) ** 0.5, "other seeds"), mean
+        try:
+            point = session.call(setting, seed, within=latest - session.taken)
+        except OutOfTime:
+            if len(draws) < DRAWS:
+                raise
+            break
+        draws.append(point.results.pop(seed))
+    return draws
 
 
 def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]]:
@@ -49,8 +74,12 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
     for setting in knob.reference:
         if session.expected(setting, calls=len(PAIRED)) > SHARE * session.left:
             break
-        for seed in PAIRED:
-            session.call(setting, seed)
+        try:
+            for seed in PAIRED:
+                session.call(setting, seed)
+        except OutOfTime:
+            session.points.pop(setting, None)
+            break
         steps = [step for step in steps if step != setting] + [setting]
         chosen = setting
     found = {seed: session.points[chosen].results[seed] for seed in PAIRED}
@@ -63,9 +92,10 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """The finest setting of the reference whose calls fit; else the finest that was run."""
-    chosen = list(session.points)[-1]
-    for setting in session.knob.reference:
+    """The finest setting, of those that were run and those of the reference, whose calls fit; else
+    the cheapest."""
+    chosen = next(iter(session.points))
+    for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:
             chosen = setting
     return chosen

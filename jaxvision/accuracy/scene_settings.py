@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,21 +22,17 @@ from ..io import replaced_on_success
 from ..render_command import left_of, pruned_for
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
-from .curves import asked_knobs, curve, in_turn
+from .checks import settled
+from .curves import LEAST, asked_knobs, curve, in_turn
+from .deadlines import OutOfTime, in_time
 from .knobs import KNOBS
-from .norms import level_of
 from .records import Curve, Knob, Problem
-from .reference import DRAWS, FIRST_SEED
 from .scenes import APART, entry_of, knobs_of, scene_problem
-from .session import Clock
-from .several import Combination, combined
-from .spread import next_error
+from .session import Clock, part_seconds
 
 PROVED = 0.25  # of the tolerance, for what is left out
-FRESH = 3  # seeds of the check
-ROUNDS = 3  # of tightening after a check that failed
 CHECK = 0.35  # of the budget
-MARGIN = 0.9
+PRUNING = 0.5  # of the budget, after which the scene is rendered whole
 
 
 @dataclass(frozen=True)
@@ -164,11 +161,13 @@ def settings(
         problem = scene_problem(scene_file, settings=own, seconds=seconds, clock=clock)
         picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
         level = float(np.sqrt(np.mean(picture**2)))
-    pruned = _pruned(scene_file, tolerance, level)
+    pruned, prunable = None, until - (1 - PRUNING) * seconds
+    with suppress(OutOfTime):
+        pruned = in_time(lambda: _pruned(scene_file, tolerance, level), lambda: prunable - now())
     if pruned is not None and pruned.certificate.dropped:
         problem = None
     left, _ = left_of(scene_file, own, pruned)
-    remains = max(until - now(), MARGIN * CHECK * seconds)
+    remains = max(until - now(), LEAST)
     names = tuple(name for name in knobs_of(left, own) if name not in APART)
     problem, curves = measured(
         left,
@@ -181,10 +180,7 @@ def settings(
     )
     if any(one.stopped == "interrupted" for one in curves):
         raise KeyboardInterrupt
-    compiling = max(
-        problem.compiling,
-        *(t.first_seconds - t.seconds / problem.whole for c in curves for t in c.trials),
-    )
+    compiling = _compiling(problem, curves)
     gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
     wanted = None if tolerance is None else tolerance - gone
     allowed = None if render_seconds is None else render_seconds - compiling
@@ -197,7 +193,7 @@ def settings(
     known = {
         "settings": dict(best.settings),
         "promised": best.error + gone,
-        "predicted_seconds": compiling + best.seconds,
+        "predicted_seconds": _compiling(problem, curves, best.settings) + best.seconds,
         "checked": checked,
         "unknown": list(best.unknown),
         "level": level,
@@ -206,6 +202,21 @@ def settings(
     if cache:
         _write(file, known)
     return replace(_chosen(scene_file, known, pruned), curves=curves)
+
+
+def _compiling(
+    problem: Problem, curves: Sequence[Curve], chosen: Mapping[str, Any] | None = None
+) -> float:
+    """s that the programs of the chosen settings take to compile; None: those of any."""
+    return max(
+        problem.compiling,
+        *(
+            trial.first_seconds - part_seconds(problem, trial.seconds)
+            for one in curves
+            for trial in one.trials
+            if chosen is None or trial.setting == chosen.get(one.knob.name)
+        ),
+    )
 
 
 def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | None) -> Chosen:
@@ -229,110 +240,6 @@ def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> 
         return pruned_for(source, deep, share, level=level)
     except InputError:  # a scene of which nothing can be bounded is rendered whole
         return None
-
-
-def settled(
-    problem: Problem,
-    curves: Sequence[Curve],
-    wanted: float | None,
-    allowed: float | None,
-    *,
-    seconds: float,
-    clock: Clock | None = None,
-) -> tuple[Combination, bool]:
-    """The best combination, checked by fresh runs; one that they find beyond the tolerance is
-    tightened.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        wanted: relative error; None: a time is given.
-        allowed: s; None: an error is given.
-        seconds: s, for the runs.
-        clock: seconds as a function; None: the machine's.
-
-    Returns:
-        The combination with the error of those runs, and whether there was time for them.
-
-    Raises:
-        InputError: where no combination is within the tolerance or the time.
-    """
-    now = clock or time.perf_counter
-    until = now() + seconds
-    aim, off, error = wanted, 1.0, None
-    for number in range(ROUNDS):
-        try:
-            best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
-        except InputError:
-            if number == 0:
-                raise
-            break
-        error = checked_error(problem, curves, best, seconds=until - now())
-        if error is None:
-            return replace(best, error=best.error * off), False
-        if wanted is None or error <= wanted:
-            return replace(best, error=error), True
-        off = error / max(best.error, 1e-12)
-        aim = MARGIN * wanted / off
-    raise InputError(
-        f"{problem.name}: no settings were found within {wanted:.3g}: fresh runs of the last ones "
-        f"are off by {error:.3g}; allow more, or more time to measure."
-    )
-
-
-def checked_error(
-    problem: Problem, curves: Sequence[Curve], best: Combination, *, seconds: float
-) -> float | None:
-    """The error of a combination, by runs with fresh seeds against finer settings of all knobs.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        best: the combination.
-        seconds: s, the time that is left.
-
-    Returns:
-        Relative, what no run is expected to exceed; None where time is too short for a reference
-        of a third of that error.
-    """
-    measured = [one for one in curves if one.knob.name not in best.unknown]
-    fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
-    each = best.seconds / problem.whole
-    for one in measured:
-        if not one.knob.random:
-            base, setting = one.trials[0], fine.get(one.knob.name)
-            known = {trial.setting: trial.seconds for trial in one.trials}
-            ends = known.get(best.settings[one.knob.name], base.seconds)
-            if isinstance(setting, int | float) and ends > 0:
-                each *= max(max(known.values()) / ends, 1.0)
-        elif isinstance(fine.get(one.knob.name), int | float):
-            setting = max(fine[one.knob.name], 4 * best.settings[one.knob.name])
-            fine[one.knob.name] = setting
-            each *= setting / best.settings[one.knob.name]
-    turned = {**problem.settings, **best.settings}
-    finest = {**turned, **fine}
-    compiling = sum(
-        problem.compiling
-        for one in (finest, turned)
-        if problem.compiled is None or not problem.compiled(one)
-    )
-    if compiling + DRAWS * each + FRESH * best.seconds / problem.whole > seconds:
-        return None
-    random = any(one.knob.random for one in curves)
-    compute = problem.prepare(finest)
-    draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
-    reference = np.mean(draws, axis=0)
-    level = level_of(reference, problem.level)
-    own = 0.0
-    if random:
-        own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
-    chosen = problem.prepare(turned)
-    errors = [
-        float(np.sqrt(np.mean((np.asarray(chosen(FIRST_SEED // 2 + n)) - reference) ** 2))) / level
-        for n in range(FRESH)
-    ]
-    found = next_error(np.array(errors))[2]
-    return None if own > found / 2 else found
 
 
 def _remembered(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:

@@ -21,12 +21,13 @@ from ..render_command import (
 )
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
+from .deadlines import OutOfTime, in_time
 from .records import Compute, Problem
 from .session import Clock
 
 PROBE = 64  # pixels along each side, of those that are computed
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
-SCALING = 0.05  # of the time for everything, that one more program may take to scale times
+SCALING = 0.1  # of the time for everything, that one more program may take to scale times
 FEW = 16  # samples of a problem whose other knobs are turned
 APART = ("rule",)  # compared at a number of samples of its own, whatever the other knobs stand at
 _ABOUT = (
@@ -124,7 +125,7 @@ def scene_problem(
         The problem; radiance in W m^-2 sr^-1.
 
     Raises:
-        InputError: for a scene that cannot be rendered so.
+        InputError: for a scene that cannot be rendered so, or not in that time.
     """
     own = settings or source.render
     if probe < 2:
@@ -136,7 +137,8 @@ def scene_problem(
     places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
 
     compiled: dict[str, Callable[[int], Callable[..., np.ndarray]]] = {}
-    brightest = np.inf
+    brightest, once = np.inf, 0.0
+    now = clock or time.perf_counter
 
     def program(entry: RenderEntry) -> RenderEntry:
         more = {"depth": 2} if entry.integrator == "path" and entry.depth > 2 else {}
@@ -159,16 +161,28 @@ def scene_problem(
         firsts = range(0, entry.samples, few.samples)
 
         def compute(seed: int) -> np.ndarray:
+            nonlocal once
+            start = now()
             pixels = seeded(seed)
+            once = now() - start
             total = sum(pixels(*places, first, entry.depth).astype(np.float64) for first in firsts)
             return np.minimum(_in_all_bands(np.asarray(total) / len(firsts), expand), brightest)
 
         return compute
 
-    now = clock or time.perf_counter
     begun = now()
-    brightest = _brightest(prepare(base)(0))
-    compiling = now() - begun
+    compute = prepare(base)
+    try:
+        picture = in_time(lambda: compute(0), lambda: seconds + begun - now())
+    except OutOfTime:
+        raise InputError(
+            f"{source.path}: the first program was not compiled and run within {seconds:.3g} s; "
+            "allow more time to measure."
+        ) from None
+    first, begun = now() - begun, now()
+    compute(0)
+    compiling = max(first + begun - now(), 0.0)
+    brightest = _brightest(picture)
     bands = source.bands if expand is None else len(expand)
     to_rgb = linear_srgb(bands, source.wavelengths)
     problem = Problem(
@@ -178,6 +192,7 @@ def scene_problem(
         developed=lambda radiance, exposed: _developed(radiance, exposed, to_rgb),
         compiled=None if own.integrator == "light" else known,
         compiling=compiling,
+        once=lambda: once,
         about=_ABOUT,
     )
     everything = np.divmod(np.arange(min(own.tile, height * width)), width)
@@ -185,11 +200,11 @@ def scene_problem(
     if own.integrator == "light" or pixels == 1 or compiling > SCALING * seconds:
         return replace(problem, whole=pixels)
     cheap = {**base, **({"samples": 1} if "samples" in base else {})}
-    part = _seconds_of(prepare(cheap), clock)
-    seeded = seeded_pixels_of(source, entry_of(own, cheap))
-    tile = _seconds_of(lambda seed: seeded(seed)(*everything), clock)
+    part = _seconds_of(prepare(cheap), clock) - once
+    pixels_at = seeded_pixels_of(source, entry_of(own, cheap))(0)
+    tile = _seconds_of(lambda seed: pixels_at(*everything), clock)
     tiles = height * width / len(everything[0])
-    return replace(problem, whole=float(np.clip(tile / part * tiles, 1.0, pixels)))
+    return replace(problem, whole=float(np.clip(tile / max(part, 1e-9) * tiles, 1.0, pixels)))
 
 
 def _at_once(entry: RenderEntry) -> int:

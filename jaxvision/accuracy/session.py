@@ -1,19 +1,24 @@
 """Calls of a problem, timed: cheapest settings first, within a budget, with an estimate of what the
-next one will take."""
+next one will take from how compiling and running have grown so far; a call that was foreseen
+wrongly is left behind."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import jax
 import numpy as np
 
 from ..errors import InputError
+from .deadlines import OutOfTime, in_time
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
-STEEPEST = 3.0  # no cost grows faster than this power of a setting
+GRACE = 0.05  # of the budget, by which a call may exceed it before it is left behind
+STEEPEST = 4.0  # no cost grows faster than this power of a setting; the next may by a factor
+UNKNOWN = 2.0  # growth from one setting to the next that is no larger number, at least
 
 
 @dataclass
@@ -27,6 +32,7 @@ class Point:
         warm: s, of each later one.
         results: by seed, float64.
         rounding: no unit, of the format that the results came in.
+        once: s of a call that a whole takes no longer for than its part.
     """
 
     setting: Any
@@ -35,6 +41,7 @@ class Point:
     warm: list[float] = field(default_factory=list)
     results: dict[int, np.ndarray] = field(default_factory=dict)
     rounding: float = 0.0
+    once: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -53,6 +60,7 @@ class Session:
         self.begun = self.clock()
         self.points: dict[Any, Point] = {}
         self.refused: dict[Any, InputError] = {}
+        self.given_up = ""
 
     @property
     def taken(self) -> float:
@@ -64,19 +72,48 @@ class Session:
         """s until the budget is used up."""
         return self.seconds - self.taken
 
-    def call(self, setting: Any, seed: int) -> Point:
-        """Runs a setting once more, and keeps time and result."""
-        point = self.points.setdefault(setting, Point(setting))
-        start = self.clock()
+    def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
+        """Runs a setting once more, and keeps time and result.
+
+        Args:
+            setting: of the knob.
+            seed: of the call.
+            within: s, that it may take at most; never more than what is left.
+
+        Returns:
+            The calls of the setting.
+
+        Raises:
+            OutOfTime: where it was left behind; what was known of the setting stays.
+        """
+        begun = self.clock()
+        point = self.points.get(setting) or Point(setting)
+
+        def run() -> tuple[Compute, np.ndarray, float, float]:
+            start = self.clock()
+            compute = point.compute
+            if compute is None:
+                settings: Mapping[str, Any] = {**self.problem.settings, self.knob.name: setting}
+                compute = self.problem.prepare(settings)
+            result = jax.block_until_ready(compute(seed))
+            taken = self.clock() - start
+            return compute, np.asarray(result), taken, self.problem.once()
+
+        def left() -> float:
+            spent = self.clock() - begun
+            return min(self.left + GRACE * self.seconds, within - spent)
+
+        try:
+            compute, values, taken, once = in_time(run, left)
+        except OutOfTime:
+            self.given_up = f" ({setting} was given up after {self.clock() - begun:.3g} s)"
+            raise
+        self.points[setting] = point
         if point.compute is None:
-            settings: Mapping[str, Any] = {**self.problem.settings, self.knob.name: setting}
-            point.compute = self.problem.prepare(settings)
-            result = jax.block_until_ready(point.compute(seed))
-            point.first = self.clock() - start
+            point.compute, point.first = compute, taken
         else:
-            result = jax.block_until_ready(point.compute(seed))
-            point.warm.append(self.clock() - start)
-        values = np.asarray(result)
+            point.warm.append(taken)
+        point.once = once
         floating = np.issubdtype(values.dtype, np.floating)
         point.rounding = float(np.finfo(values.dtype).eps) if floating else 0.0
         point.results[seed] = values.astype(np.float64)
@@ -88,33 +125,74 @@ class Session:
         self.refused[setting] = why
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """s that so many calls of a setting will take, by the power of the settings so far."""
+        """s that so many calls of a setting will take: as much more than the last one as compiling
+        and running have grown from one setting to the next."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:
             return calls * known.seconds
         before = list(self.points.values())
-        compiling = max(self.problem.compiling, *(p.first - p.seconds for p in before), 0.0)
-        if self.is_compiled(setting):
-            compiling = 0.0
-        return compiling + (calls * self._warm(setting, before) if before else 0.0)
+        compiling = 0.0
+        if not self.is_compiled(setting):
+            apart = [(p.setting, max(p.first - p.seconds, 0.0)) for p in before]
+            compiling = max(self.problem.compiling, _next(apart, setting, 0.0))
+        running = _next([(p.setting, p.seconds) for p in before], setting, 1.0)
+        return compiling + calls * running
 
     def is_compiled(self, setting: Any) -> bool:
         """Whether the problem says that a setting takes no new program."""
         settings = {**self.problem.settings, self.knob.name: setting}
         return self.problem.compiled is not None and self.problem.compiled(settings)
 
-    def _warm(self, setting: Any, before: list[Point]) -> float:
-        last = before[-1]
-        if not (_is_positive(setting) and _is_positive(last.setting)):
-            return 2 * last.seconds
-        power, ratio = 1.0, setting / last.setting
-        if len(before) > 1 and _is_positive(before[-2].setting):
-            earlier, apart = before[-2], last.setting / before[-2].setting
-            if last.seconds > 0 and earlier.seconds > 0 and apart > 1:
-                power = float(np.log(last.seconds / earlier.seconds) / np.log(apart))
-        if ratio < 1:  # a setting whose cost falls as it grows, such as a tolerance
-            return last.seconds * 2
-        return last.seconds * ratio ** float(np.clip(power, 0, STEEPEST))
+
+def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
+    """s of the whole, where a call of the part took `seconds`, of which the whole takes `once` no
+    longer."""
+    return once + problem.whole * np.maximum(seconds - once, 0.0)
+
+
+def part_seconds(problem: Problem, seconds: float) -> float:
+    """s of a call of the part, from that of the whole."""
+    once = min(problem.once(), seconds)
+    return once + (seconds - once) / problem.whole
+
+
+def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
+    """s of the next setting, by the growth from one to the next before it: as a power of the
+    setting or as a factor, whichever makes it more. Of the last two steps the lesser growth counts,
+    so that one slow setting does not keep those behind it from being run.
+
+    Args:
+        before: (setting, s) in the order in which they were run.
+        setting: the next.
+        power: of the setting, where one alone was run.
+
+    Returns:
+        s, no less than the last; 0 where none was run.
+    """
+    if not before:
+        return 0.0
+    last, taken = before[-1]
+    steps = [_growth(*step) for step in pairwise(before[-3:]) if step[0][1] > 0]
+    factor = min((factor for factor, _ in steps), default=1.0)
+    power = min((power for _, power in steps), default=power)
+    ratio = _ratio(last, setting)
+    if ratio is None:
+        return taken * max(factor, UNKNOWN if power else 1.0)
+    return taken * max(factor, ratio ** min(power, STEEPEST))
+
+
+def _growth(before: tuple[Any, float], after: tuple[Any, float]) -> tuple[float, float]:
+    """By what factor the time has grown, and by what power of the setting, at least 1 and 0."""
+    factor = max(after[1] / before[1], 1.0)
+    ratio = _ratio(before[0], after[0])
+    return factor, float(np.log(factor) / np.log(ratio)) if ratio else 1.0
+
+
+def _ratio(before: Any, after: Any) -> float | None:
+    """Of two settings that are numbers and grow; None of others, such as tolerances."""
+    if _is_positive(before) and _is_positive(after) and after > before:
+        return after / before
+    return None
 
 
 def _is_positive(setting: object) -> bool:

@@ -62,8 +62,9 @@ def combined(
         raise InputError("combined needs curves, and either a tolerance or a time.")
     limit = tolerance if tolerance is not None else seconds
     assert limit is not None
-    once = float(np.median([_seconds_at(curve, base) for curve in curves]))
-    fronts = [_pareto(curve, _seconds_at(curve, base)) for curve in curves]
+    run = [curve for curve in curves if curve.trials]
+    once = float(np.median([_seconds_at(curve, base) for curve in run] or [0.0]))
+    fronts = [_pareto(c, _seconds_at(c, base)) if c.trials else [] for c in curves]
     unknown = _unknown(curves, fronts)
     sets = [
         front or [(base[curve.knob.name], 0.0, 1.0)]

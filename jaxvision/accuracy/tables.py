@@ -65,7 +65,7 @@ def _cells(curve: Curve) -> list[str]:
     """A cell for each tolerance; the first that no setting meets tells the best bound there is."""
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
-        best = min(bound(trial, curve.reference.error) for trial in curve.trials)
+        best = min((bound(trial, curve.reference.error) for trial in curve.trials), default=np.inf)
         known = f"at best {100 * best:.2g} %" if np.isfinite(best) else "no error is known"
         found[found.index(NOT_REACHED)] = f"{NOT_REACHED}: {known}"
     return found
@@ -116,10 +116,13 @@ def notes(curves: Sequence[Curve]) -> list[str]:
         name, own = curve.knob.name, curve.reference
         of = "" if own.setting is None else f" {own.setting}"
         error = f"{100 * own.error:.2g} %" if np.isfinite(own.error) else "not known"
-        found.append(f"{name}: reference{of} ({own.how}), its own error {error}.")
+        if curve.trials:
+            found.append(f"{name}: reference{of} ({own.how}), its own error {error}.")
         if curve.not_run:
             left = ", ".join(str(setting) for setting in curve.not_run)
             found.append(f"{name}: {curve.stopped}; not run: {left}.")
+        elif curve.stopped:
+            found.append(f"{name}: {curve.stopped}.")
     return found
 
 

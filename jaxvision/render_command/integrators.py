@@ -86,7 +86,7 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int]
 
     def seeded(seed: int) -> Computed:
         key = jax.random.key(seed)
-        ready = solved(key)
+        ready = jax.block_until_ready(solved(key))
 
         def compute(
             rows: np.ndarray, columns: np.ndarray, first: int = 0, depth: int = settings.depth

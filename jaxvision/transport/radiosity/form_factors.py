@@ -9,6 +9,7 @@ and keep reciprocity; each other function states its error. For ONE pair: the ca
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,8 +27,8 @@ from ..._numerics import (
 )
 from ..._types import Scalar, Scalars, check_count
 from ..._vector import Vec, as_vec
-from ...lights import gauss_legendre
-from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon, square_places
+from ...lights import gauss_legendre, square_nodes
+from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon
 
 _LARGEST = 1e8  # side over distance: its square is far from overflow in float32
 
@@ -291,13 +292,17 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
     dtype = first[0].x.dtype
 
     def at(order: int) -> Scalar:
-        total = area = jnp.zeros((), dtype)
-        for s, t, weight in square_places(order, dtype):
+        nodes, weights = square_nodes(order)
+
+        def one(s: Scalar, t: Scalar, weight: Scalar) -> tuple[Scalar, Scalar]:
             place, patch = on_polygon(first, s, t)
             size = weight * norm(patch)
-            total = total + size * point_to_polygon(place, as_vec(normalize(patch)), second)
-            area = area + size
-        return total / or_one(area)
+            return size * point_to_polygon(place, as_vec(normalize(patch)), second), size
+
+        # All nodes in one call of a program whose size does not grow with their number.
+        s, t = jnp.asarray(nodes, dtype).T
+        seen, sizes = jax.vmap(one)(s, t, jnp.asarray(weights, dtype))
+        return seen.sum() / or_one(sizes.sum())
 
     value = at(order)
     return Exchange(value, jnp.abs(value - at(order - 1)))

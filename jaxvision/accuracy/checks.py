@@ -1,0 +1,144 @@
+"""The best combination of settings, checked by runs with fresh seeds against finer settings of all
+knobs, and tightened where they find it beyond the tolerance."""
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .deadlines import OutOfTime, in_time
+from .norms import level_of
+from .records import Curve, Problem
+from .reference import DRAWS, FIRST_SEED
+from .session import Clock, part_seconds
+from .several import Combination, combined
+from .spread import next_error
+
+FRESH = 3  # seeds of the check
+ROUNDS = 3  # of tightening after a check that failed
+MARGIN = 0.9
+
+
+def settled(
+    problem: Problem,
+    curves: Sequence[Curve],
+    wanted: float | None,
+    allowed: float | None,
+    *,
+    seconds: float,
+    clock: Clock | None = None,
+) -> tuple[Combination, bool]:
+    """The best combination, checked by fresh runs; one that they find beyond the tolerance is
+    tightened.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        wanted: relative error; None: a time is given.
+        allowed: s; None: an error is given.
+        seconds: s, for the runs.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The combination with the error of those runs, and whether there was time for them.
+
+    Raises:
+        InputError: where no combination is within the tolerance or the time.
+    """
+    now = clock or time.perf_counter
+    until = now() + seconds
+    aim, off, error = wanted, 1.0, None
+    for number in range(ROUNDS):
+        try:
+            best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
+        except InputError:
+            if number == 0:
+                raise
+            break
+        error = checked_error(problem, curves, best, seconds=until - now(), clock=clock)
+        if error is None:
+            return replace(best, error=best.error * off), False
+        if wanted is None or error <= wanted:
+            return replace(best, error=error), True
+        off = error / max(best.error, 1e-12)
+        aim = MARGIN * wanted / off
+    raise InputError(
+        f"{problem.name}: no settings were found within {wanted:.3g}: fresh runs of the last ones "
+        f"are off by {error:.3g}; allow more, or more time to measure."
+    )
+
+
+def checked_error(
+    problem: Problem,
+    curves: Sequence[Curve],
+    best: Combination,
+    *,
+    seconds: float,
+    clock: Clock | None = None,
+) -> float | None:
+    """The error of a combination, by runs with fresh seeds against finer settings of all knobs.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        best: the combination.
+        seconds: s, the time that is left.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        Relative, what no run is expected to exceed; None where time is too short for a reference
+        of a third of that error.
+    """
+    now = clock or time.perf_counter
+    until = now() + seconds
+    measured = [one for one in curves if one.knob.name not in best.unknown]
+    fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
+    call = each = part_seconds(problem, best.seconds)
+    for one in measured:
+        if not one.knob.random:
+            base, setting = one.trials[0], fine.get(one.knob.name)
+            known = {trial.setting: trial.seconds for trial in one.trials}
+            ends = known.get(best.settings[one.knob.name], base.seconds)
+            if isinstance(setting, int | float) and ends > 0:
+                each *= max(max(known.values()) / ends, 1.0)
+        elif isinstance(fine.get(one.knob.name), int | float):
+            setting = max(fine[one.knob.name], 4 * best.settings[one.knob.name])
+            fine[one.knob.name] = setting
+            each *= setting / best.settings[one.knob.name]
+    turned = {**problem.settings, **best.settings}
+    finest = {**turned, **fine}
+    compiling = sum(
+        problem.compiling
+        for one in (finest, turned)
+        if problem.compiled is None or not problem.compiled(one)
+    )
+    if compiling + DRAWS * each + FRESH * call > seconds:
+        return None
+    random = any(one.knob.random for one in curves)
+    with suppress(OutOfTime):
+        return in_time(lambda: _fresh_error(problem, finest, turned, random), lambda: until - now())
+    return None
+
+
+def _fresh_error(
+    problem: Problem, finest: Mapping[str, Any], turned: Mapping[str, Any], random: bool
+) -> float | None:
+    """The error of settings by fresh seeds against the finest; None where that is no better."""
+    compute = problem.prepare(finest)
+    draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
+    reference = np.mean(draws, axis=0)
+    level = level_of(reference, problem.level)
+    own = 0.0
+    if random:
+        own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
+    chosen = problem.prepare(turned)
+    errors = [
+        float(np.sqrt(np.mean((np.asarray(chosen(FIRST_SEED // 2 + n)) - reference) ** 2))) / level
+        for n in range(FRESH)
+    ]
+    found = next_error(np.array(errors))[2]
+    return None if own > found / 2 else found

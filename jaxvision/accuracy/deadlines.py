@@ -1,0 +1,102 @@
+"""Work that is left behind when its time is over, whatever it is doing.
+
+Nothing in Python ends a program that XLA compiles or runs. So the work is done by another thread,
+while the caller waits as long as it may. A thread that is left behind is told to end, and does so
+when XLA gives it back to Python; the process does not wait for it.
+"""
+
+import contextvars
+import ctypes
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import Any
+
+import jax
+import numpy as np
+
+TICK = 0.1  # s, between two looks at the time
+
+
+class OutOfTime(Exception):
+    """Work was left behind, or not begun."""
+
+
+def _double() -> bool:
+    """Whether this thread computes in double precision where it is asked to."""
+    return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+
+
+class _Job:
+    """What is to be done, and in the end what came of it."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self.work = work
+        self.context = contextvars.copy_context()
+        self.double = _double()
+        self.ended = threading.Event()
+        self.result: Any = None
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        # A context of JAX belongs to a thread. One that changes nothing would compile anew.
+        same = _double() == self.double
+        try:
+            with nullcontext() if same else jax.enable_x64(self.double):
+                self.result = self.context.run(self.work)
+        except BaseException as error:
+            self.error = error
+        self.ended.set()
+
+
+class _Hand:
+    """A thread that does one job after another."""
+
+    def __init__(self) -> None:
+        self.jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self.thread = threading.Thread(target=self._serve, daemon=True)
+        self.thread.start()
+
+    def _serve(self) -> None:
+        while (job := self.jobs.get()) is not None:
+            job.run()
+
+    def leave(self) -> None:
+        """Ends the thread as soon as it is in Python again."""
+        self.jobs.put(None)
+        ended = ctypes.c_ulong(self.thread.ident or 0), ctypes.py_object(SystemExit)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(*ended)
+
+
+_idle: list[_Hand] = []
+
+
+def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
+    """What some work returns, unless its time is over before.
+
+    Args:
+        work: a function without arguments; nothing that it changes may matter to who leaves it.
+        left: s that are left for it; infinite where it may take as long as it likes.
+
+    Returns:
+        Its result.
+
+    Raises:
+        OutOfTime: where nothing was left before it ended.
+    """
+    if np.isinf(left()):
+        return work()
+    hand, job = _idle.pop() if _idle else _Hand(), _Job(work)
+    hand.jobs.put(job)
+    try:
+        while not job.ended.wait(TICK):
+            if left() <= 0:
+                raise OutOfTime
+    except BaseException:
+        hand.leave()
+        raise
+    _idle.append(hand)
+    if job.error is not None:
+        raise job.error
+    return job.result

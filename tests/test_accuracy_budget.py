@@ -1,0 +1,217 @@
+"""Budgets of measurements: what grows is foreseen, what is foreseen wrongly is given up."""
+
+import threading
+import time
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from commands import called
+from scene_texts import BALL
+
+from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines, plot
+from jaxvision.accuracy.curves import LEAST, in_turn
+from jaxvision.accuracy.deadlines import OutOfTime, in_time
+from jaxvision.accuracy.scenes import scene_problem
+from jaxvision.accuracy.tables import as_dict, notes, rows
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+from jaxvision.scene_files import read_scene
+
+KNOB = Knob("n", "nodes", "", (1, 2, 3, 4, 5), (6, 8))
+DRAWS = replace(KNOB, random=True, order=-0.5)
+
+
+class Clock:
+    """Seconds that pass while who waits for a call looks at them, as long as the call spends some:
+    a thousandth of a budget of 60 s at each look."""
+
+    def __init__(self):
+        self.now, self.spent, self.done = 0.0, 0.0, threading.Event()
+
+    def __call__(self):
+        step = min(self.spent, 0.06)
+        self.now, self.spent = self.now + step, self.spent - step
+        if self.spent <= 0:
+            self.done.set()
+        return self.now
+
+    def spend(self, seconds):
+        self.done.clear()
+        self.spent = seconds
+        while not self.done.wait(1e-3):
+            pass
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A call that is left behind spends nothing any more."""
+    kept, leave = Clock(), deadlines._Hand.leave
+
+    def left_behind(hand):
+        kept.spent = 0.0
+        leave(hand)
+
+    monkeypatch.setattr(deadlines, "TICK", 1e-4)
+    monkeypatch.setattr(deadlines._Hand, "leave", left_behind)
+    return kept
+
+
+def growing(clock, *, compiling=lambda n: 0.0, running=lambda n: 1e-3):
+    """A result off by 1 / n^2 whose program takes so long to compile, and then to run."""
+
+    def prepare(settings):
+        n, state = settings["n"], {"first": True}
+
+        def compute(seed):
+            clock.spend(running(n) + (compiling(n) if state.pop("first", False) else 0.0))
+            return np.full(4, 1 + n**-2.0) + 1e-9 * seed
+
+        return compute
+
+    return Problem("growing", prepare)
+
+
+@pytest.mark.parametrize("knob", [KNOB, DRAWS])
+@pytest.mark.parametrize(
+    "growth",
+    [
+        {"compiling": lambda n: 0.02 * 30.0**n},
+        {"running": lambda n: 1e-3 * 30.0**n},
+        {"compiling": lambda n: 0.1 * n**4, "running": lambda n: 0.02 * n**3},
+        {"compiling": lambda n: 20.0},
+    ],
+)
+@pytest.mark.parametrize("seconds", [10.0, 60.0])
+def test_growth_is_foreseen_and_the_budget_kept(clock, knob, growth, seconds):
+    """By a factor of 30 from each setting to the next, or by a power."""
+    found = curve(growing(clock, **growth), knob, seconds=seconds, clock=clock)
+    assert clock.now <= 1.1 * seconds
+    run = [trial.setting for trial in found.trials]
+    assert run == list(KNOB.settings[: len(run)])
+    assert found.not_run == KNOB.settings[len(run) :]
+    assert not found.not_run or found.stopped.startswith("out of time")
+
+
+def hanging(clock, at):
+    """A program that compiles for ever, without a sign of it in those before."""
+    plain = growing(clock)
+
+    def prepare(settings):
+        if settings["n"] != at:
+            return plain.prepare(settings)
+
+        return lambda seed: clock.spend(np.inf)
+
+    return Problem("hanging", prepare)
+
+
+@pytest.mark.parametrize("knob", [KNOB, DRAWS])
+@pytest.mark.parametrize("at", [3, 5, 6, 8])
+def test_what_was_not_foreseen_is_given_up_and_the_rest_kept(clock, knob, at):
+    """In a setting or in a reference; the error of what was run is known all the same."""
+    assumed = replace(knob, reference=(at,)) if at > 5 else knob
+    found = curve(hanging(clock, at), assumed, seconds=60.0, clock=clock)
+    assert clock.now <= 66.0
+    assert found.stopped.startswith(f"out of time ({at} was given up after ")
+    assert found.not_run == tuple(n for n in KNOB.settings if n >= at)
+    assert np.isfinite(found.reference.error)
+    told = notes([found])
+    assert f"n: {found.stopped}" in told[-1]
+
+
+def test_the_first_setting_is_given_up_and_the_other_knobs_still_have_their_time(clock):
+    hangs, runs = hanging(clock, 1), growing(clock)
+    other = replace(KNOB, name="other")
+    problems = {"n": (hangs, KNOB), "other": (Problem("runs", _renamed(runs)), other)}
+
+    def measure(name, share):
+        return curve(*problems[name], seconds=share, clock=clock)
+
+    first, second = in_turn(["n", "other"], measure, seconds=100.0, clock=clock)
+    assert clock.now <= 110.0
+    assert (first.trials, first.reference.how, first.not_run) == ((), "none", KNOB.settings)
+    assert len(second.trials) == 5
+    both = replace(runs, settings={"n": 2, "other": 2})
+    assert rows(both, [first, second])[1][2] == "not reached: no error is known"
+    assert "n: out of time (1 was given up" in notes([first])[0]
+    assert as_dict(both, [first, second])["knobs"][0]["trials"] == []
+    assert combined([first, second], both.settings, tolerance=0.3).unknown == ("n",)
+    assert plot(first).texts
+    for asked in ({"tolerance": 0.1}, {"seconds": 1.0}):
+        with pytest.raises(InputError, match=r"no error is known|none was run"):
+            choose(first, **asked)
+
+
+def _renamed(problem):
+    return lambda settings: problem.prepare({"n": settings["other"]})
+
+
+def test_a_budget_that_is_used_up_begins_nothing():
+    def prepare(settings):
+        raise AssertionError
+
+    assert curve(Problem("late", prepare), KNOB, seconds=LEAST, clock=Clock()).trials == ()
+
+
+def test_an_interrupt_before_a_later_knob_keeps_the_earlier_ones(clock):
+
+    def measure(name, share):
+        if name == "b":
+            raise KeyboardInterrupt
+        return curve(growing(clock), KNOB, seconds=share, clock=clock)
+
+    assert len(in_turn(["a", "b", "c"], measure, seconds=60.0, clock=clock)) == 1
+    with pytest.raises(KeyboardInterrupt):
+        in_turn(["b"], measure, seconds=60.0, clock=clock)
+
+
+def test_work_in_time_is_that_of_the_caller(monkeypatch):
+    """Its result, its errors, its precision; and what is left behind ends."""
+    monkeypatch.setattr(deadlines, "TICK", 1e-3)
+    assert in_time(lambda: 3, lambda: 1.0) == 3
+    with pytest.raises(InputError, match="wrong"):
+        in_time(lambda: _raise(InputError("wrong")), lambda: 1.0)
+    before = bool(jax.config.jax_enable_x64)
+    with jax.enable_x64(not before):
+        assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) != before
+    assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) == before
+    ended, left = [], iter([1.0, 1.0, 0.0])
+
+    def endless():
+        try:
+            while True:
+                time.sleep(1e-3)
+        finally:
+            ended.append(True)
+
+    with pytest.raises(OutOfTime):
+        in_time(endless, lambda: next(left))
+    for _ in range(10_000):
+        if ended:
+            break
+        time.sleep(1e-3)
+    assert ended
+    assert in_time(lambda: 4, lambda: 1.0) == 4
+
+
+def _raise(error):
+    raise error
+
+
+def test_a_reference_of_another_shape_is_a_sentence():
+    problem = Problem("four", lambda settings: lambda seed: np.full(4, 1 + settings["n"] ** -2.0))
+    assert curve(problem, KNOB, reference=np.ones(4), seconds=np.inf).trials
+    for shape in ((3,), (2, 4), (4, 1)):
+        with pytest.raises(InputError, match=r"a result has shape \(4,\)"):
+            curve(problem, KNOB, reference=np.ones(shape), seconds=np.inf)
+
+
+def test_a_scene_that_cannot_be_begun_in_time_is_a_sentence(tmp_path):
+    (tmp_path / "ball.toml").write_text(BALL)
+    with pytest.raises(InputError, match=r"was not compiled and run within 0\.001 s"):
+        scene_problem(read_scene(tmp_path / "ball.toml"), seconds=1e-3)
+    status, _, said = called(app, "accuracy", tmp_path / "ball.toml", "--seconds", 1e-3)
+    assert status == 2
+    assert "allow more" in said
