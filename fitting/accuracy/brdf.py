@@ -16,14 +16,19 @@ from jaxvision.errors import InputError
 from ..inference.newton import minimise
 from ..observation import Load
 from ..reflectance.from_images.fit import ChannelFit, fit_channel
-from ..reflectance.from_images.geometry_cells import Grouping, average, group
+from ..reflectance.from_images.geometry_cells import Grouping, average, group, saturated_only
 from ..reflectance.from_images.model import Form, Samples, negative_log_likelihood
-from ..reflectance.from_images.posterior import composite, composite_log_density
+from ..reflectance.from_images.posterior import (
+    composite,
+    composite_log_density,
+    total_log_likelihood,
+)
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
 from ..reflectance.from_images.samples import Selection, select
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
+TOLERANCE = 1e-7  # of a search, unless it is turned
 AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 
@@ -57,7 +62,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     errors = np.sqrt(np.diagonal(fit.robustness.covariance))
     start = jnp.asarray(fit.vector - AWAY, fit.samples.dn.dtype)
 
-    def searched(samples: Samples, tolerance: float = 1e-7) -> np.ndarray:
+    def searched(samples: Samples, tolerance: float = TOLERANCE) -> np.ndarray:
         found = minimise(negative_log_likelihood, start, samples, tolerance=tolerance)
         return np.asarray(found.vector) / errors
 
@@ -75,7 +80,17 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         if isinstance(width, str):
             return lambda seed: searched(fit.samples)
         grouping = _grouping(observation, chosen, width)
-        return lambda seed: searched(average(fit.samples, grouping))
+        saturated = saturated_only(fit.samples)
+
+        def mode(first: Array, made: Samples) -> Array:
+            return minimise(_cost, first, (made, saturated), tolerance=TOLERANCE).vector
+
+        def compute(seed: int) -> np.ndarray:
+            near = mode(start, average(fit.samples, grouping))
+            exact = average(fit.samples, grouping, exact_at=near)
+            return np.asarray(mode(near, exact)) / errors
+
+        return compute
 
     turns = {
         "pixels": pixels,
@@ -83,6 +98,10 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
     }
     return {**turns, **chain_knobs(_density(fit, usual))}
+
+
+def _cost(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
+    return -total_log_likelihood(vector, *data)
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:

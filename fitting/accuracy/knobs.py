@@ -24,7 +24,7 @@ _OF_RIGS = (
     Knob(
         "cells",
         "of the usual width",
-        "cells of like pixels instead of pixels",
+        "cells of like pixels instead of pixels, exact where they put the mode",
         (8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
         ("pixels",),
         sets=("*.group.width", "*.make_grid.width"),

@@ -193,7 +193,7 @@ def settings(
     known = {
         "settings": dict(best.settings),
         "promised": best.error + gone,
-        "predicted_seconds": _compiling(problem, curves, best.settings) + best.seconds,
+        "predicted_seconds": _compiling(problem, curves, chosen=best.settings) + best.seconds,
         "checked": checked,
         "unknown": list(best.unknown),
         "level": level,
@@ -205,7 +205,7 @@ def settings(
 
 
 def _compiling(
-    problem: Problem, curves: Sequence[Curve], chosen: Mapping[str, Any] | None = None
+    problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
     """s that the programs of the chosen settings take to compile; None: those of any."""
     return max(

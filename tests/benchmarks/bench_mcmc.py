@@ -74,7 +74,7 @@ def jax_log_density(*, cells):
     if cells:
         grouping = group(light, cosine, np.arccos(cos_mirror))
         samples = average(samples, grouping, exact_at=mode)
-    posterior = Composite(samples, None, mode, jnp.eye(3))
+    posterior = Composite(samples, None, mode, jnp.eye(3), jnp.zeros(3))
 
     @jax.jit
     def evaluate(vectors, posterior):

@@ -6,10 +6,14 @@ mode until its curvature is the inverse of the sandwich covariance (the curvatur
 Ribatet, Cooley & Davison, Statistica Sinica 22, 2012; per direction what the magnitude adjustment
 of Pauli, Racugno & Ventura, 2011, does on average). Priors are flat in the logarithms.
 
-A step of the chain evaluates cells instead of pixels; at the mode they agree exactly.
+A step of the chain evaluates cells instead of pixels. At the mode both predict the same mean of
+each cell, but not how it changes with the parameters: that differs inside a cell, and with it the
+slope. The slope of the cells is therefore taken off, so that their density has its mode where that
+of all pixels has.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -30,12 +34,14 @@ class Composite(eqx.Module):
         saturated: the others; None if there are none.
         mode: (P,) unconstrained.
         stretch: (P, P), the matrix C of mode + C (vector - mode).
+        slope: (P,) of the cells and saturated samples at the mode, where that of all pixels is 0.
     """
 
     cells: Samples
     saturated: Samples | None
     mode: Float[Array, " parameters"]
     stretch: Float[Array, "parameters parameters"]
+    slope: Float[Array, " parameters"]
 
 
 def composite_log_density(vector: Float[Array, " parameters"], data: Composite) -> Array:
@@ -43,7 +49,7 @@ def composite_log_density(vector: Float[Array, " parameters"], data: Composite) 
 
     Args:
         vector: (P,) unconstrained.
-        data: cells, saturated samples and stretch.
+        data: cells, saturated samples, stretch and slope.
 
     Returns:
         ().
@@ -51,11 +57,32 @@ def composite_log_density(vector: Float[Array, " parameters"], data: Composite) 
     Source:
         Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.
     """
-    stretched = data.mode + data.stretch @ (vector - data.mode)
-    total = jnp.sum(log_likelihoods(stretched, data.cells))
-    if data.saturated is not None:
-        total = total + jnp.sum(log_likelihoods(stretched, data.saturated))
+    away = data.stretch @ (vector - data.mode)
+    own = total_log_likelihood(data.mode + away, data.cells, data.saturated)
+    return own - data.slope @ away
+
+
+@eqx.filter_jit
+def total_log_likelihood(
+    vector: Float[Array, " parameters"], cells: Samples, saturated: Samples | None
+) -> Array:
+    """Log likelihood of cells, and of the saturated samples that cells leave out.
+
+    Args:
+        vector: (P,) unconstrained.
+        cells: of the unsaturated samples.
+        saturated: the others; None if there are none.
+
+    Returns:
+        ().
+    """
+    total = jnp.sum(log_likelihoods(vector, cells))
+    if saturated is not None:
+        total = total + jnp.sum(log_likelihoods(vector, saturated))
     return total
+
+
+_slope = eqx.filter_jit(jax.grad(total_log_likelihood))
 
 
 def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
@@ -70,10 +97,13 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
     """
     assert fit.robustness is not None
     mode = jnp.asarray(fit.vector, fit.samples.dn.dtype)
+    cells = average(fit.samples, grouping, exact_at=mode)
+    saturated = saturated_only(fit.samples)
     return Composite(
-        cells=average(fit.samples, grouping, exact_at=mode),
-        saturated=saturated_only(fit.samples),
+        cells=cells,
+        saturated=saturated,
         mode=mode,
+        slope=_slope(mode, cells, saturated),
         stretch=jnp.asarray(
             curvature_stretch(fit.information, fit.robustness.gaussian_covariance), mode.dtype
         ),
