@@ -543,7 +543,7 @@ ELSEWHERE = (
             fitting.response.curve: fit_response_curve slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
             fitting.response.left_out: without_effect
-            fitting.response.pilot: fit_noise fit_pilot on_bins rising
+            fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.places: clear_of_clipping layout_of steepness_classes tiles_of
             fitting.response.radiance_map: merge
@@ -583,7 +583,7 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_reflectance test_reflectance_plan test_spread test_stated_errors test_comparison",
+        "test_reflectance test_reflectance_plan test_spread test_stated_errors test_comparison test_shading_check",
         """
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
             fitting.reflectance.from_images.comparison: compare comparison_table difference
@@ -599,6 +599,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.plan: added_information plan plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
             fitting.reflectance.from_images.posterior: composite_log_density
+            fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.samples: lobe_geometry make_samples select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance
