@@ -583,7 +583,8 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_reflectance test_reflectance_plan test_spread test_stated_errors test_comparison test_shading_check",
+        "test_reflectance test_reflectance_plan test_shading_check test_spread test_stated_errors "
+        "test_comparison",
         """
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
             fitting.reflectance.from_images.comparison: compare comparison_table difference
