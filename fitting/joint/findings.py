@@ -5,6 +5,7 @@ import numpy as np
 from ..inference.diagnostics import listed
 from ..inference.parameters import names, prior_gaussian
 from ..inference.posterior import Posterior, convergence_in_words
+from ..reflectance.from_images.shading_check import contradictions
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
@@ -17,6 +18,7 @@ NOTABLE = 2.5  # standard deviations of an image's error worth a word
 def findings(calibration: JointCalibration) -> tuple[str, ...]:
     """Assumptions, misfit, identifiability, what the priors alone tell, and convergence."""
     return (
+        *contradictions(calibration.measurement.observation),
         *calibration.measurement.observation.findings,
         *calibration.measurement.findings,
         *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),
