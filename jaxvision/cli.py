@@ -210,8 +210,10 @@ def render(
 
         if not measure > 0:
             raise InputError(f"--measure {measure:g}: give a time above 0.")
-        print("Measuring what accuracy costs; the result is remembered.", file=sys.stderr)
         share = _share(accuracy) if accuracy else None
+        if seconds is not None and not seconds > 0:
+            raise InputError(f"--seconds {seconds:g}: give a time above 0.")
+        print("Measuring what accuracy costs; the result is remembered.", file=sys.stderr)
         source = replace(source, render=settings)
         chosen = settings_for(source, tolerance=share, render_seconds=seconds, seconds=measure)
         settings, pruned = chosen.render, chosen.effects
@@ -253,7 +255,12 @@ def accuracy(
     check_request(seconds, out)
     source = read_scene(file)
     norms = ("rms", "p99", "max", "delta_e")
-    left = max(seconds - (time.perf_counter() - begun), LEAST)
+    left = seconds - (time.perf_counter() - begun)
+    if left <= LEAST:
+        raise InputError(
+            f"--seconds {seconds:g}: libraries and scene took {seconds - left:.2g} s to load; "
+            "allow more."
+        )
     problem, curves = measured(
         source, source.render, names=tuple(knob or ()) or None, seconds=left, metrics=norms
     )

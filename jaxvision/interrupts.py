@@ -33,13 +33,15 @@ class _Ending:
         said: set when the sentence is on its way to standard error.
         raised: set where the exception is wanted.
         handled: set by who has caught it and ends by itself.
+        behind: set where threads still work for whom nobody waits any more.
         leaving: held by the thread that ends the process, and never released.
     """
 
     def __init__(self) -> None:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
-        self.seen, self.said, self.raised, self.handled = (threading.Event() for _ in range(4))
+        self.seen, self.said, self.raised = (threading.Event() for _ in range(3))
+        self.handled, self.behind = threading.Event(), threading.Event()
         self.leaving = threading.Lock()
 
 
@@ -64,6 +66,12 @@ def is_handled() -> None:
     """Tells that the command has caught the exception, keeps what it has, and ends by itself; a
     second interrupt ends it at once."""
     _ending.handled.set()
+
+
+def leaves_work_behind() -> None:
+    """Tells that threads still work for whom nobody waits any more, so that the command ends at
+    once."""
+    _ending.behind.set()
 
 
 @contextmanager
@@ -109,15 +117,19 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(command, reader), daemon=True).start()
     signal.signal(signal.SIGINT, _raise_where_wanted)
+    status: object = 0
     try:
         work()
     except KeyboardInterrupt:
         _ending.seen.set()
-    except SystemExit:
-        if not _ending.seen.is_set():
+    except SystemExit as end:
+        status = end.code
+        if not (_ending.seen.is_set() or _ending.behind.is_set()):
             raise
     if _ending.seen.is_set():
         _leave(command)
+    if _ending.behind.is_set():
+        _end(status if isinstance(status, int) else int(status is not None))
 
 
 def _raise_where_wanted(number: int, frame: FrameType | None) -> None:
@@ -159,7 +171,11 @@ def _leave(command: str) -> None:
         print(f"{command}: {_ending.sentence}", file=sys.stderr)
     for file in tuple(_ending.unfinished):
         file.unlink(missing_ok=True)
+    _end(INTERRUPTED)
+
+
+def _end(status: int) -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
-    os._exit(INTERRUPTED)
+    os._exit(status)

@@ -1,7 +1,8 @@
 """Budgets of measurements: what grows is foreseen, what is foreseen wrongly is given up."""
 
+import subprocess
+import sys
 import threading
-import time
 from dataclasses import replace
 
 import jax
@@ -38,10 +39,8 @@ class Clock:
         return self.now
 
     def spend(self, seconds):
-        self.done.clear()
-        self.spent = seconds
-        while not self.done.wait(1e-3):
-            pass
+        self.done, self.spent = threading.Event(), seconds
+        self.done.wait()
 
 
 @pytest.fixture
@@ -51,6 +50,7 @@ def clock(monkeypatch):
 
     def left_behind(hand):
         kept.spent = 0.0
+        kept.done.set()
         leave(hand)
 
     monkeypatch.setattr(deadlines, "TICK", 1e-4)
@@ -177,22 +177,17 @@ def test_work_in_time_is_that_of_the_caller(monkeypatch):
     with jax.enable_x64(not before):
         assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) != before
     assert in_time(lambda: bool(jax.config.jax_enable_x64), lambda: 1.0) == before
-    ended, left = [], iter([1.0, 1.0, 0.0])
+    may_end, ended, left = threading.Event(), threading.Event(), iter([1.0, 1.0, 0.0])
 
     def endless():
-        try:
-            while True:
-                time.sleep(1e-3)
-        finally:
-            ended.append(True)
+        may_end.wait()
+        ended.set()
 
     with pytest.raises(OutOfTime):
         in_time(endless, lambda: next(left))
-    for _ in range(10_000):
-        if ended:
-            break
-        time.sleep(1e-3)
-    assert ended
+    assert not ended.is_set()
+    may_end.set()
+    ended.wait()
     assert in_time(lambda: 4, lambda: 1.0) == 4
 
 
@@ -215,3 +210,58 @@ def test_a_scene_that_cannot_be_begun_in_time_is_a_sentence(tmp_path):
     status, _, said = called(app, "accuracy", tmp_path / "ball.toml", "--seconds", 1e-3)
     assert status == 2
     assert "allow more" in said
+
+
+@pytest.mark.parametrize(
+    ("result", "sentence"),
+    [
+        (lambda n: np.ones(n), r"has shape \(6,\), that of others \(1,\)"),
+        (lambda n: np.zeros(0), "is empty; give at least one number"),
+        (lambda n: np.ones(2) * 1j, "is complex128; give real numbers"),
+        (lambda n: np.array(["a"]), "give real numbers"),
+    ],
+)
+def test_results_that_cannot_be_compared_are_sentences(result, sentence):
+    problem = Problem("odd", lambda settings: lambda seed: result(settings["n"]))
+    with pytest.raises(InputError, match=sentence):
+        curve(problem, KNOB, seconds=np.inf)
+
+
+def test_infinite_results_are_no_error_that_is_known():
+    problem = Problem("far", lambda settings: lambda seed: np.array([1.0, np.inf]))
+    with pytest.raises(InputError, match="no error is known"):
+        choose(curve(problem, KNOB, seconds=np.inf), tolerance=0.1)
+
+
+def test_wrong_limits_and_settings_are_sentences(clock):
+    problem = growing(clock)
+    found = curve(problem, KNOB, clock=clock)
+    for asked in ({"tolerance": -1.0}, {"tolerance": np.nan}, {"seconds": -1.0}):
+        with pytest.raises(InputError, match="of at least 0"):
+            choose(found, **asked)
+        with pytest.raises(InputError, match="of at least 0"):
+            combined([found], {"n": 2}, **asked)
+    with pytest.raises(InputError, match="base has no setting of 'n'"):
+        combined([found], {}, tolerance=0.1)
+    with pytest.raises(InputError, match="a number, a word or a tuple"):
+        curve(problem, KNOB, settings=([1], [2]))
+    with pytest.raises(InputError, match="at least 2 seeds"):
+        curve(problem, KNOB, seeds=2.5)
+
+
+@pytest.mark.parametrize("end", ["pass", "raise SystemExit(3)", "sys.exit('wrong')"])
+def test_a_command_ends_without_what_it_left_behind(end):
+    """With its own status; the thread would go on for an hour."""
+    script = f"""
+import sys, threading
+from jaxvision.interrupts import ending_on_interrupt, leaves_work_behind
+def work():
+    threading.Thread(target=threading.Event().wait, args=(3600,)).start()
+    leaves_work_behind()
+    print("said")
+    {end}
+ending_on_interrupt("jaxvision", work)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "said\n"
+    assert done.returncode == {"pass": 0, "raise SystemExit(3)": 3}.get(end, 1)

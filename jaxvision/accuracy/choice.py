@@ -106,13 +106,16 @@ def choose(
     """
     if (tolerance is None) == (seconds is None):
         raise InputError("choose needs either a tolerance or a time; give one of the two.")
+    limit = tolerance if seconds is None else seconds
+    assert limit is not None
+    if not limit >= 0:
+        raise InputError(f"choose by {limit:g}: give a tolerance or a time of at least 0.")
     found = candidates(curve) if isinstance(curve, Curve) else tuple(curve)
     floor = curve.reference.error if isinstance(curve, Curve) else 0.0
     if seconds is None:
-        assert tolerance is not None
-        enough = [trial for trial in found if bound(trial, floor) <= tolerance]
+        enough = [trial for trial in found if bound(trial, floor) <= limit]
         if not enough:
-            raise InputError(_not_reached(curve, found, floor, tolerance))
+            raise InputError(_not_reached(curve, found, floor, limit))
         return min(enough, key=lambda trial: trial.seconds)
     if not found:
         raise InputError(f"No setting takes at most {seconds:g} s: none was run; allow more time.")

@@ -1,7 +1,7 @@
 """Error against time for one knob of one problem, within a budget."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -13,7 +13,7 @@ from ..interrupts import is_handled, raised_interrupts
 from .deadlines import OutOfTime
 from .fitted import fit_order
 from .knobs import knob_named
-from .norms import check_norms, level_of, norms_of, relative_rms
+from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
 from .reference import PAIRED, paired_reference, random_reference
 from .session import GRACE, Clock, Point, Session, whole_seconds
@@ -84,7 +84,9 @@ def curve(
     check_norms(names)
     if not turned.settings:
         raise InputError(f"knob {turned.name!r} has no settings; give at least one.")
-    if seeds < 2 or not seconds > 0:
+    if not all(isinstance(setting, Hashable) for setting in turned.settings):
+        raise InputError(f"knob {turned.name!r}: a setting is a number, a word or a tuple of such.")
+    if int(seeds) != seeds or seeds < 2 or not seconds > 0:
         raise InputError(f"give at least 2 seeds and a time above 0 s, got {seeds}, {seconds}.")
     session = Session(problem, turned, seconds, clock)
     given = problem.exact if reference is None else reference
@@ -94,11 +96,11 @@ def curve(
         found = Reference(None, 0.0, how), np.asarray(given, np.float64)
     stopped = ""
     try:
-        with raised_interrupts():
+        with raised_interrupts(), np.errstate(invalid="ignore", over="ignore"):
             _look(session)
             if found is None:
                 found = random_reference(session) if turned.random else paired_reference(session)
-            _take_turns(session, seeds)
+            _take_turns(session, int(seeds))
     except KeyboardInterrupt:
         is_handled()
         stopped = "interrupted"
@@ -118,7 +120,8 @@ def curve(
         last = session.points[run[-1]].results
         found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
     points = [session.points[setting] for setting in run]
-    return _told(session, points, *found, names, not_run, stopped)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _told(session, points, *found, names, not_run, stopped)
 
 
 def _look(session: Session) -> None:
@@ -182,7 +185,7 @@ def _told(
     problem = session.problem
     some = np.asarray(next(iter(exact.values())) if isinstance(exact, dict) else exact)
     shape = next(iter(points[0].results.values())).shape
-    if not _spreads_over(some.shape, shape):
+    if not spreads_over(some.shape, shape):
         raise InputError(
             f"{problem.name}: a result has shape {shape}, and the reference {some.shape}; give one "
             "of the same shape."
@@ -206,13 +209,6 @@ def _told(
         stopped,
         session.taken,
     )
-
-
-def _spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
-    try:
-        return np.broadcast_shapes(reference, result) == result
-    except ValueError:
-        return False
 
 
 def _gap(finest: Point, reference: np.ndarray, error: float) -> float:

@@ -1,12 +1,13 @@
 """Work that is left behind when its time is over, whatever it is doing.
 
 Nothing in Python ends a program that XLA compiles or runs. So the work is done by another thread,
-while the caller waits as long as it may. A thread that is left behind is told to end, and does so
-when XLA gives it back to Python; the process does not wait for it.
+while the caller waits as long as it may. A thread that is left behind goes on to the end of its
+work. At its own end a Python process waits for that, since XLA's threads do not outlive what they
+use; a command does not.
 """
 
+import atexit
 import contextvars
-import ctypes
 import queue
 import threading
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from typing import Any
 
 import jax
 import numpy as np
+
+from ..interrupts import leaves_work_behind
 
 TICK = 0.1  # s, between two looks at the time
 
@@ -63,10 +66,10 @@ class _Hand:
             job.run()
 
     def leave(self) -> None:
-        """Ends the thread as soon as it is in Python again."""
+        """Leaves the thread to its last job."""
         self.jobs.put(None)
-        ended = ctypes.c_ulong(self.thread.ident or 0), ctypes.py_object(SystemExit)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(*ended)
+        leaves_work_behind()
+        atexit.register(self.thread.join)
 
 
 _idle: list[_Hand] = []

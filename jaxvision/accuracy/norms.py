@@ -77,3 +77,11 @@ def check_norms(names: tuple[str, ...]) -> None:
             raise InputError(f"norm {name!r} is unknown; {nearest(name, (*NORMS, 'delta_e'))}.")
     if not names or names[0] not in NORMS:
         raise InputError(f"the first norm must be one of {', '.join(NORMS)}, got {names[:1]}.")
+
+
+def spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
+    """Whether a reference of one shape can be compared with a result of another."""
+    try:
+        return np.broadcast_shapes(reference, result) == result
+    except ValueError:
+        return False

@@ -108,6 +108,7 @@ class Session:
         except OutOfTime:
             self.given_up = f" ({setting} was given up after {self.clock() - begun:.3g} s)"
             raise
+        self._check(setting, values)
         self.points[setting] = point
         if point.compute is None:
             point.compute, point.first = compute, taken
@@ -118,6 +119,22 @@ class Session:
         point.rounding = float(np.finfo(values.dtype).eps) if floating else 0.0
         point.results[seed] = values.astype(np.float64)
         return point
+
+    def _check(self, setting: Any, values: np.ndarray) -> None:
+        """`InputError` for what is no array of real numbers of the shape of all others."""
+        of = f"{self.problem.name}: the result of {self.knob.name} {setting}"
+        if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool) or np.iscomplexobj(
+            values
+        ):
+            raise InputError(f"{of} is {values.dtype}; give real numbers.")
+        if values.size == 0:
+            raise InputError(f"{of} is empty; give at least one number.")
+        shapes = {one.shape for p in self.points.values() for one in p.results.values()}
+        if shapes and values.shape not in shapes:
+            raise InputError(
+                f"{of} has shape {values.shape}, that of others {shapes.pop()}; give arrays that "
+                "can be compared."
+            )
 
     def refuse(self, setting: Any, why: InputError) -> None:
         """Leaves out a setting that the problem cannot be computed with."""

@@ -62,6 +62,10 @@ def combined(
         raise InputError("combined needs curves, and either a tolerance or a time.")
     limit = tolerance if tolerance is not None else seconds
     assert limit is not None
+    missing = [one.knob.name for one in curves if one.knob.name not in base]
+    if missing or not limit >= 0:
+        wrong = f"base has no setting of {missing[0]!r}" if missing else f"got {limit:g}"
+        raise InputError(f"combined: {wrong}; give one of each knob, and a limit of at least 0.")
     run = [curve for curve in curves if curve.trials]
     once = float(np.median([_seconds_at(curve, base) for curve in run] or [0.0]))
     fronts = [_pareto(c, _seconds_at(c, base)) if c.trials else [] for c in curves]
