@@ -40,7 +40,7 @@ class LeftOut:
 
 
 def distance(
-    squares: Float[np.ndarray, "..."], count: float | Float[np.ndarray, "..."] = 1.0
+    squares: Float[np.ndarray, "..."], *, count: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
     """How far errors of independent parts of the data move their law.
 
