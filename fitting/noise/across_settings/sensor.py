@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -54,9 +55,15 @@ def sensor_at(
     factor = Setting(stated, unit).gain_factor
     space, samples = calibration.posterior.space, calibration.posterior.samples
     rows = np.linspace(0, len(samples) - 1, min(DRAWS, len(samples))).astype(int)
-    best = _sensor(calibration, calibration.fit.solution.vector, factor, warmth)
-    vectors = to_unconstrained(space, jnp.asarray(samples[rows]))
-    return best, eqx.filter_vmap(lambda v: _sensor(calibration, v, factor, warmth))(vectors)
+    drawn = to_unconstrained(space, jnp.asarray(samples[rows]))
+    vectors = jnp.concatenate([calibration.fit.solution.vector[None], drawn])
+
+    @jax.jit
+    def sensors(vectors: Float[Array, "draws parameters"]) -> Sensor:
+        return eqx.filter_vmap(lambda one: _sensor(calibration, one, factor, warmth))(vectors)
+
+    every = sensors(vectors)
+    return jax.tree.map(lambda x: x[0], every), jax.tree.map(lambda x: x[1:], every)
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
@@ -103,8 +110,8 @@ def _sensor(
 ) -> Sensor:
     fit = calibration.fit
     at = figures(fit.model, vector, no_deviations(len(fit.settings)))
-    log_factor = jnp.log(jnp.asarray([s.gain_factor for s in fit.settings]))
-    kelvin = jnp.asarray([s.temperature or 1.0 for s in fit.settings])
+    log_factor = np.log([s.gain_factor for s in fit.settings])
+    kelvin = np.array([s.temperature or 1.0 for s in fit.settings])
 
     def between(values: Array) -> Array:
         return _interpolated(values, log_factor, float(np.log(factor)), kelvin, warmth or 1.0)
@@ -151,17 +158,17 @@ def _black(frames: object) -> Array:
 
 def _interpolated(
     values: Float[Array, " settings"],
-    log_factor: Float[Array, " settings"],
+    log_factor: Float[np.ndarray, " settings"],
     at_factor: float,
-    kelvin: Float[Array, " settings"],
+    kelvin: Float[np.ndarray, " settings"],
     at_kelvin: float,
 ) -> Array:
     """Linear over temperature at each measured gain, then linear over the logarithm of gain."""
-    factors = np.unique(np.asarray(log_factor))
+    factors = np.unique(log_factor)
     at_gains = []
     for one in factors:
-        own = np.flatnonzero(np.asarray(log_factor) == one)
-        own = own[np.argsort(np.asarray(kelvin)[own])]
+        own = np.flatnonzero(log_factor == one)
+        own = own[np.argsort(kelvin[own])]
         at_gains.append(jnp.interp(at_kelvin, kelvin[own], values[own]))
     return jnp.interp(at_factor, jnp.asarray(factors), jnp.stack(at_gains))
 
