@@ -53,6 +53,7 @@ def test_shading_tells_the_directions(ball):
     assert contradictions(observation) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["phong", "gaussian-lobe"])
 def test_a_lobe_predicts_held_out_lights_better_in_every_channel(calibration, model):
     lambert, lobe = (predicted_errors(calibration, name) for name in ("lambert", model))
