@@ -12,6 +12,7 @@ from jaxvision import accuracy, effects
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
     "jaxvision.interrupts",
+    "jaxvision.progress",
     "jaxvision.io",
     "jaxvision.raw_files",
     "jaxvision.image_settings",

@@ -63,7 +63,7 @@ def test_verbose_says_what_is_read_and_version_what_it_runs_with(tmp_path):
         for one, (level, propagate, handlers) in zip(loggers, before, strict=True):
             one.level, one.propagate, one.handlers = level, propagate, handlers
     assert status == 0
-    assert re.search(rf"^ +[\d.]+ s  read {tmp_path}/a.jpg: 8x10x3 uint8$", stderr, re.MULTILINE)
+    assert re.search(rf"^ *[\d.]+ s  read {tmp_path}/a.jpg: 8x10x3 uint8$", stderr, re.MULTILINE)
     status, stdout, _ = run("--version", "-v")
     assert status == 0
     assert f"numpy {np.__version__}\n" in stdout

@@ -40,18 +40,18 @@ class LeftOut:
 
 
 def distance(
-    squares: Float[np.ndarray, "..."], *, count: float | Float[np.ndarray, "..."] = 1.0
+    squares: Float[np.ndarray, "..."], *, parts: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
     """How far errors of independent parts of the data move their law.
 
     Args:
         squares: (...) |h|^2 of each part.
-        count: how many parts there are of each.
+        parts: how many there are of each.
 
     Returns:
         Standard deviations of the noise of all data.
     """
-    return float(np.sqrt(np.sum(count * (np.sqrt(1 + squares) - 1) ** 2)))
+    return float(np.sqrt(np.sum(parts * (np.sqrt(1 + squares) - 1) ** 2)))
 
 
 def negligible(errors: Iterable[LeftOut]) -> tuple[LeftOut, ...]:

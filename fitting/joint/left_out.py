@@ -65,7 +65,7 @@ def small(
             errors = np.asarray(model.image_errors)[:, at : at + rows]
             squares, count = (np.asarray(weight)[:, None] * errors**2).sum((1, 2)), 1.0
             at += rows
-        found.append(LeftOut(name, parameter.prior.median, distance(squares, count=count)))
+        found.append(LeftOut(name, parameter.prior.median, distance(squares, parts=count)))
     return negligible(found)
 
 

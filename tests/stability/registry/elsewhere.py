@@ -599,7 +599,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.model: predicted_dn residuals scores_and_slopes
             fitting.reflectance.from_images.plan: added_information plan plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
-            fitting.reflectance.from_images.posterior: composite_log_density
+            fitting.reflectance.from_images.posterior: composite_log_density total_log_likelihood
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.samples: lobe_geometry make_samples select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
