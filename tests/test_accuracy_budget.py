@@ -94,6 +94,13 @@ def test_growth_is_foreseen_and_the_budget_kept(clock, knob, growth, seconds):
     assert not found.not_run or found.stopped.startswith("out of time")
 
 
+def test_one_program_from_a_cache_does_not_look_like_growth(clock):
+    """The first setting compiles in no time, all others in 8 s: all fit into two minutes."""
+    first = growing(clock, compiling=lambda n: 0.05 if n == 1 else 8.0)
+    found = curve(first, KNOB, seconds=120.0, clock=clock)
+    assert not found.not_run
+
+
 def hanging(clock, at):
     """A program that compiles for ever, without a sign of it in those before."""
     plain = growing(clock)

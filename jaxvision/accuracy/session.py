@@ -18,6 +18,7 @@ from .records import Compute, Knob, Problem
 Clock = Callable[[], float]
 GRACE = 0.05  # of the budget, by which a call may exceed it before it is left behind
 STEEPEST = 4.0  # no cost grows faster than this power of a setting; the next may by a factor
+ONE_STEP = 4.0  # growth of compiling between two settings that is believed without a third
 UNKNOWN = 2.0  # growth from one setting to the next that is no larger number, at least
 
 
@@ -151,6 +152,8 @@ class Session:
         compiling = 0.0
         if not self.is_compiled(setting):
             apart = [(p.setting, max(p.first - p.seconds, 0.0)) for p in before]
+            if len(apart) == 2:  # a program from a cache, or one that others share, tells no growth
+                apart[0] = apart[0][0], max(apart[0][1], apart[1][1] / ONE_STEP)
             compiling = max(self.problem.compiling, _next(apart, setting, 0.0))
         running = _next([(p.setting, p.seconds) for p in before], setting, 1.0)
         return compiling + calls * running

@@ -39,6 +39,7 @@ from jaxvision.accuracy.examples import cameras, example, examples, light, pictu
 from jaxvision.accuracy.plots import label
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.accuracy.tables import rows
+from jaxvision.errors import InputError
 from jaxvision.render_command import with_resolution
 from jaxvision.scene_files import read_scene
 
@@ -261,12 +262,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     jax.config.update("jax_compilation_cache_dir", str(asked.kept / "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     every = jobs(asked.kept)
-    sheets = {
-        name: measure(name, page, job, asked.kept, asked.seconds)
-        for name, (page, job) in every.items()
-        if asked.only in name
-        and (not asked.write or (asked.kept / f"{slug(name)}.pickle").exists())
-    }
+    sheets: dict[str, Sheet] = {}
+    for name, (page, job) in every.items():
+        known = (asked.kept / f"{slug(name)}.pickle").exists()
+        if asked.only not in name or (asked.write and not known):
+            continue
+        try:
+            sheets[name] = measure(name, page, job, asked.kept, asked.seconds)
+        except InputError as error:  # such as a program that takes longer than its knob may
+            print(f"{name}: {error}", flush=True)
     if asked.write or not asked.only:
         missing = [name for name in every if name not in sheets]
         written(sheets, missing, asked.out)
