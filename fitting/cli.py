@@ -335,17 +335,25 @@ def accuracy(
     described = load_rig(rig)
     keep_programs()
     from jaxvision.accuracy.console import check_request, show
+    from jaxvision.accuracy.curves import asked_knobs
 
     from .accuracy import measured, problems
+    from .accuracy.knobs import RIG_KNOBS
 
     check_request(seconds, out)
+    names = asked_knobs(str(rig), knob, RIG_KNOBS)
     begun = time.perf_counter()
     found = problems(described, seconds=seconds)
     left = seconds - (time.perf_counter() - begun) / len(found)
+    if knob:
+        asked_knobs(str(rig), names, [name for _, known in found.values() for name in known])
     words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
     command = " ".join([*words, f"--seconds {seconds:g}"])
     for fit, (problem, known) in found.items():
-        curves = measured(problem, known, names=tuple(knob or ()) or None, seconds=left)
+        turned = tuple(name for name in names if name in known)
+        if not turned:
+            continue
+        curves = measured(problem, known, names=turned, seconds=left)
         folder = out / fit if out is not None and len(found) > 1 else out
         show(problem, curves, command=command, out=folder, as_json=as_json)
 

@@ -94,7 +94,7 @@ def only(scene, draft, row):
 
 @pytest.mark.parametrize("block", [0, *MANY])
 def test_each_effect_alone_keeps_its_bound(block):
-    for seed in range(10 * block, 10 * block + (2 if block == 0 else 10)):
+    for seed in range(10 * block, 10 * block + (1 if block == 0 else 10)):
         for row, change, top in alone(seed):
             if row.together != "shadows":
                 limit = row.effect.bound * (1 + 1e-9) + ROUNDING * top
@@ -118,10 +118,7 @@ def test_the_shadows_of_each_lamp_keep_their_bound(block):
 def test_half_of_a_bound_is_caught():
     """The planted fault: of all bounds halved, the same comparison must fail."""
     broken = [
-        row.effect.name
-        for seed in range(2)
-        for row, change, _ in alone(seed)
-        if change > 0.5 * row.effect.bound + ROUNDING
+        row.effect.name for row, change, _ in alone(0) if change > 0.5 * row.effect.bound + ROUNDING
     ]
     assert broken
 

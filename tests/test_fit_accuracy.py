@@ -102,7 +102,7 @@ def test_a_rig_without_anything_to_fit_is_a_sentence(tmp_path):
 
 def test_the_command_measures_a_rig(lab, tmp_path):
     folder = lab[0] / "response"
-    asked = ("accuracy", folder, "--knob", "curve rounds", "--seconds", 1, "--out", tmp_path / "p")
+    asked = ("accuracy", folder, "--knob", "curve rounds", "--seconds", 90, "--out", tmp_path / "p")
     status, said, _ = called(app, *asked)
     assert status == 0
     assert "curve rounds" in said
@@ -112,6 +112,9 @@ def test_the_command_measures_a_rig(lab, tmp_path):
     status, _, error = called(app, "accuracy", folder, "--knob", "cells")
     assert status == 2
     assert "knob 'cells' changes nothing here; use 'pixels'" in error
+    status, _, error = called(app, "accuracy", folder, "--knob", "sampels")
+    assert status == 2
+    assert "knob 'sampels' changes nothing here; use 'solver tolerance'" in error
 
 
 @pytest.mark.slow

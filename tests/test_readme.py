@@ -25,8 +25,8 @@ COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
 INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"} | {
     "check brdf": "check brdf --simulations 4",
-    "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 1",
-    "cornell_box --seconds 60": "cornell_box --knob depth --seconds 8",
+    "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 90",
+    "cornell_box --seconds 60": "cornell_box --knob depth --seconds 40",
 }
 
 

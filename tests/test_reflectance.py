@@ -102,7 +102,7 @@ def observation(tmp_path_factory):
         ("gaussian-lobe", (0.3, 0.5, 6)),
         pytest.param("blinn", (0.4, 0.45, 90.0), marks=pytest.mark.slow),
         pytest.param("normalised-phong", (0.4, 0.15, 20.0), marks=pytest.mark.slow),
-        ("torrance-sparrow", (0.4, 1.5, 0.25)),
+        pytest.param("torrance-sparrow", (0.4, 1.5, 0.25), marks=pytest.mark.slow),
         pytest.param("torrance-sparrow-ggx", (0.4, 4.0, 0.25), marks=pytest.mark.slow),
         pytest.param("normalised-blinn", (0.4, 0.15, 80.0), marks=pytest.mark.slow),
         pytest.param("torrance-sparrow-metal", (0.4, 0.3, 0.3), marks=pytest.mark.slow),
