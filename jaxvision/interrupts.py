@@ -76,16 +76,19 @@ def leaves_work_behind() -> None:
 
 @contextmanager
 def raised_interrupts() -> Iterator[None]:
-    """Context in which an interrupt raises `KeyboardInterrupt`, for those who catch it.
+    """Context in which an interrupt raises `KeyboardInterrupt`, for those who catch it; it may hold
+    another such.
 
     Returns:
         A context manager.
     """
+    outermost = not _ending.raised.is_set()
     _ending.raised.set()
     try:
         yield
     finally:
-        _ending.raised.clear()
+        if outermost:
+            _ending.raised.clear()
 
 
 @contextmanager

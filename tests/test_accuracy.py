@@ -286,6 +286,23 @@ def test_an_interrupt_keeps_what_was_measured():
     assert all(trial.hollow for trial in found.trials)
 
 
+def test_an_interrupt_while_results_are_compared_loses_none(monkeypatch):
+    from jaxvision.accuracy import curves
+
+    whole, calls = curve(monte_carlo(), RANDOM, clock=STILL), iter([KeyboardInterrupt])
+
+    def stopped_once(*given):
+        for interrupt in calls:
+            raise interrupt
+        return level_of(*given)
+
+    level_of = curves.level_of
+    monkeypatch.setattr(curves, "level_of", stopped_once)
+    found = curve(monte_carlo(), RANDOM, clock=STILL)
+    assert found.stopped == "interrupted"
+    assert found.trials == whole.trials
+
+
 def test_a_setting_that_the_problem_refuses_is_left_out_and_says_why():
     """Too few pixels for a fit, or a part of them with one seed: the others are still measured."""
 

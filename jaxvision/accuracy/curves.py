@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -120,8 +121,14 @@ def curve(
         last = session.points[run[-1]].results
         found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
     points = [session.points[setting] for setting in run]
+    told = partial(_told, session, points, *found, names, not_run)
     with np.errstate(invalid="ignore", over="ignore"):
-        return _told(session, points, *found, names, not_run, stopped)
+        try:
+            with raised_interrupts():
+                return told(stopped)
+        except KeyboardInterrupt:  # all is measured; it is only not yet compared
+            is_handled()
+            return told("interrupted")
 
 
 def _look(session: Session) -> None:
@@ -385,11 +392,13 @@ def in_turn(
     for number, name in enumerate(names):
         left = max(until - now(), 0.0) / (len(names) - number)
         try:
-            found.append(measure(name, max(left, LEAST)))
+            with raised_interrupts():
+                found.append(measure(name, max(left, LEAST)))
         except KeyboardInterrupt:  # before anything of this knob was measured
             if not found:
                 raise
-            break
+            is_handled()
+            found[-1] = replace(found[-1], stopped="interrupted")
         if found[-1].stopped == "interrupted":
             break
     return tuple(found)
