@@ -12,7 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from jaxvision.errors import InputError
 from jaxvision.toml_files import Entry, checked, read_toml
@@ -41,6 +41,30 @@ def _quotient(text: Any) -> Any:
 
 
 Seconds = Annotated[Positive, BeforeValidator(_quotient)]
+
+COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
+
+
+def kelvin(temperature: float) -> float:
+    """A sensor's temperature, refused where it is none in kelvin.
+
+    Args:
+        temperature: K.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: below the temperature of any camera.
+    """
+    if not temperature >= COLDEST:
+        raise ValueError(
+            f"{temperature:g} K is no temperature of a camera; give kelvin, 293.15 for 20 °C"
+        )
+    return temperature
+
+
+Kelvin = Annotated[float, Field(allow_inf_nan=False), AfterValidator(kelvin)]
 
 
 class Camera(Entry):
@@ -84,7 +108,7 @@ class Camera(Entry):
     read_noise_sd: Positive | None = None
     prnu_sd: Positive | None = None
     date: datetime.date | None = None
-    temperature: Positive | None = None
+    temperature: Kelvin | None = None
 
     @property
     def full_scale(self) -> int:
@@ -113,7 +137,7 @@ class Level(Entry):
     exposure: Seconds
     iso: Positive | None = None
     gain_db: Finite | None = None
-    temperature: Positive | None = None
+    temperature: Kelvin | None = None
 
     @model_validator(mode="after")
     def _one_gain(self) -> "Level":

@@ -350,10 +350,15 @@ def test_rigs_of_several_settings_are_read_one_by_one(tmp_path):
     np.testing.assert_allclose(read[1].setting.gain_factor, 10**0.3)
     with pytest.raises(InputError, match=r"of 3 settings \(0 dB, 293 K; 6 dB, 293 K; 6 dB"):
         read_photon_transfer(folder)
+    with pytest.raises(
+        InputError, match=r"Setting: 20 K is no temperature of a camera; give kelvin"
+    ):
+        Setting(temperature=20.0)
     with pytest.raises(InputError, match="two or more that differ, got: 0 dB, 293 K"):
         calibrate_settings(read[:1])
     text = (folder / "rig.toml").read_text()
     for old, new, words in (
+        ("temperature = 293.0", "temperature = 20.0", "20 K is no temperature .* 293.15 for 20 °C"),
         ("gain_db = 6.0\n", "", "some flats or darks state their gain and others do not"),
         ("gain_db = 6.0", "iso = 200", "stated as iso and as gain_db; use one"),
         ("gain_db = 6.0", "iso = 200\ngain_db = 6.0", "give either iso or gain_db"),

@@ -9,7 +9,7 @@ from typing import Literal
 
 from jaxvision.errors import InputError
 
-from ..rig import Dark, Flat, Level, Rig
+from ..rig import Dark, Flat, Level, Rig, kelvin
 
 
 @dataclass(frozen=True, order=True)
@@ -20,7 +20,7 @@ class Setting:
         gain: what it was set to; None where that is not told.
         gain_unit: "ISO" for an ISO speed or any other number that the gain is proportional to,
             "dB" for 20 log10 of such a number.
-        temperature: K, of the sensor; None where it is not told.
+        temperature: K, of the sensor, at least 100; None where it is not told.
 
     Example:
         >>> from fitting.noise import Setting
@@ -31,6 +31,13 @@ class Setting:
     gain: float | None = None
     gain_unit: Literal["ISO", "dB"] = "ISO"
     temperature: float | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            if self.temperature is not None:
+                kelvin(self.temperature)
+        except ValueError as error:
+            raise InputError(f"Setting: {error}.") from None
 
     @property
     def gain_factor(self) -> float:
