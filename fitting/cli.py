@@ -335,7 +335,7 @@ def accuracy(
     described = load_rig(rig)
     keep_programs()
     from jaxvision.accuracy.console import check_request, show
-    from jaxvision.accuracy.curves import asked_knobs
+    from jaxvision.accuracy.knobs_in_turn import asked_knobs
 
     from .accuracy import measured, problems
     from .accuracy.knobs import RIG_KNOBS

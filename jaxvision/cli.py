@@ -23,6 +23,7 @@ from .command_line import (
     Workers,
     command_app,
     failures_as_sentences,
+    print_table,
 )
 from .errors import InputError
 from .interrupts import ending_on_interrupt
@@ -31,7 +32,6 @@ from .programs import keep_programs
 from .progress import progress_bar
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
-PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 
 app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
 
@@ -88,7 +88,7 @@ def inspect(
         }
         print(json.dumps(sheet, indent=2, allow_nan=False))
         return
-    _print_table(f"{file.name}: {' × '.join(map(str, image.shape))}, {image.dtype}", bands)
+    print_table(f"{file.name}: {' × '.join(map(str, image.shape))}, {image.dtype}", bands)
     if out is not None:
         print(f"Figure: {out}")
 
@@ -370,20 +370,6 @@ def _pair(option: str, text: str) -> tuple[int, int]:
 def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
     """JSON has neither NaN nor infinity."""
     return json.loads(json.dumps(values), parse_constant=lambda _: None)
-
-
-def _print_table(title: str, bands: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for name in asdict(bands[0]):
-        table.add_column(name.replace("_", " "), justify="left" if name == "name" else "right")
-    for band in bands:
-        cells = asdict(band).values()
-        table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells))
-    width = None if sys.stdout.isatty() else PLAIN_WIDTH
-    Console(width=width, highlight=False).print(table)
 
 
 def _prepare() -> None:

@@ -5,11 +5,12 @@ import logging
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -18,6 +19,7 @@ from .errors import InputError
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
+PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
     list[str] | None,
@@ -161,6 +163,26 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     except KeyboardInterrupt as interrupt:
         is_said()
         leave(command, str(interrupt) or interrupted, INTERRUPTED)
+
+
+def print_table(title: str, records: Sequence[Any]) -> None:
+    """Prints dataclasses of one kind as a table, a row each.
+
+    Args:
+        title: above it.
+        records: one or more; the field `name` is text, the others are numbers.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for name in asdict(records[0]):
+        table.add_column(name.replace("_", " "), justify="left" if name == "name" else "right")
+    for record in records:
+        cells = asdict(record).values()
+        table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells))
+    width = None if sys.stdout.isatty() else PLAIN_WIDTH
+    Console(width=width, highlight=False).print(table)
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:

@@ -12,8 +12,9 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines, plot
-from jaxvision.accuracy.curves import LEAST, in_turn
+from jaxvision.accuracy.curves import LEAST
 from jaxvision.accuracy.deadlines import OutOfTime, in_time
+from jaxvision.accuracy.knobs_in_turn import in_turn
 from jaxvision.accuracy.scenes import scene_problem
 from jaxvision.accuracy.tables import as_dict, notes, rows
 from jaxvision.cli import app

@@ -54,7 +54,7 @@ def both_methods(measurements):
     """(values, errors) of the standard's sheet and of the likelihood's, for a list of cameras."""
     within, usable = ranges(measurements[0]), linear_levels(measurements[0])
     space = base_space(measurements[0], within)
-    window = needed_window(measurements[0], usable)
+    window, _ = needed_window(measurements[0], usable)
 
     def one(measurement):
         standard = evaluate(measurement, within)
@@ -225,7 +225,7 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
         simulate(camera, seed=i, light=light, exposure=exposure, pixels=20_000) for i in range(16)
     ]
     usable, within = np.arange(8), ranges(measured[0])
-    window = needed_window(measured[0], usable)
+    window, _ = needed_window(measured[0], usable)
     assert window is not None
     space = base_space(measured[0], within)
 
@@ -276,7 +276,7 @@ def test_the_usual_moments_are_left_where_no_fit_can_tell(deviation):
 def test_an_ordinary_camera_traces_no_exact_moments_and_no_effect():
     measured = simulate(CameraTruth())
     usable = linear_levels(measured)
-    assert needed_window(measured, usable) is None
+    assert needed_window(measured, usable)[0] is None
     data = noise_data(measured, usable)
     space = base_space(measured, ranges(measured))
     standard = sheet(statistics(measured, None), measured, ranges(measured))

@@ -62,7 +62,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     def fitted(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
         """The sheet of a linear camera, by moments that are exact, usual, or what is called for."""
         usable, within = linear_levels(measured), ranges(measured)
-        window = None if exact is False else needed_window(measured, usable)
+        window = None if exact is False else needed_window(measured, usable)[0]
         if exact and window is None:
             window = window_of(measured, usable)
         data = noise_data(measured, usable, window=window)

@@ -9,8 +9,9 @@ from importlib.util import find_spec
 import numpy as np
 
 from jaxvision.accuracy import Curve, Problem, curve
-from jaxvision.accuracy.curves import LEAST, asked_knobs, in_turn
+from jaxvision.accuracy.curves import LEAST
 from jaxvision.accuracy.deadlines import OutOfTime, in_time
+from jaxvision.accuracy.knobs_in_turn import asked_knobs, in_turn
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
 from jaxvision.io import read_image

@@ -17,7 +17,7 @@ from jaxtyping import Array, Int
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.importance import laplace_where_it_holds
-from ..inference.left_out import LeftOut, negligible
+from ..inference.left_out import LeftOut
 from ..inference.newton import minimise
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior, sample
@@ -30,7 +30,7 @@ from .model import log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 from .quantities import QUANTITIES, SCATTERS, Quantity
 from .regressions import through_origin
-from .window import usual_moments, window_of
+from .window import needed_window
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
@@ -97,8 +97,7 @@ def calibrate(
     within = ranges(measurement)
     usable = linear_levels(measurement)
     standard = eqx.filter_jit(evaluate)(measurement, within)
-    gone = negligible([usual_moments(measurement, usable)])
-    window = None if gone else window_of(measurement, usable)
+    window, gone = needed_window(measurement, usable)
     data = noise_data(measurement, usable, window=window)
     linear, chosen = choose_model(measurement, within, data, standard.values)
     posterior = _posterior(chosen, sampling, seed)

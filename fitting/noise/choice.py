@@ -14,8 +14,9 @@ from scipy.stats import chi2, f
 
 from ..inference.parameters import Parameter, ParameterSpace, names
 from .emva1288 import Ranges, Sheet
-from .fit import MISFIT, LikelihoodFit, base_space, fitted, observations
+from .fit import LikelihoodFit, base_space, fitted, observations
 from .levels import PhotonTransfer
+from .misfit import MISFIT, p_value
 from .model import NoiseData
 from .neighbours import are_known
 from .quantities import (
@@ -56,7 +57,7 @@ def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
         (VARIANCE_SCATTER, dark.variance, of_variance),
     ):
         chi_square, degrees = line_misfit(dark.exposure, values, variances)
-        if chi2.sf(float(chi_square), float(degrees)) < MISFIT:
+        if p_value(float(chi_square), float(degrees)) < MISFIT:
             found.append(effect)
     return tuple(found)
 

@@ -7,7 +7,8 @@ from ..inference.posterior import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE
-from .fit import MISFIT, gain_drop
+from .fit import gain_drop
+from .misfit import MISFIT
 from .neighbours import are_known
 from .shared import drift, fixed_lines, temporal_lines
 

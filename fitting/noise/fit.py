@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.stats import chi2
 
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
@@ -15,6 +14,7 @@ from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import ParameterSpace, names, to_unconstrained
 from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
+from .misfit import inflation, p_value
 from .model import (
     NoiseData,
     Residuals,
@@ -35,7 +35,6 @@ from .quantities import (
 )
 from .shared import believed_lines
 
-MISFIT = 1e-3  # p-value below which a model is not believed
 START_NOISES = 12  # read noises tried where a likelihood has several optima
 START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
 LOG_NONE = -25.0  # logarithm of a scatter that is none
@@ -64,13 +63,12 @@ class LikelihoodFit:
 
     @property
     def p_value(self) -> float:
-        return float(chi2.sf(self.chi_square, max(self.degrees, 1)))
+        return p_value(self.chi_square, self.degrees)
 
     @property
     def inflation(self) -> float:
-        """Factor on the covariance: chi-square per degree of freedom where it is beyond chance
-        (Birge), else 1."""
-        return self.chi_square / self.degrees if self.p_value < MISFIT else 1.0
+        """Factor on the covariance."""
+        return inflation(self.chi_square, self.degrees)
 
     @property
     def bic(self) -> float:

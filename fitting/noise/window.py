@@ -79,7 +79,9 @@ def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
     return usual_moments_error(mean, variance, frames, float(data.pixels))
 
 
-def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window | None:
+def needed_window(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[Window | None, tuple[LeftOut, ...]]:
     """The exact moments that clipped black or fine read noise call for.
 
     Args:
@@ -87,10 +89,11 @@ def needed_window(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
         usable: indices of the bright levels to use.
 
     Returns:
-        The window; None where no fit can tell the usual moments from them.
+        The window, None where no fit can tell the usual moments from them; and what is then left
+        out, with its bound.
     """
-    known = negligible([usual_moments(measurement, usable)])
-    return None if known else window_of(measurement, usable)
+    gone = negligible([usual_moments(measurement, usable)])
+    return (None if gone else window_of(measurement, usable)), gone
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:

@@ -23,9 +23,10 @@ from ..render_command import left_of, pruned_for
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
 from .checks import settled
-from .curves import LEAST, asked_knobs, curve, in_turn
+from .curves import LEAST, curve
 from .deadlines import OutOfTime, in_time
 from .knobs import KNOBS
+from .knobs_in_turn import asked_knobs, in_turn
 from .records import Curve, Knob, Problem
 from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds

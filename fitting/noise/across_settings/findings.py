@@ -5,8 +5,8 @@ import numpy as np
 from ...inference.diagnostics import identifiability
 from ...inference.parameters import names
 from ...inference.posterior import convergence_in_words
-from ..fit import MISFIT
 from ..levels import Levels
+from ..misfit import MISFIT
 from .calibration import CameraCalibration
 from .fit import Axis, Claim, Quantity
 from .proportional import proportional_gain

@@ -23,11 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import nnls
-from scipy.stats import chi2
 
 from ...inference.newton import NewtonSolution, minimise
 from ...inference.parameters import ParameterSpace
-from ..fit import MISFIT
+from ..misfit import MISFIT, inflation, p_value
 from ..settings import Setting
 from .model import (
     BOLTZMANN_EV,
@@ -97,7 +96,7 @@ class Claim:
 
     @property
     def p_value(self) -> float:
-        return float(chi2.sf(self.chi_square, self.degrees))
+        return p_value(self.chi_square, self.degrees)
 
     @property
     def holds(self) -> bool:
@@ -142,13 +141,12 @@ class SharedFit:
 
     @property
     def p_value(self) -> float:
-        return float(chi2.sf(self.chi_square, max(self.degrees, 1)))
+        return p_value(self.chi_square, self.degrees)
 
     @property
     def inflation(self) -> float:
-        """Factor on the covariance: chi-square per degree of freedom where it is beyond chance
-        (Birge), else 1."""
-        return self.chi_square / self.degrees if self.degrees and self.p_value < MISFIT else 1.0
+        """Factor on the covariance."""
+        return inflation(self.chi_square, self.degrees)
 
     @property
     def covariance(self) -> np.ndarray:

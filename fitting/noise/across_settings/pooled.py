@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from ...inference.estimates import find
 from ..calibration import LIKELIHOOD, NoiseCalibration
-from ..fit import MISFIT
 from ..levels import CLEAR_OF_CLIPPING
+from ..misfit import MISFIT, p_value
 from ..pattern import SEEN, population_variance
 
 AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
@@ -39,7 +38,7 @@ class Pooled:
 
     @property
     def p_value(self) -> float:
-        return float(chi2.sf(self.chi_square, len(self.settings) - 1)) if self.settings[1:] else 1.0
+        return p_value(self.chi_square, len(self.settings) - 1) if self.settings[1:] else 1.0
 
     @property
     def holds(self) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
 
 from jaxvision.errors import InputError
 from jaxvision.sensor import QUANTISATION_VARIANCE
@@ -23,8 +22,8 @@ from jaxvision.sensor import QUANTISATION_VARIANCE
 from ...inference.diagnostics import OPEN
 from ...inference.parameters import names
 from ..calibration import NoiseCalibration
-from ..fit import MISFIT
 from ..levels import Levels, PhotonTransfer
+from ..misfit import inflation
 from ..settings import Setting
 from ..shared import believed_lines
 
@@ -128,5 +127,4 @@ def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarr
     covariance = np.linalg.inv(design.T @ design)
     found = covariance @ (design.T @ scaled)
     chi_square, degrees = float(np.sum((scaled - design @ found) ** 2)), len(x) - 2
-    beyond = chi2.sf(chi_square, degrees) < MISFIT
-    return found, covariance * (chi_square / degrees if beyond else 1.0)
+    return found, covariance * inflation(chi_square, degrees)

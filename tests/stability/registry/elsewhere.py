@@ -515,6 +515,7 @@ ELSEWHERE = (
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
+            fitting.noise.misfit.*
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
         """,

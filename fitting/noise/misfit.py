@@ -1,0 +1,32 @@
+"""When a chi-square is beyond chance, and what it then does to a covariance (Birge 1932)."""
+
+from scipy.stats import chi2
+
+MISFIT = 1e-3  # p-value below which a model is not believed
+
+
+def p_value(chi_square: float, degrees: float) -> float:
+    """How often chance alone gives a chi-square as large.
+
+    Args:
+        chi_square: of a fit.
+        degrees: of freedom; fewer than one count as one.
+
+    Returns:
+        Probability.
+    """
+    return float(chi2.sf(chi_square, max(degrees, 1)))
+
+
+def inflation(chi_square: float, degrees: float) -> float:
+    """Factor on a covariance for a misfit.
+
+    Args:
+        chi_square: of a fit.
+        degrees: of freedom.
+
+    Returns:
+        Chi-square per degree of freedom where it is beyond chance, else 1.
+    """
+    beyond = degrees > 0 and p_value(chi_square, degrees) < MISFIT
+    return chi_square / degrees if beyond else 1.0
