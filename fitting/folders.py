@@ -162,7 +162,8 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
         observation = read_reflectance_observation(rig)
     with step("fitting reflectance") as progress:
         calibration = calibrate(observation, **settings, **draws("brdf", progress))
-    return [with_inputs(section(calibration), rig, "a reflectance calibration")], {}
+    free = settings.get("fit_gamma", False)
+    return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}
 
 
 def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -190,4 +191,5 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
         measurement = read_joint_measurement(rig)
     with step("fitting surface, response and sensor") as progress:
         calibration = calibrate(measurement, **settings, **draws("joint", progress))
-    return [with_inputs(section(calibration), rig, "a reflectance calibration")], {}
+    free = settings.get("fit_gamma", False)
+    return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}

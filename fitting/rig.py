@@ -110,6 +110,18 @@ class Camera(Entry):
     date: datetime.date | None = None
     temperature: Kelvin | None = None
 
+    @model_validator(mode="after")
+    def _errors_of_something(self) -> "Camera":
+        for name in ("gamma", "gain", "read_noise"):
+            if getattr(self, f"{name}_sd") is not None and getattr(self, name) is None:
+                raise ValueError(f"{name}_sd without {name}; give both, or neither")
+        return self
+
+    @property
+    def encoding(self) -> float | None:
+        """gamma; None where it is not stated, or the files are linear for certain."""
+        return None if self.gamma == 1 and self.gamma_sd is None else self.gamma
+
     @property
     def full_scale(self) -> int:
         return 2**self.bits - 1

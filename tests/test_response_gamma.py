@@ -1,5 +1,6 @@
 """Gamma: unbiased, with intervals that hold the truth, shutter errors included."""
 
+import jax
 import numpy as np
 import pytest
 from oracles.stacks import exposure_stack, gamma, srgb
@@ -7,6 +8,7 @@ from scipy import stats
 
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.left_out import TOLERANCE
+from fitting.response import gamma as gamma_module
 from fitting.response.curve import fit_response_curve
 from fitting.response.gamma import fit_gamma
 
@@ -111,3 +113,20 @@ def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
     squares = np.linalg.eigvalsh(1e-12 * laplacian)
     expected = np.sqrt(((np.sqrt(1 + np.maximum(squares, 0)) - 1) ** 2).sum())
     assert bounds["exposure_sd"] == pytest.approx(expected, rel=0.25)
+
+
+def test_what_is_left_out_of_black_and_shutter_is_not_traced(monkeypatch):
+    """The density that is maximised, with errors that no pixel tells, is that without them."""
+    _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=400)
+    curve, laplace, programs = fit_response_curve(codes, TIMES, bits=8), gamma_module.laplace, []
+
+    def seen(density, space, mode, sums, **options):
+        programs.append(str(jax.make_jaxpr(density)(mode, sums)))
+        return laplace(density, space, mode, sums, **options)
+
+    monkeypatch.setattr(gamma_module, "laplace", seen)
+    for sizes in ({}, {"black_sd": 1e-4, "exposure_sd": 1e-6}, {"exposure_sd": 0.05}):
+        fit_gamma(curve, **sizes)
+    plain, without, whole = programs
+    assert without == plain
+    assert whole.count("\n") > plain.count("\n")

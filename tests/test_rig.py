@@ -60,6 +60,8 @@ def test_root_expands_environment_variables(tmp_path, monkeypatch):
         ("bits = 12", "", r"camera\.bits is missing"),
         ("bits = 12", "bits = 20", r"camera\.bits = 20"),
         ("bits = 12", "bits = 12\nbit_depth = 12", r"camera\.bit_depth is not a key"),
+        ("bits = 12", "bits = 12\ngain_sd = 0.1", r"camera: gain_sd without gain; give both"),
+        ("bits = 12", "bits = 12\ngamma_sd = 0.1", r"camera: gamma_sd without gamma; give both"),
         ("exposure = 0.01", "", r"flat\[1\]\.exposure is missing"),
         ("exposure = 0.01", "exposure = 0.0", r"flat\[1\]\.exposure = 0\.0"),
         ("exposure = 0.01", "exposure = nan", r"flat\[1\]\.exposure = nan"),
@@ -79,6 +81,13 @@ def test_mistakes_are_named_with_their_entry(tmp_path, old, new, expected):
     with pytest.raises(InputError, match=expected) as raised:
         load_rig(write_rig(tmp_path, GOOD.replace(old, new)))
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("stated", "exponent"), [({}, None), ({"gamma": 1}, None), ({"gamma": 1, "gamma_sd": 0.1}, 1)]
+)
+def test_files_are_linear_where_nothing_else_is_possible(stated, exponent):
+    assert Camera(bits=12, **stated).encoding == exponent
 
 
 def test_a_direction_off_by_rounding_is_accepted(tmp_path):

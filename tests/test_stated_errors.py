@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from fitting.checks.simulations import simulated
 from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import Form, linear_signal
+from fitting.reflectance.from_images.model import Form, linear_signal, negative_log_likelihood
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
 from fitting.report.left_out import left_out_tables
 
@@ -117,6 +118,16 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
     (table,) = left_out_tables([("grey", found.stated.left_out)])
     assert {row[1] for row in table.rows} == bounds.keys()
     assert not fit(uncertain=sizes, black_sd=2.0).stated.left_out[1:]
+
+
+def test_the_likelihood_traces_no_stated_error(fitted):
+    """Errors widen the covariance of a fit; its likelihood is the same program with and without."""
+    _, fit = fitted
+    found = [fit(), fit(uncertain={"exposure_sd": np.full(5, 0.01)}, black_sd=2.0)]
+    plain, stated = (
+        str(jax.make_jaxpr(negative_log_likelihood)(own.vector, own.samples)) for own in found
+    )
+    assert plain == stated
 
 
 @pytest.mark.slow

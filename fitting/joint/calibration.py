@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision.errors import InputError
-
 from ..inference.emcee_run import SamplingOptions, for_group
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
@@ -62,8 +60,6 @@ def calibrate(
         InputError: where too little is left to fit, and for numbers outside their range.
     """
     check_index(index)
-    if measurement.camera.gamma_sd is not None and measurement.camera.gamma is None:
-        raise InputError("camera.gamma_sd without camera.gamma: give both, or fit the gamma.")
     form = Form(model, index)
     fits = tuple(
         fit_channel(measurement, channel, form, fit_gamma=fit_gamma)

@@ -66,7 +66,7 @@ def read_joint_measurement(rig: Rig, *, load: Load = read_image) -> JointMeasure
         InputError: as the reflectance calibration does, and for flats and darks that do not fit.
     """
     observation = read_reflectance_observation(rig, load=load)
-    encoded = observation.gamma is not None or rig.camera.gamma_sd is not None
+    encoded = observation.gamma is not None
     findings = []
     if encoded and rig.dark:
         findings.append(

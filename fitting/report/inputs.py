@@ -13,6 +13,7 @@ from jaxvision.io import read_image
 from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig
 from .formatting import format_unit
 from .section import Input, Section
+from .unused_keys import unused_keys
 
 MOST_PICTURES = 16  # of one section, evenly among its images
 SIDE = 96  # pixels of the longer side of a small picture, at most
@@ -20,18 +21,23 @@ UNITS = {"exposure": "s", "irradiance": "W m^-2"}  # the others carry theirs in 
 DISPLAY_GAMMA = 2.2
 
 
-def with_inputs(section: Section, rig: Rig, purpose: Purpose) -> Section:
-    """A section that lists the images of its rig.
+def with_inputs(
+    section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
+) -> Section:
+    """A section that lists the images of its rig, and the keys of it that made no difference.
 
     Args:
         section: of a calibration.
         rig: whose images it used.
         purpose: of the calibration.
+        fit_gamma: whether the encoding exponent was fitted.
 
     Returns:
         The section.
     """
-    return replace(section, inputs=inputs_of(rig, purpose))
+    idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
+    found = (*section.findings, *idle)
+    return replace(section, findings=found, inputs=inputs_of(rig, purpose))
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:

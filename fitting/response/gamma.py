@@ -77,7 +77,7 @@ class GammaSums(eqx.Module):
         score_c: of gamma.
         score_d: (free,) of d.
         spread: sum of squares of the log exposure times about their mean.
-        known: tau that is known beforehand, in quadrature beneath the fitted one.
+        known: tau that is known beforehand, in quadrature beneath the fitted one; None for 0.
         added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
     """
 
@@ -89,7 +89,7 @@ class GammaSums(eqx.Module):
     score_c: Float[Array, ""]
     score_d: Float[Array, " free"]
     spread: Float[Array, ""]
-    known: Float[Array, ""]
+    known: Float[Array, ""] | None
     added: Float[Array, ""]
 
 
@@ -223,7 +223,9 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
     Returns:
         Mean and variance of gamma, and the log evidence for that tau.
     """
-    free, tau = sums.td.size, jnp.hypot(tau, sums.known)
+    free = sums.td.size
+    if sums.known is not None:
+        tau = jnp.hypot(tau, sums.known)
     precision = sums.dd + jnp.eye(free, dtype=tau.dtype) / tau**2
     factor = jnp.linalg.cholesky(precision)
     along = jax.scipy.linalg.solve_triangular(factor, sums.cd, lower=True)
@@ -344,7 +346,7 @@ def _gamma_sums(
         score_c=jnp.asarray(score[:size] @ column, float),
         score_d=jnp.asarray(score[size:] @ basis, float),
         spread=jnp.asarray(spread_of_times(curve.exposures), float),
-        known=jnp.asarray(known, float),
+        known=jnp.asarray(known, float) if known else None,
         added=jnp.zeros(()),
     )
 

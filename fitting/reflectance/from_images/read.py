@@ -142,7 +142,7 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
         black=black,
         white=rig.camera.full_scale - black,
         clip=rig.camera.clip_level,
-        gamma=rig.camera.gamma if rig.camera.gamma != 1 else None,
+        gamma=rig.camera.encoding,
         gain=rig.camera.gain,
         read_noise=rig.camera.read_noise,
         findings=(*how, *_assumptions(rig)),

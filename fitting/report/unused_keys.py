@@ -1,0 +1,89 @@
+"""Keys of a rig that a calibration has no use for, each with the reason: what a rig states is used,
+or it is said that it is not."""
+
+from collections.abc import Iterator
+
+from ..rig import Rig
+
+Unused = Iterator[tuple[tuple[str, ...], str]]  # keys, and why
+
+NOISE = "gain", "gain_sd", "read_noise", "read_noise_sd", "prnu_sd"
+BLACK = "black_level", "black_sd"
+GAMMA = "gamma", "gamma_sd"
+OF_PHOTONS = "pixel_pitch", "wavelength"
+
+
+def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, ...]:
+    """What of a rig makes no difference to a calibration.
+
+    Args:
+        rig: that was calibrated.
+        kind: of the calibration, as its section has it.
+        fit_gamma: whether the encoding exponent was fitted.
+
+    Returns:
+        One sentence a reason, for the keys that the rig gives; of `date` and `temperature`, which
+        studies use, and of sections and keys that tell other calibrations nothing, there is none.
+    """
+    found = [*REASONS[kind](rig)]
+    if fit_gamma:
+        found.append((_camera(GAMMA), "the encoding exponent was fitted"))
+    told = []
+    for keys, why in found:
+        given = [key for key in keys if _is_given(rig, key)]
+        if given:
+            listed = " and ".join(filter(None, (", ".join(given[:-1]), given[-1])))
+            told.append(f"Not used of the rig: {listed}; {why}.")
+    return tuple(told)
+
+
+def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"camera.{name}" for name in names)
+
+
+def _is_given(rig: Rig, key: str) -> bool:
+    """Of a key as `camera.gain`, `[[dark]]`, or `flat.photons` of any flat."""
+    section, _, name = key.strip("[]").partition(".")
+    entries = getattr(rig, section)
+    entries = entries if isinstance(entries, tuple) else (entries,)
+    return any(not name or getattr(entry, name) is not None for entry in entries)
+
+
+def _noise(rig: Rig) -> Unused:
+    yield _camera((*BLACK, *NOISE)), "photon transfer measures them"
+    yield _camera(GAMMA), "photon transfer takes digital numbers as linear in light"
+    if any(flat.photons is not None for flat in rig.flat):
+        yield ("flat.irradiance",), "the photons of each flat are given"
+    if not any(flat.photons is None and flat.irradiance is not None for flat in rig.flat):
+        yield _camera(OF_PHOTONS), "no photons had to be found from an irradiance"
+
+
+def _response(rig: Rig) -> Unused:
+    yield _camera(NOISE), "the noise of pixels is read off the exposures"
+    yield _camera(GAMMA), "the response is measured"
+    yield _camera(OF_PHOTONS), "exposures are relative"
+    if rig.camera.black_level is not None:
+        yield ("[[dark]]",), "camera.black_level is given"
+
+
+def _brdf(rig: Rig) -> Unused:
+    if rig.camera.gain is None or rig.camera.read_noise is None:
+        keys = NOISE[:-1]
+        why = "without both gain and read noise that of pixels is estimated from the residuals"
+        yield _camera(keys), why
+    else:
+        errors = "gain_sd", "read_noise_sd"
+        yield _camera(errors), "they change the weights of pixels, to first order no estimate"
+    yield _camera(("prnu_sd",)), "the unequal gains of pixels are read off the residuals"
+    yield _camera(OF_PHOTONS), "lights are stated by their irradiance"
+    yield ("[[flat]]", "[[dark]]"), "jaxvision-fit joint uses them"
+
+
+def _joint(rig: Rig) -> Unused:
+    told = "flat.photons", "flat.irradiance", *_camera(OF_PHOTONS)
+    yield told, "flats count by their means and variances"
+    if rig.camera.black_level is None and rig.dark and rig.camera.encoding is None:
+        yield _camera(("black_sd",)), "without camera.black_level the darks tell the black level"
+
+
+REASONS = {"noise": _noise, "response": _response, "brdf": _brdf, "joint": _joint}

@@ -1,0 +1,138 @@
+"""Each key of a rig changes what a calibration fits, or the report says that it does not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fitting.joint.model import Form
+from fitting.joint.read import read_joint_measurement
+from fitting.joint.start import parameters
+from fitting.noise.read import reduce_rig
+from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.report.unused_keys import unused_keys
+from fitting.response.read import read_exposure_stack
+from fitting.rig import Rig
+
+RNG = np.random.default_rng(0)
+IMAGES = {f"{i}.tif": RNG.integers(40, 200, (12, 12)).astype(np.uint8) for i in range(12)}
+FILES = list(IMAGES)
+CAMERA = {
+    "bits": 8,
+    "black_level": 20.0,
+    "saturation": 250.0,
+    "gamma": 2.0,
+    "gain": 0.5,
+    "read_noise": 3.0,
+    "pixel_pitch": 5e-6,
+    "wavelength": 5e-7,
+    "black_sd": 0.5,
+    "gamma_sd": 0.1,
+    "gain_sd": 0.02,
+    "read_noise_sd": 0.2,
+    "prnu_sd": 0.01,
+}
+LIGHT = {"intensity_sd": 0.01, "direction_sd": 0.02, "exposure_sd": 0.03, "stray_sd": 0.04}
+KEYS = [f"camera.{key}" for key in CAMERA if key != "bits"] + [f"light.{key}" for key in LIGHT]
+KEYS += ["exposure.exposure_sd", "flat.irradiance"]
+
+
+def rig_of(key="", *, without=()):
+    """A rig that states everything; one key a hundredth larger."""
+    section, _, name = key.partition(".")
+
+    def entry(own, **given):
+        given = {k: v for k, v in given.items() if f"{own}.{k}" not in without}
+        return given | ({name: given[name] * 1.01} if own == section and name in given else {})
+
+    times = (0.1, 0.2, 0.4, 0.8)
+    return Rig.model_validate(
+        {
+            "folder": ".",
+            "camera": entry("camera", **CAMERA),
+            "flat": [
+                entry("flat", files=FILES[2 * i : 2 * i + 2], exposure=t, irradiance=1e-3)
+                for i, t in enumerate(times)
+            ],
+            "dark": [entry("dark", files=FILES[8:10], exposure=0.1)],
+            "exposure": [
+                entry("exposure", file=name, exposure=t, exposure_sd=0.01)
+                for name, t in zip(FILES, times, strict=False)
+            ],
+            "light": [
+                entry("light", file=name, direction=(0.0, 0.6, 0.8), **LIGHT) for name in FILES[:3]
+            ],
+            "geometry": {"sphere": {"centre": (5.5, 5.5), "radius": 6.0}},
+        }
+    )
+
+
+def load(path):
+    return IMAGES[path.name]
+
+
+def joint_measurement(rig, *, load):
+    measured = read_joint_measurement(rig, load=load)
+    start = {} if measured.observation.gamma is None else {"gamma": 2.0}
+    told = parameters(measured, 0, Form("phong", 1.5), start, fit_gamma=False)
+    return measured.observation, measured.levels, told
+
+
+READ = {
+    "noise": reduce_rig,
+    "response": read_exposure_stack,
+    "brdf": read_reflectance_observation,
+    "joint": joint_measurement,
+}
+
+
+def numbers(x):
+    """All numbers and names of nested records, written out."""
+    if dataclasses.is_dataclass(x):
+        return [numbers(getattr(x, field.name)) for field in dataclasses.fields(x)]
+    if isinstance(x, dict):
+        return [(key, numbers(value)) for key, value in x.items()]
+    if isinstance(x, tuple | list):
+        return [numbers(value) for value in x]
+    return np.asarray(x).tolist() if hasattr(x, "shape") else repr(x)
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_what_is_not_said_to_be_unused_changes_what_is_fitted(kind):
+    """Keys of the sections that a command reads, each a hundredth larger."""
+    rig = rig_of()
+    told = " ".join(unused_keys(rig, kind))
+    read = READ[kind]
+    before = numbers(read(rig, load=load))
+    own = {"noise": ("flat",), "response": ("exposure",), "brdf": ("light",)}
+    for key in KEYS:
+        if key.split(".")[0] not in ("camera", *own.get(kind, ("flat", "light"))):
+            continue
+        changed = numbers(read(rig_of(key), load=load)) != before
+        assert changed != (f"{key};" in told or f"{key}," in told or f"{key} and" in told), key
+
+
+@pytest.mark.parametrize(
+    ("kind", "without", "sentence"),
+    [
+        ("brdf", ("camera.read_noise", "camera.read_noise_sd"), "without both gain and read noise"),
+        ("joint", ("camera.black_level", "camera.gamma", "camera.gamma_sd"), "the darks tell"),
+        ("brdf", ("camera.prnu_sd",), "camera.gain_sd and camera.read_noise_sd; they change"),
+    ],
+)
+def test_why_a_key_is_not_used_is_said(kind, without, sentence):
+    assert sentence in " ".join(unused_keys(rig_of(without=without), kind))
+
+
+def test_a_fitted_exponent_takes_the_place_of_what_the_rig_states():
+    told = unused_keys(rig_of(), "joint", fit_gamma=True)
+    assert told[-1] == (
+        "Not used of the rig: camera.gamma and camera.gamma_sd; the encoding exponent was fitted."
+    )
+
+
+def test_a_rig_of_what_is_used_says_nothing():
+    left = ("bits", "black_level", "saturation", "gain", "read_noise")
+    without = tuple(f"camera.{key}" for key in CAMERA if key not in left)
+    rig = rig_of(without=without).model_copy(update={"flat": (), "dark": ()})
+    assert unused_keys(rig, "brdf") == ()
