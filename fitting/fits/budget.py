@@ -123,6 +123,7 @@ def budget(
     parts = expected_information(
         problem, vector, np.stack(list(named.values())), seed=fit.posterior.seed
     )
+    parts = parts * (fit.misfit.count / _present(problem).sum())  # of data in chunks, a sample
     prior = fit.optimum.prior_information
     stated = np.linalg.inv(parts.sum(axis=0) / fit.noise**2 + prior)
     along = stated @ slope
@@ -145,8 +146,7 @@ def _shares_of_data(
     problem: Problem, vector: np.ndarray, noise: Noise | None
 ) -> dict[str, Float[np.ndarray, " data"]]:
     """Of each datum's variance, by source."""
-    shape = problem.data.shape
-    present = np.ones(shape) if problem.present is None else np.asarray(problem.present, float)
+    shape, present = problem.data.shape, _present(problem)
     predicted, likelihood = predicted_at(jnp.asarray(vector, problem.data.dtype), problem)
     sources = getattr(likelihood, "noise_sources", None)
     if noise is None:
@@ -172,6 +172,13 @@ def _shares_of_data(
     if (rest > SURPLUS).any():
         shares[REST] = rest
     return {name: share.ravel() for name, share in shares.items()}
+
+
+def _present(problem: Problem) -> np.ndarray:
+    """1 for each datum, 0 where it is missing."""
+    if problem.present is None:
+        return np.ones(problem.data.shape)
+    return np.asarray(problem.present, np.float64)
 
 
 def _variance(likelihood: Any) -> np.ndarray:

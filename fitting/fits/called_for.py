@@ -80,6 +80,8 @@ def called_for(
     box = dict(_boxes(problem, records, (seen, camera)))
     box |= _lights_before(records[seen], box)
     count = problem.data.size if problem.present is None else int(problem.present.sum())
+    if problem.stream is not None:  # of which the data are a sample
+        count *= problem.stream.count / problem.data.shape[0]
     each = Tolerance(tolerance / np.sqrt(max(count, 1)), "sigma", place=0.0)
     pruned = prune(records[seen], records[camera], each, free=box, samples=samples, depth=depth)
     left = problem.records | {seen: pruned.scene, camera: pruned.camera}

@@ -65,7 +65,8 @@ class Fit:
         optimum: the mode of the unconstrained values, and where the searches ended.
         posterior: draws.
         misfit: chi-square and the correlation of neighbouring residuals.
-        residuals: standardised, of the data's shape; NaN where a datum is missing.
+        residuals: standardised, of the data's shape (of the sample's, of data in chunks); NaN
+            where a datum is missing.
         failures: why the fit did not converge, in sentences; empty if it did.
         findings: what else a reader should know.
         noise: factor by which a misfit has widened the noise of the data; 1 for none.
@@ -305,10 +306,7 @@ class Fit:
 
     def _heading(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"
-        return f"Fit of {len(self.problem.space)} parameters to {self._data_count()} data: {state}"
-
-    def _data_count(self) -> int:
-        return int(np.sum(~np.isnan(self.residuals)))
+        return f"Fit of {len(self.problem.space)} parameters to {self.misfit.count} data: {state}"
 
     def _rows(self) -> list[tuple[str, ...]]:
         before, _ = prior_share(self.problem.space, self.posterior)

@@ -3,26 +3,27 @@
 from dataclasses import fields, replace
 from typing import Any, Literal
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxvision.errors import InputError
+from jaxvision.progress import progress_bar
 
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.emcee_run import SamplingOptions
 from ..inference.likelihoods import Clustered
-from ..inference.misfit import judge
+from ..inference.misfit import judge_sums, sums
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
 from ..inference.parameters import log_prior
 from ..inference.posterior import Posterior, laplace, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
 from ..inference.search import Optimum, search, spread_starts, start_at
+from ..inference.search_read import derivatives, search_read
+from ..inference.streams import Advance
 from .result import Fit
-from .widening import Widening, residuals_at, widening
+from .widening import Widening, residual_sums, residuals_at, widening
 from .words import about_posterior, about_search, verdict
 
 SINGLE_ROUNDING = 1e-6  # of a scaled eigenvalue computed with 7 digits
@@ -41,6 +42,10 @@ def fit(
     after: Fit | None = None,
 ) -> Fit:
     """Fits a problem: the best of many searches, its posterior, and whether to believe it.
+
+    Of data in chunks (`Problem(..., chunk=...)`) a sample is searched; the best end is followed to
+    the mode of all data, which are read once a step, and judged by them. The fit's residuals and
+    bands are then those of the sample, and a bar shows how far each reading is.
 
     A second fit of a problem with equal shapes and the same `predict` compiles nothing
     (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
@@ -91,17 +96,31 @@ def fit(
         True
     """
     options = _options(posterior, sampling)
+    if problem.stream is not None and options is not None:
+        raise InputError(
+            f"posterior = {posterior!r} reads all data at every step of a chain, which takes too "
+            "long for data in chunks: use 'laplace', or fit a part of the data without chunk."
+        )
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
-    if after is None:
-        begin = _given(problem, start)[None] if start else spread_starts(problem, starts, seed=seed)
-        optimum = _determined(problem, search(problem, begin))
-    else:
-        optimum = _searched_before(after, options)
+    with progress_bar("reading data", shown=problem.stream is not None) as advance:
+        if after is None:
+            begin = (
+                _given(problem, start)[None] if start else spread_starts(problem, starts, seed=seed)
+            )
+            optimum = search(problem, begin)
+            if problem.stream is not None:
+                optimum = search_read(problem, optimum, advance)
+            optimum = _determined(problem, optimum, advance)
+        else:
+            optimum = _searched_before(after, options)
+        vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+        residuals = residuals_at(problem, vector, seed=seed)
+        totals = sums(residuals)
+        if problem.stream is not None:
+            totals = residual_sums(problem, vector, advance, seed=seed)
     covariance = _inverse(optimum.curvature)
-    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
-    residuals = residuals_at(problem, vector, seed=seed)
-    checks = judge(residuals, float(np.trace(optimum.data_information @ covariance)))
+    checks = judge_sums(totals, float(np.trace(optimum.data_information @ covariance)))
     wide = widening(
         *(problem, optimum, covariance, residuals, checks), inflate=misfit == "inflate", seed=seed
     )
@@ -143,7 +162,7 @@ def _searched_before(after: Fit, options: Options | None) -> Optimum:
     return after.optimum
 
 
-def _determined(problem: Problem, optimum: Optimum) -> Optimum:
+def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
     """The optimum, refused where some direction is open; a saddle comes with its own curvature."""
     precise = problem.data.dtype == jnp.float64
     rounding = UNDETERMINED if precise else SINGLE_ROUNDING
@@ -151,7 +170,8 @@ def _determined(problem: Problem, optimum: Optimum) -> Optimum:
     if judged.determined:
         return optimum
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
-    exact = replace(optimum, information=np.asarray(_hessian(vector, problem), np.float64))
+    curvature = derivatives(vector, problem, advance, exact=True)[2]
+    exact = replace(optimum, information=np.asarray(curvature, np.float64))
     if (
         exact.saddle
         and identifiability(problem.space, exact.curvature, rounding=rounding).determined
@@ -159,11 +179,6 @@ def _determined(problem: Problem, optimum: Optimum) -> Optimum:
         return replace(exact, stationary=False)
     hint = () if precise else ("jax.config.update('jax_enable_x64', True) may tell, by 16 digits.",)
     raise InputError(" ".join((*judged.sentences, *hint)))
-
-
-@eqx.filter_jit
-def _hessian(vector: Vector, problem: Problem) -> Array:
-    return -jax.hessian(log_density)(vector, problem)
 
 
 def _options(posterior: str, sampling: Options | None) -> Options | None:

@@ -13,7 +13,7 @@ from jaxvision.errors import InputError
 
 from ..inference.clustering import cluster_robust
 from ..inference.likelihoods import Clustered, with_noise_scaled
-from ..inference.misfit import Misfit, judge
+from ..inference.misfit import Misfit, judge, sums
 from ..inference.problem import (
     Problem,
     Vector,
@@ -23,6 +23,7 @@ from ..inference.problem import (
     values_at,
 )
 from ..inference.search import Optimum
+from ..inference.streams import Advance, chunks
 
 SMALL = 1e-4  # share of a prediction's spread by which a residual's slope is found
 
@@ -197,8 +198,37 @@ def residuals_at(
     Returns:
         Of the data's shape, NaN where a datum is missing.
     """
-    predicted, likelihood = predicted_at(vector, problem)
     chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
+    return _residuals(problem, vector, chance, shift)
+
+
+def residual_sums(
+    problem: Problem, vector: Array, advance: Advance, *, seed: int
+) -> Float[np.ndarray, " sums"]:
+    """What judges a fit, of the residuals of data that are read in chunks.
+
+    Args:
+        problem: whose data they are of.
+        vector: (P,) unconstrained.
+        advance: is told how far the reading is.
+        seed: of the places of data that cover an interval.
+
+    Returns:
+        As `misfit.sums` gives them.
+    """
+    rng = np.random.default_rng(seed)
+    before, totals = None, np.zeros(2 + 4 * problem.data.ndim)
+    for part in chunks(problem, advance=advance):
+        residuals = _residuals(part, vector, rng.uniform(size=part.data.shape), 0.0)
+        totals = totals + sums(residuals, before=before)
+        before = residuals[-1] if residuals.ndim else None
+    return totals
+
+
+def _residuals(
+    problem: Problem, vector: Array, chance: np.ndarray, shift: float
+) -> Float[np.ndarray, "..."]:
+    predicted, likelihood = predicted_at(vector, problem)
     place = np.asarray(predicted) + shift
     found = likelihood.residuals(place, np.asarray(problem.data), chance)
     found = np.asarray(found, np.float64)

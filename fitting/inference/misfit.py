@@ -29,6 +29,7 @@ class Misfit:
         significance: the same in its own standard deviations.
         faults: sentences, empty when the model describes the data.
         remarks: sentences about residuals that are too small.
+        count: data that are not missing.
     """
 
     chi_square: float
@@ -38,6 +39,33 @@ class Misfit:
     significance: tuple[float, ...]
     faults: tuple[str, ...]
     remarks: tuple[str, ...]
+    count: int
+
+
+def sums(
+    residuals: Float[np.ndarray, "..."], *, before: Float[np.ndarray, "..."] | None = None
+) -> Float[np.ndarray, " sums"]:
+    """What both tests need of residuals; sums of parts of the data add up to those of all.
+
+    Args:
+        residuals: standardised, of any shape; NaN where a datum is missing.
+        before: (...) of the row before the first, where there is one.
+
+    Returns:
+        How many there are and the sum of their squares; then, of each axis, the sums of the
+        products of neighbours, of both squares, and how many pairs there are.
+    """
+    present = ~np.isnan(residuals)
+    found = [float(present.sum()), float(np.sum(residuals[present] ** 2))]
+    for axis in range(residuals.ndim):
+        along = np.moveaxis(residuals, axis, 0)
+        if axis == 0 and before is not None:
+            along = np.concatenate([before[None], along])
+        one, other = along[:-1], along[1:]
+        both = np.isfinite(one) & np.isfinite(other)
+        one, other = one[both], other[both]
+        found += [np.sum(one * other), np.sum(one**2), np.sum(other**2), len(one)]
+    return np.array(found, np.float64)
 
 
 def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
@@ -50,9 +78,21 @@ def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
     Returns:
         The verdict.
     """
-    present = ~np.isnan(residuals)
-    chi_square = float(np.sum(residuals[present] ** 2))
-    dof = float(present.sum() - parameters)
+    return judge_sums(sums(residuals), parameters)
+
+
+def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
+    """Both tests, from the sums of all data.
+
+    Args:
+        totals: as `sums` gives them.
+        parameters: how many the data determine.
+
+    Returns:
+        The verdict.
+    """
+    count, chi_square = int(totals[0]), float(totals[1])
+    dof = float(count - parameters)
     faults, remarks = [], []
     p = float("nan")
     if dof > 0:
@@ -70,7 +110,7 @@ def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
             )
     else:
         remarks.append("As many parameters as data: nothing is left to test the model by.")
-    pairs = [_neighbours(residuals, axis) for axis in range(residuals.ndim)]
+    pairs = [_correlation(*four) for four in totals[2:].reshape(-1, 4)]
     limit = float(-ndtri(CHANCE / max(len(pairs), 1)))
     for axis, (correlation, significance) in enumerate(pairs):
         if significance > limit:
@@ -80,20 +120,19 @@ def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
                 "structure in the data."
             )
     correlation, significance = zip(*pairs, strict=True) if pairs else ((), ())
-    return Misfit(chi_square, dof, p, correlation, significance, tuple(faults), tuple(remarks))
+    return Misfit(
+        *(chi_square, dof, p, correlation, significance),
+        *(tuple(faults), tuple(remarks), count),
+    )
 
 
-def _neighbours(residuals: np.ndarray, axis: int) -> tuple[float, float]:
+def _correlation(product: float, one: float, other: float, pairs: float) -> tuple[float, float]:
     """Correlation of neighbours along an axis, and in standard deviations."""
-    along = np.moveaxis(residuals, axis, 0)
-    one, other = along[:-1], along[1:]
-    both = np.isfinite(one) & np.isfinite(other)
-    one, other = one[both], other[both]
-    size = float(np.sqrt(np.sum(one**2) * np.sum(other**2)))
+    size = float(np.sqrt(one * other))
     if size == 0:
         return 0.0, 0.0
-    correlation = float(np.sum(one * other)) / size
-    return correlation, correlation * np.sqrt(len(one))
+    correlation = float(product) / size
+    return correlation, correlation * float(np.sqrt(pairs))
 
 
 def _largest(dof: float) -> float:

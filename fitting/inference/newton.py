@@ -98,47 +98,90 @@ def _minimise(
     max_steps: Array,
     tolerance: Array,
 ) -> NewtonSolution:
-    local = derivatives or partial(_twice, objective)
-
-    def goes_on(state: _State) -> Array:
-        unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
-        return unfinished & (state.steps < max_steps)
+    local = derivatives or partial(twice, objective)
 
     def step(state: _State) -> _State:
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
-        cost, gradient, information = local(state.proposal, args)
-        rounding = SAME_COST * jnp.finfo(cost.dtype).eps * jnp.abs(state.cost)
-        better = cost <= state.cost + jnp.where(jnp.isfinite(rounding), rounding, 0)
-        here = _State(
-            vector=jnp.where(better, state.proposal, state.vector),
-            cost=jnp.where(better, cost, state.cost),
-            gradient=jnp.where(better, gradient, state.gradient),
-            information=jnp.where(better, information, state.information),
-            proposal=state.proposal,
-            damping=jnp.where(better, EASIER, HARDER) * state.damping,
-            decrement=state.decrement,
-            steps=state.steps + 1,
-        )
-        move, fall = _damped_step(here)
-        return eqx.tree_at(
-            lambda state: (state.proposal, state.decrement),
-            here,
-            (here.vector + move, jnp.where(better, fall, jnp.inf)),
-        )
+        return _advanced(state, *local(state.proposal, args))
 
+    def goes_on(state: _State) -> Array:
+        return _goes_on(state, max_steps, tolerance)
+
+    return _solution(jax.lax.while_loop(goes_on, step, _begun(start)), tolerance)
+
+
+def minimise_read(
+    derivatives: Callable[[Float[Array, " parameters"]], tuple[Array, Array, Array]],
+    start: Float[Array, " parameters"],
+    *,
+    max_steps: int = 100,
+    tolerance: float = 1e-7,
+) -> NewtonSolution:
+    """As `minimise`, for an objective that no single program computes: whose data are read anew at
+    every step.
+
+    Args:
+        derivatives: cost, gradient (parameters,) and curvature (parameters, parameters) at a
+            vector.
+        start: (parameters,), unconstrained.
+        max_steps: most evaluations.
+        tolerance: on the promised fall in cost.
+
+    Returns:
+        The end of the search.
+    """
+    most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
+    state = _begun(start)
+    while bool(_goes_on(state, most, enough)):
+        state = _advanced_alone(state, *derivatives(state.proposal))
+    return _solution(state, enough)
+
+
+def _goes_on(state: _State, max_steps: Array, tolerance: Array) -> Array:
+    unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
+    return unfinished & (state.steps < max_steps)
+
+
+def _begun(start: Array) -> _State:
     infinite = jnp.full((), jnp.inf, start.dtype)
-    square = jnp.eye(start.size, dtype=start.dtype)
-    begin = _State(
+    return _State(
         vector=start,
         cost=infinite,
         gradient=jnp.zeros_like(start),
-        information=square,
+        information=jnp.eye(start.size, dtype=start.dtype),
         proposal=start,
         damping=jnp.full_like(infinite, FIRST_DAMPING),
         decrement=infinite,
         steps=jnp.zeros((), int),
     )
-    end = jax.lax.while_loop(goes_on, step, begin)
+
+
+def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -> _State:
+    """After the proposal was evaluated: the better of the two points, and where to look next."""
+    rounding = SAME_COST * jnp.finfo(cost.dtype).eps * jnp.abs(state.cost)
+    better = cost <= state.cost + jnp.where(jnp.isfinite(rounding), rounding, 0)
+    here = _State(
+        vector=jnp.where(better, state.proposal, state.vector),
+        cost=jnp.where(better, cost, state.cost),
+        gradient=jnp.where(better, gradient, state.gradient),
+        information=jnp.where(better, information, state.information),
+        proposal=state.proposal,
+        damping=jnp.where(better, EASIER, HARDER) * state.damping,
+        decrement=state.decrement,
+        steps=state.steps + 1,
+    )
+    move, fall = _damped_step(here)
+    return eqx.tree_at(
+        lambda state: (state.proposal, state.decrement),
+        here,
+        (here.vector + move, jnp.where(better, fall, jnp.inf)),
+    )
+
+
+_advanced_alone = eqx.filter_jit(_advanced)
+
+
+def _solution(end: _State, tolerance: Array) -> NewtonSolution:
     return NewtonSolution(
         vector=end.vector,
         cost=end.cost,
@@ -149,9 +192,20 @@ def _minimise(
     )
 
 
-def _twice(objective: Objective, vector: Array, args: Any) -> tuple[Array, Array, Array]:
+def twice(
+    objective: Objective, vector: Float[Array, " parameters"], args: Any
+) -> tuple[Array, Array, Array]:
     """Cost, gradient and Hessian, one column at a time: for large data half the time of all at
-    once, whose intermediate arrays leave the cache."""
+    once, whose intermediate arrays leave the cache.
+
+    Args:
+        objective: of (vector, args), twice differentiable.
+        vector: (parameters,).
+        args: all data of the objective.
+
+    Returns:
+        (), (parameters,) and (parameters, parameters).
+    """
     slope = jax.value_and_grad(objective)
 
     def column(along: Array) -> tuple[tuple[Array, Array], Array]:

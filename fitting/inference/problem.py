@@ -22,6 +22,7 @@ from .likelihoods import Likelihood, with_values
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, replaced
 from .statement import argument_names, as_arrays, check_names, finite_data, placed, placed_like
+from .streams import Stream, opened
 
 Values = dict[str, Array]
 Vector = Float[Array, " parameters"]
@@ -53,6 +54,7 @@ class Problem(eqx.Module):
         likelihood: how data scatter about the prediction.
         data: of any shape; 0 where missing.
         present: which data there are; None if all.
+        stream: where all data come from, of which `data` are then a sample; None if these are all.
         records: by name, into which paths lead.
         inputs: what else `predict` is given.
         space: the free numbers one by one, the order of every vector.
@@ -70,6 +72,7 @@ class Problem(eqx.Module):
     likelihood: Likelihood
     data: Array
     present: Bool[Array, "..."] | None
+    stream: Stream | None = eqx.field(static=True)
     records: dict[str, Any]
     inputs: Any
     space: ParameterSpace
@@ -84,6 +87,7 @@ class Problem(eqx.Module):
         *,
         records: Mapping[str, Any] | None = None,
         inputs: Any = None,
+        chunk: int | None = None,
         left_out: Any = None,
     ) -> None:
         """States the problem.
@@ -98,10 +102,20 @@ class Problem(eqx.Module):
             data: an array of the prediction's shape; NaN where a datum is missing.
             records: PyTrees by name, such as {"scene": scene}.
             inputs: what else `predict` needs, in arrays (times, angles, other scenes).
+            chunk: rows of data to be read at a time, so that memory is bounded by one chunk: 50,000
+                suit most. None takes all at once. The data are then an array, also a memory-mapped
+                one, or a function without arguments that yields arrays one after another, or pairs
+                (data, inputs), the same at every call. Arrays among the inputs and numbers of the
+                likelihood that have as many rows are cut with the data, others are given whole;
+                `predict` must predict each row from its own inputs.
             left_out: what the records no longer hold, as `called_for` says it.
         """
         self.left_out = left_out
         self.records = dict(records or {})
+        self.stream = None
+        if chunk is not None:
+            self.stream, sample = opened(data, inputs, likelihood, chunk)
+            data, inputs, likelihood = sample.data, sample.inputs, sample.likelihood
         self.inputs = as_arrays(inputs)
         self.free = tuple(
             placed(name, entry, self.records)
@@ -124,20 +138,22 @@ class Problem(eqx.Module):
         known = finite_data(data)
         missing = np.isnan(known)
         self.data = placed_like(data, np.where(missing, 0, known))
-        self.present = placed_like(data, ~missing) if missing.any() else None
+        partly = missing.any() or self.stream is not None  # one structure for all chunks
+        self.present = placed_like(data, ~missing) if partly else None
         _check_shapes(self)
 
     def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":
         """The same problem with other data; of equal shapes, its fit compiles nothing.
 
         Args:
-            data: of the prediction's shape; NaN where missing.
+            data: of the prediction's shape; NaN where missing. Of a problem in chunks, as it takes
+                them.
             inputs: in place of the present ones; None keeps them.
 
         Returns:
             The problem.
         """
-        return self._again(data=data, inputs=self.inputs if inputs is None else inputs)
+        return self._again(data=data, **({} if inputs is None else {"inputs": inputs}))
 
     def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
         """The same problem with other records in which its paths lead somewhere.
@@ -159,8 +175,12 @@ class Problem(eqx.Module):
             "inputs": self.inputs,
             "left_out": self.left_out,
         }
+        likelihood = self.likelihood
+        if (stream := self.stream) is not None:
+            given |= {"data": stream.data, "inputs": stream.inputs, "chunk": stream.size}
+            likelihood = stream.likelihood
         parameters = {p.name: p for p in self.free} | self.fixed | self.tied
-        return Problem(parameters, self.predict, self.likelihood, **(given | changes))
+        return Problem(parameters, self.predict, likelihood, **(given | changes))
 
 
 def _shape(parameter: Parameter) -> tuple[int, ...]:

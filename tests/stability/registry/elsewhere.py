@@ -470,6 +470,18 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(
+        SOLVERS,
+        "test_streams test_problem",
+        """
+            fitting.fits.widening: residual_sums
+            fitting.inference.misfit: judge_sums sums
+            fitting.inference.newton: minimise_read twice
+            fitting.inference.search: prior_derivatives squares with_prior
+            fitting.inference.search_read: derivatives search_read
+            fitting.inference.streams: chunks opened
+        """,
+    ),
+    Elsewhere(
         STATISTICS,
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
         "test_joint_left_out test_stated_errors",

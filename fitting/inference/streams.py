@@ -1,0 +1,237 @@
+"""Data that need not fit into memory: rows of an array, of a memory-mapped file, or of what a
+function yields, read again in every pass and cut into chunks of one shape.
+
+The last chunk is filled up with copies of its last row, which count as missing, so that one
+compiled program serves all. A sample of as many rows, drawn evenly from all of them, stands for the
+data where an approximation is enough: where a search begins, and in figures.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.errors import InputError
+
+from .likelihoods import Clustered
+
+Advance = Callable[[int, int], None]  # called with chunks read and chunks in all
+SEED = 0  # of the sample
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Some of the data, with what belongs to each.
+
+    Attributes:
+        data: (rows, ...).
+        inputs: PyTree; leaves with as long a first axis belong to the rows.
+        likelihood: its numbers likewise.
+    """
+
+    data: np.ndarray
+    inputs: Any
+    likelihood: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Where the data of a problem come from.
+
+    Two streams are equal: no compiled program reads one, so that any may share it.
+
+    Attributes:
+        data: (rows, ...) array, or the function that yields some rows after others.
+        inputs: as the problem's user gave them.
+        likelihood: likewise.
+        size: rows of a chunk.
+        count: rows in all, known after the first pass.
+    """
+
+    data: Any = field(repr=False)
+    inputs: Any = field(repr=False)
+    likelihood: Any = field(repr=False)
+    size: int
+    count: int
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Stream)
+
+    def __hash__(self) -> int:
+        return hash(Stream)
+
+
+def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, Rows]:
+    """Reads all data once: counts, checks and samples them.
+
+    Args:
+        data: (rows, ...) array, or a function without arguments that yields arrays, or pairs of
+            such an array and its inputs.
+        inputs: PyTree; leaves with as long a first axis as an array of data are cut with it.
+        likelihood: its numbers likewise.
+        size: rows of a chunk.
+
+    Returns:
+        The stream, and `size` rows in their order; NaN in rows that are missing.
+
+    Raises:
+        InputError: for data that are no such thing, that are infinite or none, and for groups.
+    """
+    if isinstance(likelihood, Clustered):
+        raise InputError(
+            "Clustered: errors that groups share are judged with all data in memory; leave chunk "
+            "out."
+        )
+    if size < 1:
+        raise InputError(f"chunk = {size}: give the number of rows to be read at a time.")
+    if hasattr(data, "__next__"):
+        raise InputError(
+            "data: an iterator ends after one reading, and a fit reads its data many times: give "
+            "the function that makes it."
+        )
+    if not callable(data) and not hasattr(data, "shape"):
+        data = np.asarray(data)
+    rng = np.random.default_rng(SEED)
+    count, kept, keys = 0, None, np.empty(0)
+    for piece in _pieces(data, inputs, likelihood, size):
+        _check(piece, kept)
+        count += len(piece.data)
+        own = rng.random(len(piece.data))
+        chosen = own < (keys.max() if len(keys) == size else 1)
+        some = _taken(piece, np.flatnonzero(chosen))
+        kept, keys = _joined(kept, some), np.concatenate([keys, own[chosen]])
+        if len(keys) > size:
+            lowest = np.sort(np.argpartition(keys, size)[:size])
+            kept, keys = _taken(kept, lowest), keys[lowest]
+    if kept is None or not count:
+        raise InputError("data: there are none to read.")
+    filled, there = _filled(kept, size)
+    blank = there.reshape(-1, *[1] * (filled.data.ndim - 1))
+    sample = Rows(np.where(blank, filled.data, np.nan), filled.inputs, filled.likelihood)
+    return Stream(data, inputs, likelihood, size, count), sample
+
+
+def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
+    """The problem with one chunk of its data after another, all of one shape.
+
+    Args:
+        problem: a `Problem`; one without a stream is its own only chunk.
+        advance: is told how far the reading is.
+
+    Yields:
+        Problems.
+
+    Raises:
+        InputError: when the data are not as many as at first.
+    """
+    stream = problem.stream
+    if stream is None:
+        yield problem
+        return
+    done, whole = 0, -(-stream.count // stream.size)
+    for rows, there in _chunks(stream):
+        known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
+        yield eqx.tree_at(
+            lambda p: (p.data, p.present, p.inputs, p.likelihood),
+            problem,
+            (
+                jnp.asarray(np.where(known, rows.data, 0)),
+                jnp.asarray(known),
+                *(_floating(tree) for tree in (rows.inputs, rows.likelihood)),
+            ),
+            is_leaf=lambda x: x is None,
+        )
+        done += int(there.sum())
+        if advance is not None:
+            advance(-(-done // stream.size), whole)
+    if done != stream.count:
+        raise InputError(
+            f"data: {done} rows were read, and {stream.count} at first: the function must yield "
+            "the same data each time."
+        )
+
+
+def _pieces(data: Any, inputs: Any, likelihood: Any, size: int) -> Iterator[Rows]:
+    """As they come, the data floating."""
+    dtype = jnp.result_type(float)
+    if not callable(data):
+        everything = Rows(data, inputs, likelihood)
+        for begin in range(0, len(data), size):
+            some = _taken(everything, slice(begin, begin + size))
+            yield Rows(np.asarray(some.data, dtype), some.inputs, some.likelihood)
+        return
+    for piece in cast(Iterable[Any], data()):
+        rows, own = piece if isinstance(piece, tuple) else (piece, inputs)
+        yield Rows(np.asarray(rows, dtype), own, likelihood)
+
+
+def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
+    """Chunks of one size, and which of their rows are there."""
+    rest = None
+    every = np.ones(stream.size, bool)
+    for piece in _pieces(stream.data, stream.inputs, stream.likelihood, stream.size):
+        rows = _joined(rest, piece)
+        begin = 0
+        while len(rows.data) - begin >= stream.size:
+            yield _taken(rows, slice(begin, begin + stream.size)), every
+            begin += stream.size
+        rest = _taken(rows, slice(begin, None)) if begin < len(rows.data) else None
+    if rest is not None:
+        yield _filled(rest, stream.size)
+
+
+def _check(piece: Rows, first: Rows | None) -> None:
+    if not piece.data.ndim:
+        raise InputError("data: a single number cannot be cut into chunks.")
+    if first is not None and piece.data.shape[1:] != first.data.shape[1:]:
+        raise InputError(
+            f"data: a row has the shape {piece.data.shape[1:]}, and {first.data.shape[1:]} before."
+        )
+    if np.isinf(piece.data).any():
+        raise InputError("Some of the data are infinite: mark missing ones by NaN.")
+
+
+def _taken(rows: Rows, index: Any) -> Rows:
+    count = len(rows.data)
+
+    def part(leaf: Any) -> Any:
+        return np.asarray(leaf)[index] if _by_row(leaf, count) else leaf
+
+    return Rows(*(jax.tree.map(part, x) for x in (rows.data, rows.inputs, rows.likelihood)))
+
+
+def _joined(first: Rows | None, second: Rows) -> Rows:
+    if first is None:
+        return second
+
+    def both(one: Any, other: Any) -> Any:
+        rows = _by_row(one, len(first.data)) and _by_row(other, len(second.data))
+        return np.concatenate([one, other]) if rows else one
+
+    return Rows(
+        np.concatenate([first.data, second.data]),
+        jax.tree.map(both, first.inputs, second.inputs),
+        jax.tree.map(both, first.likelihood, second.likelihood),
+    )
+
+
+def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
+    """Rows up to a size, and which of them are there."""
+    place = np.arange(size)
+    return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
+
+
+def _by_row(leaf: Any, count: int) -> bool:
+    return np.ndim(leaf) > 0 and np.shape(leaf)[0] == count
+
+
+def _floating(tree: Any) -> Any:
+    """Arrays of NumPy as JAX's, the floating ones of its default width."""
+    return jax.tree.map(
+        lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
+        tree,
+    )
