@@ -15,6 +15,7 @@ from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines
 from jaxvision.accuracy.curves import LEAST
 from jaxvision.accuracy.deadlines import OutOfTime, in_time
 from jaxvision.accuracy.knobs_in_turn import in_turn
+from jaxvision.accuracy.pages import write_page
 from jaxvision.accuracy.scenes import scene_problem
 from jaxvision.accuracy.tables import as_dict, notes, rows
 from jaxvision.cli import app
@@ -49,10 +50,11 @@ def clock(monkeypatch):
     """A call that is left behind spends nothing any more."""
     kept, leave = Clock(), deadlines._Hand.leave
 
-    def left_behind(hand):
+    def left_behind(hand, job):
         kept.spent = 0.0
         kept.done.set()
-        leave(hand)
+        leave(hand, job)
+        job.ended.wait()
 
     monkeypatch.setattr(deadlines, "TICK", 1e-4)
     monkeypatch.setattr(deadlines._Hand, "leave", left_behind)
@@ -274,3 +276,35 @@ ending_on_interrupt("jaxvision", work)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "said\n"
     assert done.returncode == {"pass": 0, "raise SystemExit(3)": 3}.get(end, 1)
+
+
+def test_what_is_timed_beside_work_that_was_left_behind_says_so(monkeypatch, tmp_path):
+    """It goes on beyond the time that is waited; after its end nothing is said."""
+    monkeypatch.setattr(deadlines, "TICK", 1e-3)
+    may_end = threading.Event()
+
+    def prepare(settings):
+        n = settings["n"]
+
+        def compute(seed):
+            if n == 3:
+                may_end.wait()
+            return np.full(4, 1 + n**-2.0) + 1e-9 * seed
+
+        return compute
+
+    held = Problem("held", prepare)
+    slow = curve(held, KNOB, seconds=0.4)
+    assert slow.stopped.startswith("out of time (3 was given up")
+    other = curve(held, replace(KNOB, settings=(1, 2)), seconds=0.2)
+    assert [trial.beside for trial in other.trials] == [True, True]
+    said = (
+        "n: timed while what had been given up was still at work, so that times are too long: 1, 2."
+    )
+    assert said in notes([other])[-1]
+    assert said in as_dict(held, [other])["notes"][-1]
+    write_page(tmp_path, held, [other], command="")
+    assert said in (tmp_path / "accuracy.html").read_text()
+    threading.Timer(0.05, may_end.set).start()
+    after = curve(held, KNOB, seconds=np.inf)
+    assert [trial.beside for trial in after.trials] == [False] * 5

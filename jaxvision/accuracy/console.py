@@ -1,7 +1,9 @@
 """What was measured, on the terminal and in a folder."""
 
 import json
+import os
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 from ..errors import InputError
@@ -10,21 +12,30 @@ from .records import Curve, Problem
 from .scene_settings import machine
 from .tables import as_dict, notes, rows
 
+_OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
+
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """What every command that measures is asked.
+    """What every command that measures is asked. What draws a page is imported here: an interrupt,
+    after which there is one all the same, leaves little time for it.
 
     Args:
         seconds: s, to measure in.
         out: folder of the page, or None.
 
     Raises:
-        InputError: for no time, and a file where a folder is to be.
+        InputError: for no time, a file where a folder is to be, and one that cannot be written.
     """
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give --out a folder.")
+    if out is not None:
+        there = next(place for place in (out, *out.absolute().parents) if place.exists())
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise InputError(f"{there}: cannot be written; give --out another folder.")
+        for module in _OF_PAGES:
+            import_module(module)
 
 
 def show(
@@ -35,7 +46,7 @@ def show(
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
-    """Prints the table, or JSON, and writes the page.
+    """Prints the table, or JSON, at once, and then writes the page.
 
     Args:
         problem: whose knobs they are.
@@ -52,16 +63,18 @@ def show(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
             "--seconds."
         )
-    written = write_page(out, problem, curves, command=command) if out is not None else ()
     if as_json:
         sheet = as_dict(problem, curves, machine=machine(), command=command)
-        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))
+        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+    else:
+        print(f"{problem.name}; {machine()}")
+        print(in_columns(rows(problem, curves)))
+        print("\n".join(notes(curves)), flush=True)
+    if out is None:
         return
-    print(f"{problem.name}; {machine()}")
-    print(in_columns(rows(problem, curves)))
-    print("\n".join(notes(curves)))
-    for path in written:
-        print(f"Written: {path}")
+    for path in write_page(out, problem, curves, command=command):
+        if not as_json:
+            print(f"Written: {path}", flush=True)
 
 
 def in_columns(rows: Sequence[tuple[str, ...]]) -> str:

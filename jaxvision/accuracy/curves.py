@@ -43,7 +43,9 @@ def curve(
     Two calls of each setting, the cheapest first; then a reference; then the settings in turns with
     other seeds, so that a machine of drifting speed favours none. An interrupt ends it and keeps
     what was measured. A call that takes longer than was foreseen, and than what is left, is left
-    behind, whatever it does: a program that XLA compiles meanwhile goes on in the background.
+    behind, whatever it does: a program that XLA compiles meanwhile goes on in the background. What
+    is measured after it waits for its end, up to a quarter of the time; what is timed beside it
+    says so.
 
     Args:
         problem: what is computed.
@@ -97,6 +99,7 @@ def curve(
     stopped = ""
     try:
         with raised_interrupts(), np.errstate(invalid="ignore", over="ignore"):
+            session.wait_for_the_rest()
             _look(session)
             if found is None:
                 found = random_reference(session) if turned.random else paired_reference(session)
@@ -166,6 +169,7 @@ def _run_twice(session: Session, setting: Any) -> None:
 
 def _take_turns(session: Session, seeds: int) -> None:
     """Further calls of the settings in turns, each where it fits."""
+    session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
     for number in range(len(PAIRED), rounds):
         for setting in session.knob.settings:
@@ -267,6 +271,7 @@ def _trial(
         len(seeds),
         {name: norms[name] for name in names if name in norms},
         hollow,
+        point.beside,
     )
 
 

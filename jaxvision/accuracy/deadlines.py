@@ -65,14 +65,32 @@ class _Hand:
         while (job := self.jobs.get()) is not None:
             job.run()
 
-    def leave(self) -> None:
+    def leave(self, job: _Job) -> None:
         """Leaves the thread to its last job."""
         self.jobs.put(None)
+        _left_behind.append(job)
         leaves_work_behind()
         atexit.register(self.thread.join)
 
 
 _idle: list[_Hand] = []
+_left_behind: list[_Job] = []
+
+
+def something_left_behind() -> bool:
+    """Whether work that was left behind still goes on, beside which all else is slower."""
+    _left_behind[:] = [job for job in _left_behind if not job.ended.is_set()]
+    return bool(_left_behind)
+
+
+def wait_for_the_rest(left: Callable[[], float]) -> None:
+    """Waits until nothing that was left behind goes on, or its time is over.
+
+    Args:
+        left: s that are left for it.
+    """
+    while something_left_behind() and left() > 0:
+        _left_behind[0].ended.wait(TICK)
 
 
 def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
@@ -97,7 +115,7 @@ def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
             if left() <= 0:
                 raise OutOfTime
     except BaseException:
-        hand.leave()
+        hand.leave(job)
         raise
     _idle.append(hand)
     if job.error is not None:

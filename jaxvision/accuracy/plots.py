@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
+_UNKNOWN = "no error is known: allow more time"
 
 
 def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
@@ -49,7 +50,8 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
     if shown and np.isfinite(floor) and floor > 0:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
-    _scaled(axes, [t.error for t in shown])
+    exact = any(t.error == 0 for t in curve.trials)
+    _scaled(axes, [t.error for t in shown], "no error was found" if exact else _UNKNOWN)
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     falls = "error" if curve.knob.law == "geometric" else "order"
@@ -126,8 +128,8 @@ def label(
         )
 
 
-def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
-    """Logarithmic axes with their labels, and what to say where no error is known."""
+def _scaled(axes: "Axes", errors: Sequence[float], none: str = _UNKNOWN) -> None:
+    """Logarithmic axes with their labels, and what to say where there is nothing to draw."""
     from matplotlib.ticker import LogLocator
 
     axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
@@ -139,8 +141,7 @@ def _scaled(axes: "Axes", errors: Sequence[float]) -> None:
             axis.set_minor_formatter(_between_decades(axis))
     else:
         axes.set(xticks=[], yticks=[])
-        words = "no error is known: allow more time"
-        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, none, ha="center", va="center", transform=axes.transAxes)
 
 
 def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:

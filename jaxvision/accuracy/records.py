@@ -95,6 +95,8 @@ class Trial:
         seeds: with which it was run.
         norms: every norm by name: "rms", "p99" and "max" relative, "delta_e" in units of L*.
         hollow: whether the error is below three times that of the reference: it says little then.
+        beside: whether a program that had been given up was still at work meanwhile, so that the
+            time is too long.
         measured: False for a setting that was inferred from others by the knob's order.
     """
 
@@ -109,6 +111,7 @@ class Trial:
     seeds: int = 1
     norms: Mapping[str, float] = field(default_factory=dict)
     hollow: bool = False
+    beside: bool = False
     measured: bool = True
 
 

@@ -12,10 +12,11 @@ import jax
 import numpy as np
 
 from ..errors import InputError
-from .deadlines import OutOfTime, in_time
+from .deadlines import OutOfTime, in_time, something_left_behind, wait_for_the_rest
 from .records import Compute, Knob, Problem
 
 Clock = Callable[[], float]
+WAIT = 0.25  # of the time that is left, for the end of what was left behind
 GRACE = 0.05  # of the budget, by which a call may exceed it before it is left behind
 STEEPEST = 4.0  # no cost grows faster than this power of a setting; the next may by a factor
 ONE_STEP = 4.0  # growth of compiling between two settings that is believed without a third
@@ -34,6 +35,7 @@ class Point:
         results: by seed, float64.
         rounding: no unit, of the format that the results came in.
         once: s of a call that a whole takes no longer for than its part.
+        beside: whether what had been left behind was still at work during a call.
     """
 
     setting: Any
@@ -43,6 +45,7 @@ class Point:
     results: dict[int, np.ndarray] = field(default_factory=dict)
     rounding: float = 0.0
     once: float = 0.0
+    beside: bool = False
 
     @property
     def seconds(self) -> float:
@@ -73,6 +76,11 @@ class Session:
         """s until the budget is used up."""
         return self.seconds - self.taken
 
+    def wait_for_the_rest(self) -> None:
+        """Waits a while for what was left behind, beside which times are too long."""
+        until = self.taken + WAIT * self.left
+        wait_for_the_rest(lambda: until - self.taken)
+
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
         """Runs a setting once more, and keeps time and result.
 
@@ -87,7 +95,7 @@ class Session:
         Raises:
             OutOfTime: where it was left behind; what was known of the setting stays.
         """
-        begun = self.clock()
+        begun, beside = self.clock(), something_left_behind()
         point = self.points.get(setting) or Point(setting)
 
         def run() -> tuple[Compute, np.ndarray, float, float]:
@@ -115,7 +123,7 @@ class Session:
             point.compute, point.first = compute, taken
         else:
             point.warm.append(taken)
-        point.once = once
+        point.once, point.beside = once, point.beside or beside
         floating = np.issubdtype(values.dtype, np.floating)
         point.rounding = float(np.finfo(values.dtype).eps) if floating else 0.0
         point.results[seed] = values.astype(np.float64)

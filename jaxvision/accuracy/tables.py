@@ -123,6 +123,11 @@ def notes(curves: Sequence[Curve]) -> list[str]:
             found.append(f"{name}: {curve.stopped}; not run: {left}.")
         elif curve.stopped:
             found.append(f"{name}: {curve.stopped}.")
+        if beside := ", ".join(str(trial.setting) for trial in curve.trials if trial.beside):
+            found.append(
+                f"{name}: timed while what had been given up was still at work, so that times are "
+                f"too long: {beside}."
+            )
     return found
 
 
@@ -138,6 +143,7 @@ def as_dict(problem: Problem, curves: Sequence[Curve], **more: Any) -> dict[str,
         Numbers and text; times in s, errors relative.
     """
     sheet: dict[str, Any] = {"problem": problem.name, **more, "knobs": [], "within": {}}
+    sheet["notes"] = notes(curves)
     for curve in curves:
         sheet["knobs"].append(
             {

@@ -7,7 +7,7 @@ first tile. Light tracing makes whole pictures, the mean of independent passes.
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 
 import jax
 import numpy as np
@@ -188,14 +188,17 @@ def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
-    factors = jax.jit(lambda scene: form_factor_table(scene, plan))
     exchanged = jax.jit(partial(radiosity, plan=plan))
+
+    @cache
+    def table() -> Array:
+        found = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
+        _check_balance(scene, plan, found)
+        return found
 
     def solve(key: Key) -> Solution:
         with _in_words_of(source):
-            table = factors(scene)
-            _check_balance(scene, plan, table)
-            return exchanged(scene, table=table, rule=_rule(settings, key))
+            return exchanged(scene, table=table(), rule=_rule(settings, key))
 
     def along(scene: Scene, key: Key, solution: Solution | None, depth: Array) -> Along:
         assert solution is not None
