@@ -188,33 +188,34 @@ def _shape(parameter: Parameter) -> tuple[int, ...]:
 
 
 def _check_shapes(problem: Problem) -> None:
-    sizes = _shape_of_prediction(problem)
-    if sizes != problem.data.shape:
-        raise InputError(
-            f"predict gives an array of shape {sizes}, the data have {problem.data.shape}: "
-            "they must be equal."
+    """By one trace of both, for that of a picture takes its time."""
+
+    def terms(vector: Vector, problem: Problem) -> Array:
+        values = values_at(problem, vector)
+        seen = prediction(problem, values)
+        if seen.shape != problem.data.shape:
+            raise InputError(
+                f"predict gives an array of shape {seen.shape}, the data have "
+                f"{problem.data.shape}: they must be equal."
+            )
+        unfit = InputError(
+            "The likelihood's numbers do not fit data of shape "
+            f"{problem.data.shape}: give each as one number or in the data's shape."
         )
-    origin = jnp.zeros(len(problem.space))
-    try:
-        shape = eqx.filter_eval_shape(log_likelihood_terms, origin, problem).shape
-    except InputError:
-        raise
-    except (TypeError, ValueError) as error:  # JAX's own words on shapes that do not go together
-        shape, cause = None, error
-    else:
-        cause = None
-    if shape != problem.data.shape:
-        raise InputError(
-            f"The likelihood's numbers do not fit data of shape {problem.data.shape}: give each as "
-            "one number or in the data's shape."
-        ) from cause
+        try:
+            found = _terms(problem, values, seen)
+        except InputError:
+            raise
+        except (
+            TypeError,
+            ValueError,
+        ) as error:  # JAX's own words on shapes that do not go together
+            raise unfit from error
+        if found.shape != problem.data.shape:
+            raise unfit
+        return found
 
-
-def _shape_of_prediction(problem: Problem) -> tuple[int, ...]:
-    def at_origin(problem: Problem) -> Array:
-        return prediction(problem, values_at(problem, jnp.zeros(len(problem.space))))
-
-    return eqx.filter_eval_shape(at_origin, problem).shape
+    eqx.filter_eval_shape(terms, jnp.zeros(len(problem.space)), problem)
 
 
 def values_at(problem: Problem, vector: Vector) -> Values:
@@ -334,8 +335,11 @@ def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."
         Of the data's shape.
     """
     values = values_at(problem, vector)
-    likelihood = likelihood_at(problem, values)
-    terms = likelihood.log_density(prediction(problem, values), problem.data)
+    return _terms(problem, values, prediction(problem, values))
+
+
+def _terms(problem: Problem, values: Values, seen: Array) -> Array:
+    terms = likelihood_at(problem, values).log_density(seen, problem.data)
     return terms if problem.present is None else jnp.where(problem.present, terms, 0)
 
 
