@@ -13,6 +13,7 @@ from jaxvision.effects.certificate import summary
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.render_command import pruned_for, render_to_file
+from jaxvision.render_command.pruning import left_of
 from jaxvision.scene_files import SceneFile
 from jaxvision.scene_files.schema import RenderEntry
 
@@ -38,7 +39,7 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     render_to_file(source, whole, SETTINGS)
     full = np.asarray(read_image(whole), float)
     if not full.max() > 0:
-        with pytest.raises(InputError, match="level"):
+        with pytest.raises(InputError, match="the picture is dark"):
             pruned_for(source, SETTINGS, "1%")
         return
     pruned = pruned_for(source, SETTINGS, "1%")
@@ -50,6 +51,21 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     head = oiio.ImageInput.open(str(less)).spec().getattribute("jaxvision:certificate")
     assert head == explain(certificate)
     assert summary(certificate) in head
+
+
+@pytest.mark.parametrize("integrator", ["path", "light", "rays", "radiosity"])
+def test_paths_go_only_where_they_can_be_cut(integrator):
+    """A solution of radiosity and a tree of rays take what they take."""
+    settings = RenderEntry.model_validate({"integrator": integrator})
+    pruned = pruned_for(scene_file(3), settings, "50%", level=1e6)
+    cut = integrator in ("path", "light")
+    (row,) = (
+        (e for e in pruned.certificate.dropped if e.name == "bounces")
+        if cut
+        else (e for e in pruned.certificate.kept if e.name == "bounces")
+    )
+    assert (row.saves > 0) == cut
+    assert (left_of(scene_file(3), settings, pruned)[1].depth < settings.depth) == cut
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ def scene_rows(
     sensor: Sensor,
     moments: int,
     estimates: bool = False,
+    whole_paths: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
     """All rows of a scene, and what arrives at the camera at most.
 
@@ -37,6 +38,7 @@ def scene_rows(
         sensor: whose exposure time and shutter place the moments, s.
         moments: of a motion.
         estimates: whether what long paths add is also probed, in a small picture.
+        whole_paths: whether paths are followed whatever the depth, so that none can be cut.
 
     Returns:
         Rows and `Arriving`. A scene that moves keeps its lights and its bands, which a motion may
@@ -44,7 +46,11 @@ def scene_rows(
     """
     rows, arriving, sums = scene_stage(scene, view, depth=depth)
     if motion is None or sensor.exposure_time is None:
-        rows += band_rows(sums, direct=depth is None) + bounce_rows(sums, depth)
+        further = bounce_rows(sums, depth)
+        rows += band_rows(sums, direct=depth is None)
+        if whole_paths:
+            return rows + tuple(_uncut(row) for row in further[:1]), arriving
+        rows += further
         if estimates:
             rows += probed_rows(scene.high, view.high, depth)
             rows = tuple(sorted(rows, key=_as_steps))
@@ -56,6 +62,12 @@ def scene_rows(
     brightest = np.max([own.radiance for own in seen], axis=0)
     near, far = min(own.near for own in seen), max(own.far for own in seen)
     return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far)
+
+
+def _uncut(row: Row) -> Row:
+    """Of all longer paths, as what stays."""
+    effect = replace(row.effect, why="what follows paths to their end cannot cut them")
+    return replace(row, effect=effect, drop=None, saves=0.0)
 
 
 def _as_steps(row: Row) -> float:

@@ -36,6 +36,7 @@ def _chain(
     moments: int,
     whole: bool,
     estimates: bool,
+    whole_paths: bool,
 ) -> Chain:
     """The rows from the scene to the picture; of a bare view those of scene and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
@@ -47,6 +48,7 @@ def _chain(
         sensor=sensor.high,
         moments=moments,
         estimates=estimates,
+        whole_paths=whole_paths,
     )
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
@@ -108,6 +110,7 @@ def inspect(
     moments: int = 8,
     depth: int | None = None,
     estimates: bool = False,
+    whole_paths: bool = False,
     time: bool = False,
     advance: Advance | None = None,
 ) -> tuple[Effect, ...]:
@@ -124,6 +127,8 @@ def inspect(
         depth: pieces of the longest path that is followed, as `transport.Paths` counts them; None:
             direct light, as `render` shows it.
         estimates: whether what long paths add is also estimated, by a small picture.
+        whole_paths: whether what renders follows paths to their end, as radiosity does, so that
+            none can be cut.
         time: whether the seconds of a picture that go with each effect are measured, too: with it
             and without, in turns, at no more than 256 pixels along each side. Each that leaves
             another program compiles it.
@@ -160,6 +165,7 @@ def inspect(
         moments=moments,
         whole=isinstance(camera, Camera),
         estimates=estimates,
+        whole_paths=whole_paths,
     )
     named, taken = frozenset(free or ()), [None] * len(chain.rows)
     whole = isinstance(camera, Camera)
@@ -202,6 +208,7 @@ def prune(
     moments: int = 8,
     depth: int | None = None,
     estimates: bool = False,
+    whole_paths: bool = False,
 ) -> Pruned:
     """A scene and a camera without the effects that a tolerance allows to leave out.
 
@@ -214,6 +221,7 @@ def prune(
             which is rendered for it.
         estimates: whether effects may go by an estimate of what they do, which is no proof; long
             paths then also by what a small picture shows of them.
+        whole_paths: as in `inspect`.
 
     Returns:
         What remains, with a certificate of what does not.
@@ -252,13 +260,14 @@ def prune(
         moments=moments,
         whole=whole,
         estimates=estimates,
+        whole_paths=whole_paths,
     )
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)
         if level == 0:
             raise InputError(
-                "the level of a relative tolerance is 0: the picture is dark; give a level above 0 "
-                "or a tolerance in DN."
+                "the picture is dark, so that there is no light to take a share of; leave the "
+                "tolerance out, or give a level above 0 or a tolerance in DN."
             )
         if not 0 < level < np.inf:
             raise InputError(

@@ -18,6 +18,7 @@ from ..scene import Camera, View
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
 
+CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces
 _ENDLESS = 400  # pieces of paths that radiosity follows to their end
 Box = dict[str, tuple[Any, Any]]
 
@@ -34,7 +35,8 @@ def _asked(settings: RenderEntry) -> dict[str, Any]:
             depth = settings.depth + 1
         case "radiosity":
             depth = _ENDLESS
-    return {"samples": samples, "depth": depth}
+    whole = depth is not None and settings.integrator not in CUT
+    return {"samples": samples, "depth": depth, "whole_paths": whole}
 
 
 def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
@@ -131,7 +133,7 @@ def left_of(
     view = pruned.camera.view if isinstance(pruned.camera, Camera) else pruned.camera
     bands = source.bands if pruned.expand is None else pruned.expand.shape[1]
     left = replace(source, scene=pruned.scene, view=view, lights=names, bands=bands)
-    if pruned.depth is None or settings.integrator not in ("path", "light"):
+    if pruned.depth is None or settings.integrator not in CUT:
         return left, settings
     return left, settings.model_copy(update={"depth": min(pruned.depth, settings.depth)})
 
