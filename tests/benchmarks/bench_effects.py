@@ -220,3 +220,7 @@ def test_paths_of_a_shipped_scene_are_followed_by_the_same_program(name):
     pruned = effects.prune(source.scene, source.view, "1%", level=1.0, depth=depth)
     assert pruned.depth == depth
     assert jax.tree.structure(pruned.scene) == jax.tree.structure(source.scene)
+    for left, whole in zip(
+        jax.tree.leaves(pruned.scene), jax.tree.leaves(source.scene), strict=True
+    ):
+        np.testing.assert_array_equal(left, whole)
