@@ -95,7 +95,7 @@ def test_score_of_a_whole_picture_and_what_a_function_closes_over():
     def chance(mean, key):
         return expected_of_count(key, mean, all_empty, estimator="score", draws=4)
 
-    found = jax.vmap(jax.grad(chance), (None, 0))(m, jax.random.split(KEY, 4000))
+    found = jax.jit(jax.vmap(jax.grad(chance), (None, 0)))(m, jax.random.split(KEY, 4000))
     for k in range(3):
         within(found[:, k], -np.exp(-0.9))
 
@@ -103,7 +103,7 @@ def test_score_of_a_whole_picture_and_what_a_function_closes_over():
         return expected_of_count(KEY, jnp.full(40_000, 0.5), lambda n: jnp.exp(-b * n))
 
     wanted = -0.5 * np.exp(-1.0) * np.exp(-0.5 * (1 - np.exp(-1.0)))  # d/db exp(-m (1 - e^-b))
-    slope = float(jax.grad(lambda b: faded(b).mean())(1.0))
+    slope = float(jax.jit(jax.grad(lambda b: faded(b).mean()))(1.0))
     assert abs(slope / wanted - 1) < 0.03
 
 

@@ -70,15 +70,13 @@ def test_camera_as_a_loop_of_quadrature():
     )
     chart = list(colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values())
     theirs = np.zeros((24, 3))
+    of_chart = [[float(patch[wavelength]) for wavelength in nm] for patch in chart]
+    of_lamp = [float(lamp[wavelength]) for wavelength in nm]
+    of_camera = [camera[wavelength] for wavelength in nm]
     for p in range(24):
         for c in range(3):
-            for wavelength in nm:
-                theirs[p, c] += (
-                    float(chart[p][wavelength])
-                    * float(lamp[wavelength])
-                    * float(camera[wavelength][c])
-                    * 5e-9
-                )
+            for i in range(len(nm)):
+                theirs[p, c] += of_chart[p][i] * of_lamp[i] * float(of_camera[i][c]) * 5e-9
     np.testing.assert_allclose(ours, theirs, rtol=1e-10)
 
 
