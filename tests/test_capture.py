@@ -344,10 +344,9 @@ def test_what_bounces_is_what_the_integrator_finds():
     room = s.Scene([wall, *LAMBERT_ONLY.surfaces[:2]], [])
     camera = s.Camera(replace(PINHOLE, f_number=4.0), s.Sensor(gain=3.0))
     paths, key = Paths(4, 3), jax.random.key(2)
-    shot = capture(key, room, camera, integrator=paths)
-    found = jax.vmap(lambda k: path_traced(k, room, camera.view, method=paths).radiance)(
-        jax.random.split(jax.random.key(3), 32)
-    )
+    shot = jax.jit(lambda key: capture(key, room, camera, integrator=paths))(key)
+    traced = jax.vmap(lambda key: path_traced(key, room, camera.view, method=paths).radiance)
+    found = jax.jit(traced)(jax.random.split(jax.random.key(3), 32))
     error = np.asarray(found).std(axis=0, ddof=1)
     apart = np.abs(shot.radiance - found.mean(axis=0)) / np.maximum(error, 1e-3)
     assert np.median(apart) < 1

@@ -51,7 +51,7 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
         FREE if scale else FREE | SCALE, peak, StudentT(scale or "scale"), DATA, inputs=PLACE
     )
     best = scipy_best(scale)
-    for seed in range(5):
+    for seed in range(10):
         result = fit(template, seed=seed)
         assert result.converged
         found = np.array([float(result.values[name]) for name in FREE])

@@ -174,9 +174,9 @@ def test_chance_and_purpose_share_each_of_several_emitters():
     lights = [RectangleLight(*wide(1.0), [1.0]), PointLight([0.01, 0.02, 2.0], [0.4])]
     irradiance = quad_irradiance(*wide(1.0)) + 10 * sphere_irradiance(centre, radius) + 0.4 / 4
     scene = Scene([FLOOR, ball], lights)
-    mean, error = mean_of_paths(scene, LOOKS, Paths(1, 2, strategy="balance"), 16_000)
+    mean, error = mean_of_paths(scene, LOOKS, Paths(1, 2, strategy="balance"), 40_000)
     expected = 0.5 * irradiance / np.pi
-    assert error[0] < 0.008 * expected
+    assert error[0] < 0.005 * expected
     assert abs(mean[0] - expected) < 4 * error[0]
 
 
