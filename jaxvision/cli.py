@@ -142,13 +142,13 @@ def render(
     ] = None,
     no_preview: Annotated[bool, typer.Option("--no-preview", help="Write the EXR only.")] = False,
     tolerance: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Leave out what changes no pixel by more than this, of the level of radiance "
             "(default: leave out nothing).",
             metavar="SHARE%",
         ),
-    ] = "",
+    ] = None,
     accuracy: Annotated[
         str,
         typer.Option(
@@ -197,7 +197,7 @@ def render(
         if min(wanted) < 1:
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
         source = replace(source, view=with_resolution(source.view, wanted))
-    pruned = pruned_for(source, settings, tolerance) if tolerance else None
+    pruned = None if tolerance is None else pruned_for(source, settings, tolerance)
     chosen = None
     if accuracy or seconds is not None:
         refused = {"samples": samples, "depth": depth, "gather": gather, "tolerance": tolerance}
@@ -295,11 +295,11 @@ def effects(
         ),
     ] = "",
     tolerance: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Say what may be left out: 1% of the level, 0.5DN or 0.1sigma.", metavar="AMOUNT"
         ),
-    ] = "",
+    ] = None,
     place: Annotated[float, typer.Option(help="Pixels by which anything may move.")] = 0.1,
     free: Annotated[
         list[str] | None,
@@ -331,7 +331,7 @@ def effects(
     from .scene_files import read_scene
 
     goal = None
-    if tolerance:
+    if tolerance is not None:
         goal = parse(tolerance, place=place)
         if timed:
             raise InputError("--time lists all effects as they are; leave --tolerance out.")

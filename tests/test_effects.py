@@ -200,6 +200,8 @@ def test_a_filter_takes_the_bands_that_go_unless_it_would_transmit_less_than_not
     pruned = effects.prune(scene, camera, "1e-6DN")
     assert pruned.expand is None
     assert pruned.scene.lights[0].irradiance.shape == (left,)
+    kept = [e.why for e in pruned.certificate.kept if e.name == "bands"]
+    assert not kept or "cannot take fewer" in kept[0]
     found = np.asarray(pruned.camera.sensor.colour_filter.transmission)
     own = np.stack([np.asarray(s.material.diffuse) for s in pruned.scene.surfaces])
     np.testing.assert_allclose(own @ found[0], spectra @ transmission, rtol=1e-12)

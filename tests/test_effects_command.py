@@ -58,6 +58,7 @@ def test_what_each_takes_is_measured(scene):
     ("arguments", "sentence"),
     [
         (["--tolerance", "lots"], "a tolerance is a number and its unit"),
+        (["--tolerance", ""], "a tolerance is a number and its unit"),
         (["--tolerance", "1DN"], "needs a camera with a sensor"),
         (["--camera", "consumer_bayer"], "the camera has 31 bands and the scene 3"),
         (["--free", "lights[0].intensity"], "give a name and two numbers"),

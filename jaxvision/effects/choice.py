@@ -60,6 +60,7 @@ class Choice:
         self.gone: list[Row] = []
         self.bounds: dict[int, float] = {}
         self.barred: set[int] = set()
+        self.all_bands = ""  # why none of them can go
 
     def bound(self, row: Row) -> float:
         """What a row changes at most, in the unit of the tolerance."""
@@ -153,10 +154,13 @@ class Choice:
     def _take_bands(self, draft: Draft) -> bool:
         """Whether a camera with a sensor can take fewer bands, and no free spectrum is cut."""
         if any(_is_spectrum(name, *self.records) for name in self.free):
+            self.all_bands = "a free spectrum has all of them"
             return False
         if draft.bands is None or self.chain.dn is None:
             return True
-        return folded(draft.camera, *draft.bands) is not None
+        taken = folded(draft.camera, *draft.bands) is not None
+        self.all_bands = "" if taken else "the sensor cannot take fewer"
+        return taken
 
     def result(self, scene: Scene, camera: Camera | View) -> Pruned:
         """The records of what is left, and the certificate."""
@@ -195,7 +199,10 @@ class Choice:
                     replace(told, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
                 )
             elif not row.ladder or row.effect.name not in {effect.name for effect in kept}:
-                kept.append(self._told(row, self.bound(row), unit))
+                told = self._told(row, self.bound(row), unit)
+                if row.ladder == "bands" and self.all_bands:
+                    told = replace(told, why=f"{told.why}; {self.all_bands}")
+                kept.append(told)
         assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)
         return Certificate(
             tuple(kept),
