@@ -206,7 +206,7 @@ def test_what_is_pruned_is_never_slower(name):
             rivals[tolerance] = all_bands(compiled, pruned, view)
     if len(rivals) == 1:
         return
-    _, seconds = in_turns(rivals, rounds=ROUNDS)
+    _, seconds = in_turns(rivals, rounds=3 * ROUNDS)  # 3 % is less than 11 rounds tell
     for tolerance in (rival for rival in rivals if rival != "with"):
         print(f"{name}, {tolerance}: x{seconds['with'] / seconds[tolerance]:.3f}")
         assert seconds[tolerance] <= 1.03 * seconds["with"]
