@@ -13,6 +13,7 @@ from oracles.direct_light import picture
 from oracles.random_scenes import random_scene
 
 import jaxvision as jv
+from fitting.inference.records import replaced
 from jaxvision import effects
 from jaxvision.effects.bounces import bounce_rows
 from jaxvision.effects.cells import eye_of
@@ -341,6 +342,48 @@ def test_a_lamp_that_may_move_is_bounded_wherever_it_goes(where):
     moved = jv.Scene([FLOOR, ball], jv.PointLight(where, [1.0]))
     for name in ("lights[0]", "shadows[0]", "surfaces[1].material.specular"):
         assert bound_of(moved, name).bound <= bound_of(scene, name, free=box).bound
+
+
+def stretched(seed):
+    """Boxes of half of a random scene's strengths, and of the middles of its balls."""
+    scene, _ = random_scene(seed)
+    rng, box = np.random.default_rng(seed), {}
+    for i, light in enumerate(scene.lights):
+        for name in light.spectra:
+            own = np.asarray(getattr(light, name), float)
+            if own.ndim == 1 and rng.random() < 0.5:
+                box[f"lights[{i}].{name}"] = 0.3 * own, 3 * own
+    for i, surface in enumerate(scene.surfaces):
+        own = getattr(surface.material, "diffuse", None)
+        if own is not None and rng.random() < 0.5:
+            box[f"surfaces[{i}].material.diffuse"] = 0.3 * own, 2 * own
+        if isinstance(surface.shape, jv.Sphere):
+            middle = np.asarray(surface.shape.centre, float)
+            box[f"surfaces[{i}].shape.centre"] = middle - 0.05, middle + 0.05
+    return box
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [*QUICK, 11, 17])
+def test_bounds_over_a_box_hold_at_20_random_points_of_it(seed):
+    """Of each effect alone, by the oracle at one of them and by its bound there at all."""
+    scene, view = random_scene(seed)
+    box, rng = stretched(seed), np.random.default_rng(seed)
+    over = {e.name: e.bound for e in effects.inspect(scene, view, free=box)}
+    for k in range(20):
+        moved = scene
+        for name, (low, high) in box.items():
+            value = low + (high - low) * rng.random(low.shape)
+            moved = replaced({"scene": moved}, {f"scene.{name}": value})["scene"]
+        rows, _, _ = scene_stage(Ends(moved, moved), Ends(view, view))
+        camera = jv.Camera(view, jv.Sensor())
+        draft = Draft(moved.surfaces, moved.lights, frozenset(), moved.ambient, camera)
+        for row in rows:
+            assert row.effect.bound <= over[row.effect.name] * (1 + 1e-9), row.effect.name
+            if k or row.drop is None or not row.effect.present or row.together == "shadows":
+                continue
+            change = np.abs(drawn(only(moved, draft, row), view) - drawn(moved, view)).max()
+            assert change <= over[row.effect.name] * (1 + 1e-9) + ROUNDING, row.effect.name
 
 
 @pytest.mark.parametrize("end", [np.inf, np.nan])
