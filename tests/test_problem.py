@@ -145,6 +145,11 @@ def test_fixed_and_tied_numbers():
     assert result.values["b"] == 2.0
 
 
+def test_data_that_are_all_missing_are_refused():
+    with pytest.raises(InputError, match="all data are missing"):
+        fit(decay_problem(np.full(60, np.nan)))
+
+
 def test_a_missing_datum_counts_for_nothing(fitted):
     holes = np.where(np.arange(60) % 7 == 3, np.nan, DECAY)
     result = fit(decay_problem(holes), starts=2)

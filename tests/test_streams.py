@@ -156,6 +156,7 @@ class Changing:
         (yielded(), {}, "an iterator ends after one reading"),
         (DECAY, {"likelihood": Clustered(SMALL, np.zeros(COUNT, int))}, "leave chunk out"),
         (DECAY, {"chunk": 0}, "number of rows"),
+        (DECAY, {"chunk": 7.5}, "whole number of rows"),
         (lambda: iter(()), {}, "there are none"),
         (lambda: iter([(np.ones(3), np.ones(3)), (np.ones((3, 2)), np.ones(3))]), {}, "row has"),
         (np.array([1.0, np.inf]), {"inputs": np.ones(2)}, "infinite"),

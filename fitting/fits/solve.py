@@ -103,6 +103,8 @@ def fit(
         )
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
+    if problem.present is not None and not np.asarray(problem.present).any():
+        raise InputError("There is nothing to fit: all data are missing (NaN).")
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
         if after is None:
             begin = (

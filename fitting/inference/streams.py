@@ -86,8 +86,8 @@ def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, 
             "Clustered: errors that groups share are judged with all data in memory; leave chunk "
             "out."
         )
-    if size < 1:
-        raise InputError(f"chunk = {size}: give the number of rows to be read at a time.")
+    if not isinstance(size, int | np.integer) or size < 1:
+        raise InputError(f"chunk = {size}: give a whole number of rows to be read at a time.")
     if hasattr(data, "__next__"):
         raise InputError(
             "data: an iterator ends after one reading, and a fit reads its data many times: give "
