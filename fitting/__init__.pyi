@@ -11,6 +11,12 @@ from .checks.problem import (
     Check as Check,
     check as check,
 )
+from .fits.map import (
+    FitMap as FitMap,
+)
+from .fits.pixels import (
+    fit_map as fit_map,
+)
 from .fits.result import (
     Bands as Bands,
     Fit as Fit,

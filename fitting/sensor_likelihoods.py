@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammainc, gammaincc, gammaln, logsumexp, ndtr
 from jaxtyping import Array, Float
-from scipy.special import ndtri
 
 from jaxvision import Sensor
 from jaxvision.errors import InputError
@@ -22,7 +21,7 @@ from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
 from jaxvision.sensor.adc import largest_number
 from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
-from .inference.likelihoods import Censored, is_concrete
+from .inference.likelihoods import Censored, Numbers, is_concrete, numerics
 from .inference.tails import log_ndtr
 
 FAR = 40.0  # standard deviations: no probability is left beyond
@@ -63,7 +62,7 @@ class SensorNoise(eqx.Module):
         """
         return self._signal(prediction).log_density(self._mean(prediction), data)
 
-    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> np.ndarray:
+    def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
         """Normal deviates of the data."""
         return self._signal(prediction).residuals(self._mean(prediction), data, chance)
 
@@ -154,7 +153,7 @@ class SensorCounts(eqx.Module):
         some = beyond > 0
         return jnp.where(some, jnp.logaddexp(masses, jnp.log(jnp.where(some, beyond, 1))), masses)
 
-    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> np.ndarray:
+    def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
         """Normal deviates of a place, picked by chance, in each code's share of probability."""
         data = jnp.asarray(data)
         mean, counts, log_count = self._counted(jnp.asarray(prediction), data)
@@ -165,8 +164,9 @@ class SensorCounts(eqx.Module):
         below = jnp.sum(weight * ndtr(low), axis=-1) + jnp.where(self._is_black(data), 0, dark)
         upto = jnp.sum(weight * ndtr(high), axis=-1) + dark
         upto = jnp.where(self._is_white(data), 1, upto)
-        below, upto = (np.asarray(part, np.float64) for part in (below, upto))
-        return ndtri(below + chance * (upto - below))
+        xp, special = numerics(below, upto)
+        below, upto = (xp.asarray(part, jnp.result_type(float)) for part in (below, upto))
+        return special.ndtri(below + chance * (upto - below))
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Codes as they might have been."""

@@ -2,6 +2,7 @@
 that fail are found and given up, a rig of several settings goes through the command."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -28,7 +29,7 @@ from fitting.noise import (
     read_photon_transfer,
     sensor_at,
 )
-from fitting.noise.across_settings.calibration import CameraCalibration
+from fitting.noise.across_settings.calibration import CameraCalibration, calibrate_one
 from fitting.noise.across_settings.fit import fitted
 from fitting.noise.across_settings.model import BOLTZMANN_EV, log_density
 from fitting.noise.across_settings.pooled import Pooled
@@ -390,6 +391,24 @@ def test_the_command_fits_all_settings(tmp_path):
     np.testing.assert_allclose(
         np.exp(in_memory.figures.log_gain[0]), found["system_gain", "0 dB"]["value"], rtol=1e-9
     )
+
+
+@pytest.mark.slow
+def test_a_setting_that_cannot_be_fitted_is_left_out_and_named(tmp_path):
+    """Its darks too; the others are fitted as if it had never been there."""
+    good = read_by_setting(write_rig(tmp_path))
+    own = [calibrate_one(one, sampling=None, seed=0) for one in good]
+    without = calibrate_settings(good, calibrations=own)
+    odd = [replace(good[0], setting=replace(good[0].setting, gain=12.0))]
+    error = InputError("the best fit is no proper maximum.")
+    found = calibrate_settings([*good, *odd], calibrations=[*own, error])
+    label = odd[0].setting.label
+    assert found.left_out == (f"{label} is left out of the fit: {error}",)
+    assert found.settings == without.settings
+    np.testing.assert_array_equal(found.fit.solution.vector, without.fit.solution.vector)
+    assert section(found).findings[0] == found.left_out[0]
+    with pytest.raises(InputError, match=r"no proper maximum.* needs two or more"):
+        calibrate_settings([good[0], *odd], calibrations=[own[0], error])
 
 
 def simulated_sensor(gain, kelvin, exposure):

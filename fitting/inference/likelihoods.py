@@ -24,10 +24,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.special
 from jax.core import Tracer
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
-from scipy.special import ndtr, ndtri, stdtr
 
 from jaxvision.errors import InputError
 
@@ -47,7 +47,7 @@ class Likelihood(Protocol):
     @property
     def surrogate(self) -> "Likelihood | None": ...
     def log_density(self, prediction: Array, data: Array) -> Array: ...
-    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers: ...
+    def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers: ...
     def draw(self, key: Array, prediction: Array) -> Array: ...
 
 
@@ -61,6 +61,18 @@ def is_concrete(tree: Any) -> bool:
         False while JAX traces it.
     """
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def numerics(*known: Any) -> tuple[Any, Any]:
+    """What to compute residuals by: NumPy, which compiles nothing, or JAX where it traces.
+
+    Args:
+        known: what they are computed from.
+
+    Returns:
+        `numpy` and `scipy.special`, or their counterparts of JAX.
+    """
+    return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
 
 
 def require_positive(what: str, value: Any) -> None:
@@ -116,7 +128,7 @@ class Gaussian(eqx.Module):
         z = (data - prediction) / self.sd
         return -(z**2) / 2 - jnp.log(self.sd) - HALF_LOG_2PI
 
-    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> Numbers:
+    def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
         """(data - prediction) / sd."""
         del chance
         return (data - prediction) / self.sd
@@ -161,11 +173,14 @@ class StudentT(eqx.Module):
         norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - jnp.log(dof * jnp.pi) / 2
         return norm - jnp.log(self.scale) - (dof + 1) / 2 * jnp.log1p(z**2 / dof)
 
-    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> np.ndarray:
+    def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
         """Normal deviates of the probabilities under Student's t."""
         del chance
-        z = (np.asarray(data) - np.asarray(prediction)) / np.asarray(self.scale)
-        return np.copysign(ndtri(stdtr(np.asarray(self.dof), -np.abs(z))), z)
+        xp, special = numerics(prediction, data, self)
+        dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
+        z = (xp.asarray(data) - xp.asarray(prediction)) / scale
+        below = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
+        return xp.copysign(special.ndtri(below), z)
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been."""
@@ -206,16 +221,17 @@ class Censored(eqx.Module):
             density = jnp.where(data >= self.high, above, density)
         return density
 
-    def residuals(self, prediction: Numbers, data: Numbers, chance: np.ndarray) -> np.ndarray:
+    def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
         """Normal deviates; of a clipped datum, one of those that it may stand for."""
-        data, prediction, sd = (np.asarray(part) for part in (data, prediction, self.sd))
+        xp, special = numerics(prediction, data, self)
+        data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))
         z = (data - prediction) / sd
         if self.low is not None:
-            below = ndtri(chance * ndtr((np.asarray(self.low) - prediction) / sd))
-            z = np.where(data <= self.low, below, z)
+            share = chance * special.ndtr((xp.asarray(self.low) - prediction) / sd)
+            z = xp.where(data <= self.low, special.ndtri(share), z)
         if self.high is not None:
-            above = -ndtri(chance * ndtr((prediction - np.asarray(self.high)) / sd))
-            z = np.where(data >= self.high, above, z)
+            share = chance * special.ndtr((prediction - xp.asarray(self.high)) / sd)
+            z = xp.where(data >= self.high, -special.ndtri(share), z)
         return z
 
     def draw(self, key: Array, prediction: Array) -> Array:
@@ -254,7 +270,7 @@ class Clustered(eqx.Module):
         """Of each datum by itself."""
         return self.likelihood.log_density(prediction, data)
 
-    def residuals(self, prediction: Array, data: Array, chance: np.ndarray) -> Numbers:
+    def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
         """Of each datum by itself."""
         return self.likelihood.residuals(prediction, data, chance)
 

@@ -63,7 +63,7 @@ def minimise(
     args: Any,
     *,
     derivatives: Derivatives | None = None,
-    max_steps: int = 100,
+    max_steps: int | Int[Array, ""] = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
     """Minimises objective(vector, args) until a step promises less than a tolerance. Works under

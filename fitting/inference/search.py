@@ -278,7 +278,16 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
     return jnp.concatenate([residuals, weight * (vector - mean)])
 
 
-def _gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
+def gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
+    """Cost, gradient and curvature of a sum of squares and its prior, as `with_prior` says.
+
+    Args:
+        vector: (P,) unconstrained.
+        problem: whose likelihood is one of least squares.
+
+    Returns:
+        (), (P,) and (P, P).
+    """
     return with_prior(vector, problem, squares(vector, problem))
 
 
@@ -387,7 +396,7 @@ def _to_mode(start: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
         negative_log_density,
         start,
         problem,
-        derivatives=_gauss_newton if squares else None,
+        derivatives=gauss_newton if squares else None,
         tolerance=1e-7 if precise else 1e-3,
     )
     prior = jax.hessian(lambda vector: -log_prior(problem.space, vector))(found.vector)

@@ -33,6 +33,7 @@ class CameraCalibration(ShownInNotebooks):
         full_well: e-, where a well was filled before the converter's range ended.
         dsnu: squared, e-^2, where pixels are known.
         prnu: squared, relative, where pixels are known.
+        left_out: settings that the fit is without, and why, in sentences.
     """
 
     frames: tuple[FramesOfSetting, ...]
@@ -42,6 +43,7 @@ class CameraCalibration(ShownInNotebooks):
     full_well: Pooled | None
     dsnu: Pooled | None
     prnu: Pooled | None
+    left_out: tuple[str, ...] = ()
 
     @property
     def settings(self) -> tuple[Setting, ...]:
@@ -57,25 +59,26 @@ class CameraCalibration(ShownInNotebooks):
 def calibrate_settings(
     frames: Sequence[FramesOfSetting],
     *,
-    calibrations: Sequence[NoiseCalibration | None] | None = None,
+    calibrations: Sequence[NoiseCalibration | InputError | None] | None = None,
     seed: int = 0,
 ) -> CameraCalibration:
     """A camera's noise over its gains and temperatures.
 
     Quantum efficiency is shared, read noise follows from noise before and behind the amplifier, and
-    dark current follows Arrhenius' law; each of these is tested, and given up where it fails.
+    dark current follows Arrhenius' law; each of these is tested, and given up where it fails. A
+    setting that cannot be fitted by itself is left out and named.
 
     Args:
         frames: of two settings or more, as `read_by_setting` gives them.
-        calibrations: of each setting by itself, None for darks alone; None to make them.
+        calibrations: of each setting by itself, as `calibrate_one` gives them; None to make them.
         seed: of every draw.
 
     Returns:
         The calibration.
 
     Raises:
-        InputError: for fewer than two settings, two of one gain and temperature, and where a fit
-            has no maximum.
+        InputError: for two settings of one gain and temperature, for fewer than two, or fewer than
+            two that can be fitted.
     """
     settings = [one.setting for one in frames]
     if len({*settings}) < max(len(settings), 2):
@@ -83,6 +86,8 @@ def calibrate_settings(
         raise InputError(f"A fit over settings needs two or more that differ, got: {told}.")
     if calibrations is None:
         calibrations = [calibrate_one(one, sampling=None, seed=seed) for one in frames]
+    frames, calibrations, left_out = _kept(frames, calibrations)
+    settings = [one.setting for one in frames]
     lit = {one.setting.gain for one in frames if isinstance(one.frames, PhotonTransfer)}
     for one in frames:
         if one.setting.gain not in lit:
@@ -102,12 +107,13 @@ def calibrate_settings(
         full_well=full_well(calibrations),
         dsnu=pattern(calibrations, gains, "dsnu"),
         prnu=pattern(calibrations, gains, "prnu"),
+        left_out=left_out,
     )
 
 
 def calibrate_one(
     one: FramesOfSetting, *, sampling: SamplingOptions | None, seed: int
-) -> NoiseCalibration | None:
+) -> NoiseCalibration | InputError | None:
     """One setting by itself.
 
     Args:
@@ -116,17 +122,42 @@ def calibrate_one(
         seed: of every draw.
 
     Returns:
-        The calibration; None of darks alone.
-
-    Raises:
-        InputError: names the setting, where the fit has no maximum.
+        The calibration; None of darks alone, and the error where the fit has no maximum.
     """
     if isinstance(one.frames, Levels):
         return None
     try:
         return calibrate(one.frames, sampling=sampling, seed=seed)
     except InputError as error:
-        raise InputError(f"{one.setting.label}: {error}") from error
+        return error
+
+
+def _kept(
+    frames: Sequence[FramesOfSetting], calibrations: Sequence[NoiseCalibration | InputError | None]
+) -> tuple[list[FramesOfSetting], list[NoiseCalibration | None], tuple[str, ...]]:
+    """The settings that could be fitted, with the darks of their gains; and why not the others."""
+    why = {
+        one.setting.label: str(own)
+        for one, own in zip(frames, calibrations, strict=True)
+        if isinstance(own, InputError)
+    }
+    flats = [one for one in frames if isinstance(one.frames, PhotonTransfer)]
+    lost = {one.setting.gain for one in flats}
+    lost -= {one.setting.gain for one in flats if one.setting.label not in why}
+    for one in frames:
+        if one.setting.gain in lost:
+            why.setdefault(
+                one.setting.label, "it has darks alone, and no flats of its gain are left."
+            )
+    kept = [
+        (one, own)
+        for one, own in zip(frames, calibrations, strict=True)
+        if one.setting.label not in why and not isinstance(own, InputError)
+    ]
+    told = tuple(f"{label} is left out of the fit: {reason}" for label, reason in why.items())
+    if len(kept) < 2:
+        raise InputError(" ".join((*told, "A fit over settings needs two or more.")))
+    return [one for one, _ in kept], [own for _, own in kept], told
 
 
 def _told(one: FramesOfSetting, own: NoiseCalibration | None) -> Told:

@@ -46,6 +46,7 @@ CAUSES: dict[tuple[Quantity, Axis], str] = {
 def findings(calibration: CameraCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     return (
+        *calibration.left_out,
         *_impossible(calibration),
         *_claims(calibration),
         *_misfit(calibration),

@@ -482,6 +482,16 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(
+        SOLVERS,
+        "test_fit_map test_problem",
+        """
+            fitting.fits.map: found_in_words
+            fitting.fits.pixels: fit_map
+            fitting.inference.pixelwise: fit_side_by_side
+            fitting.inference.search: gauss_newton
+        """,
+    ),
+    Elsewhere(
         STATISTICS,
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
         "test_joint_left_out test_stated_errors",
@@ -492,7 +502,7 @@ ELSEWHERE = (
             fitting.inference.diagnostics: identifiability listed
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: sampled_estimate
-            fitting.inference.likelihoods: is_concrete names_within require_positive
+            fitting.inference.likelihoods: is_concrete names_within numerics require_positive
             fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars

@@ -1,0 +1,194 @@
+"""`FitMap`: estimates, errors and states of a fit at every pixel."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from jaxvision.io import replaced_on_success, write_image
+
+from ..inference.misfit import CHANCE
+from .result import Fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STATES = ("converged", "misfit", "stopped", "undetermined", "not finite", "no data")
+WHY = {
+    "misfit": "{share} scatter more than the likelihood says ({chance:.3g} of so many would by "
+    "chance); their estimates are kept.",
+    "stopped": "{share} stopped before a maximum and are NaN.",
+    "undetermined": "The data of {share} leave a direction open; they are NaN.",
+    "not finite": "The prediction of {share} is not finite; they are NaN.",
+    "no data": "{share} have no data and are NaN.",
+}
+SHOWN = (1, 99)  # percentiles between which a picture's colours go
+
+
+@dataclass(frozen=True)
+class FitMap:
+    """A small problem, fitted at every pixel. Print it for what is in it.
+
+    Attributes:
+        estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is
+            none.
+        sd: standard errors, likewise.
+        interval_68: (2, ..., *map) lower and upper ends.
+        interval_95: likewise.
+        chi_square: (*map) of the pixel's data; of the label's, where pixels share a label.
+        dof: (*map) degrees of freedom.
+        state: (*map) place in `fitting.fits.map.STATES`: 0 where a fit converged and describes its
+            data.
+        units: of each parameter.
+        findings: how many pixels failed, and why, in sentences.
+        fits: by label, where pixels share one.
+    """
+
+    estimate: dict[str, Float[np.ndarray, "..."]]
+    sd: dict[str, Float[np.ndarray, "..."]]
+    interval_68: dict[str, Float[np.ndarray, "2 ..."]]
+    interval_95: dict[str, Float[np.ndarray, "2 ..."]]
+    chi_square: Float[np.ndarray, "..."]
+    dof: Float[np.ndarray, "..."]
+    state: UInt8[np.ndarray, "..."]
+    units: dict[str, str]
+    findings: tuple[str, ...]
+    fits: Mapping[int, Fit] = field(default_factory=dict, repr=False)
+
+    @property
+    def converged(self) -> Bool[np.ndarray, "..."]:
+        """(*map) whether the fit is a maximum that describes the pixel's data."""
+        return self.state == 0
+
+    def to_xarray(self) -> Any:
+        """All maps as one data set.
+
+        Returns:
+            An `xarray.Dataset`: of a parameter `gain` the variables `gain`, `gain_sd`,
+            `gain_interval_68` and `gain_interval_95` (dimension `end`: low, high); `chi_square`,
+            `dof` and `state`. The last two dimensions are `y` and `x` of a map of two.
+        """
+        import xarray
+
+        shape = self.state.shape
+        along = ("y", "x") if len(shape) == 2 else tuple(f"axis_{i}" for i in range(len(shape)))
+        variables: dict[str, Any] = {}
+        for name, values in self.estimate.items():
+            inner = tuple(f"{name}_{i}" for i in range(values.ndim - len(shape)))
+            unit = {"units": self.units[name]}
+            variables[name] = ((*inner, *along), values, unit)
+            variables[f"{name}_sd"] = ((*inner, *along), self.sd[name], unit)
+            for level, ends in (("68", self.interval_68), ("95", self.interval_95)):
+                variables[f"{name}_interval_{level}"] = (("end", *inner, *along), ends[name], unit)
+        states = {"flag_values": list(range(len(STATES))), "flag_meanings": ", ".join(STATES)}
+        variables["chi_square"] = (along, self.chi_square)
+        variables["dof"] = (along, self.dof)
+        variables["state"] = (along, self.state, states)
+        words = {"findings": "\n".join(self.findings)}
+        return xarray.Dataset(variables, {"end": ["low", "high"]}, words)
+
+    def write(self, folder: Path | str) -> list[Path]:
+        """Writes `maps.nc` (NetCDF), and of a map of two dimensions `maps.png` and an EXR file of
+        each number with its standard error beside it.
+
+        Args:
+            folder: made if needed.
+
+        Returns:
+            Paths of the files.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        written = [folder / "maps.nc"]
+        with replaced_on_success(written[0]) as unfinished:
+            self.to_xarray().to_netcdf(unfinished, engine="h5netcdf")
+        if self.state.ndim != 2:
+            return written
+        for name, value, sd in self._numbers():
+            for kind, pixels in (("", value), ("_sd", sd)):
+                file = folder / f"{name}{kind}.exr"
+                write_image(file, pixels.astype(np.float32))
+                written.append(file)
+        written.append(folder / "maps.png")
+        with replaced_on_success(written[-1]) as unfinished:
+            self._figure().savefig(unfinished, format="png", dpi=120)
+        return written
+
+    def _numbers(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        """Every number of every parameter: its name, map and standard errors."""
+        for name, values in self.estimate.items():
+            for index in np.ndindex(values.shape[: values.ndim - self.state.ndim]):
+                tail = f"[{','.join(map(str, index))}]" if index else ""
+                yield name + tail, values[index], self.sd[name][index]
+
+    def _figure(self) -> "Figure":
+        """Estimates beside their standard errors, and the states."""
+        from matplotlib import colormaps
+        from matplotlib.figure import Figure
+
+        numbers = list(self._numbers())
+        rows = len(numbers) + 1
+        figure = Figure(figsize=(9, 3.2 * rows), layout="constrained")
+        axes = figure.subplots(rows, 2, squeeze=False)
+        for row, (name, value, sd) in zip(axes, numbers, strict=False):
+            unit = self.units[name.partition("[")[0] if name not in self.units else name]
+            for axis, pixels, title in ((row[0], value, name), (row[1], sd, f"{name}: s.e.")):
+                known = pixels[np.isfinite(pixels)]
+                low, high = np.percentile(known, SHOWN) if known.size else (0.0, 1.0)
+                shown = axis.imshow(pixels, cmap="viridis", vmin=low, vmax=high)
+                axis.set_title(title if unit == "1" else f"{title} [{unit}]")
+                figure.colorbar(shown, ax=axis, extend="both")
+        ratio = self.chi_square / np.where(self.dof > 0, self.dof, np.nan)
+        known = ratio[np.isfinite(ratio)]
+        high = np.percentile(known, SHOWN[1]) if known.size else 1.0
+        shown = axes[-1, 0].imshow(ratio, cmap="magma", vmin=0, vmax=high)
+        axes[-1, 0].set_title("chi-square per degree of freedom")
+        figure.colorbar(shown, ax=axes[-1, 0], extend="max")
+        colours = colormaps["Set2"].resampled(len(STATES))
+        shown = axes[-1, 1].imshow(self.state, cmap=colours, vmin=-0.5, vmax=len(STATES) - 0.5)
+        axes[-1, 1].set_title("state")
+        bar = figure.colorbar(shown, ax=axes[-1, 1], ticks=range(len(STATES)))
+        bar.ax.set_yticklabels(STATES)
+        return figure
+
+    def __str__(self) -> str:
+        good = self.converged
+        heads = [f"Fits at {good.size} pixels: {int(good.sum())} converged"]
+        for name, value, sd in self._numbers():
+            known = np.isfinite(value)
+            if not known.any():
+                continue
+            low, middle, high = np.percentile(value[known], (5, 50, 95))
+            heads.append(
+                f"  {name}: median {middle:.4g}, 90 % of pixels in [{low:.4g}, {high:.4g}], "
+                f"median standard error {np.median(sd[known]):.2g}"
+            )
+        return "\n".join([*heads, *(f"• {sentence}" for sentence in self.findings)])
+
+
+def found_in_words(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
+    """How many pixels failed, and why.
+
+    Args:
+        state: of each, as `STATES` names them.
+        by_label: whether pixels share fits, so that chance does not count them one by one.
+
+    Returns:
+        Sentences, one for each reason that occurs.
+    """
+    counts = np.bincount(state.ravel(), minlength=len(STATES))
+    tested = int(counts[: STATES.index("stopped")].sum())
+    found = []
+    for name, count in zip(STATES, counts, strict=True):
+        if name in WHY and count:
+            share = f"{count} of {state.size} pixels"
+            sentence = WHY[name].format(share=share, chance=CHANCE * tested)
+            if by_label:
+                sentence = sentence.replace(
+                    f" ({CHANCE * tested:.3g} of so many would by chance)", ""
+                )
+            found.append(sentence)
+    return tuple(found)

@@ -1,0 +1,322 @@
+"""`fit_map`: one small problem at every pixel of an image, or for every label of a label image."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import chdtrc, ndtri
+
+from jaxvision.errors import InputError
+from jaxvision.progress import progress_bar
+
+from ..inference.estimates import QUANTILES
+from ..inference.misfit import CHANCE
+from ..inference.parameters import to_natural
+from ..inference.pixelwise import Ends, fit_side_by_side
+from ..inference.problem import Problem, prediction
+from ..inference.search import spread_starts
+from .map import STATES, FitMap, found_in_words
+from .result import Fit
+from .solve import fit
+
+FEW_STEPS, MANY_STEPS = 20, 200  # of all searches, and of those that need more
+OUTLINE = ("estimate", "sd", "low_95", "low_68", "high_68", "high_95")
+
+
+def fit_map(
+    problem: Problem,
+    data: Any,
+    *,
+    inputs: Any = None,
+    labels: Any = None,
+    starts: int = 4,
+    misfit: Literal["fail", "inflate"] = "fail",
+    chunk: int = 4096,
+    seed: int = 0,
+) -> FitMap:
+    """Fits a problem at every pixel, each by itself, or once for all pixels of each label.
+
+    Pixels are fitted side by side, `chunk` at a time, by one compiled program, in memory bounded by
+    one chunk and the maps themselves; estimates, errors and verdict (but for the correlation of
+    neighbouring residuals) are those of `fit` for that pixel's data. Where nothing can be fitted,
+    because data are missing or not finite, the maps are NaN, and the findings count it.
+
+    Args:
+        problem: of one pixel: what is unknown of it, and how its data, such as one datum an image,
+            follow. Its own data and inputs give the shapes.
+        data: (..., *map) the data of every pixel, those of the problem first: (images, height,
+            width) of a problem with one datum an image; a memory-mapped file will do. NaN where
+            a datum is missing, saturated or masked out.
+        inputs: those of every pixel in the problem's structure; a leaf of the problem's own shape
+            followed by that of the map is cut with it, any other holds for all pixels. None takes
+            the problem's for all.
+        labels: (*map) whole numbers: pixels of one label share one set of parameters (a material);
+            negative ones are left out. None fits every pixel by itself.
+        starts: searches of each, spread over bounds and priors.
+        misfit: as `fit` takes it.
+        chunk: pixels fitted at a time.
+        seed: of the starts.
+
+    Returns:
+        Maps of estimates, errors, intervals and states.
+
+    Raises:
+        InputError: for data, inputs or labels of another shape.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit_map
+        >>> time = np.linspace(1.0, 8.0, 8)  # s
+        >>> pixel = Problem(
+        ...     {"dark": Parameter(start=1.0), "offset": Parameter(start=0.0)},
+        ...     predict=lambda dark, offset, inputs: offset + dark * inputs,
+        ...     likelihood=Gaussian(sd=0.5),
+        ...     data=np.zeros(8),
+        ...     inputs=time,
+        ... )
+        >>> images = time[:, None, None] * np.array([[2.0, 3.0]]) + 10.0
+        >>> images[:, 0, 1] = np.nan  # a masked pixel
+        >>> found = fit_map(pixel, images)
+        >>> found.estimate["dark"].round(6).tolist()
+        [[2.0, nan]]
+    """
+    if misfit not in ("fail", "inflate"):
+        raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
+    data = data if hasattr(data, "shape") else np.asarray(data)
+    own_shape = problem.data.shape
+    shape = tuple(data.shape[len(own_shape) :])
+    if problem.stream is not None or data.shape[: len(own_shape)] != own_shape or not shape:
+        raise InputError(
+            f"data of shape {tuple(data.shape)} do not fit: the problem's own shape, {own_shape}, "
+            "comes first, that of the map behind it."
+        )
+    leaves = _by_pixel(problem, inputs, shape)
+    if labels is not None:
+        return _by_label(
+            *(problem, data, leaves, labels, shape),
+            starts=starts,
+            misfit=misfit,
+            chunk=chunk,
+            seed=seed,
+        )
+    begin = jnp.asarray(spread_starts(problem, starts, seed=seed), jnp.result_type(float))
+    pixels = int(np.prod(shape))
+    flat = data.reshape(*own_shape, pixels)
+    chance = jnp.asarray(np.random.default_rng(seed).uniform(size=own_shape), begin.dtype)
+    numbers = len(problem.space)
+    table = {name: np.full((numbers, pixels), np.nan) for name in OUTLINE}
+    chi_square, dof = np.full(pixels, np.nan), np.full(pixels, np.nan)
+    state = np.zeros(pixels, np.uint8)
+
+    def run(places: np.ndarray, steps: int) -> np.ndarray:
+        """Fits some pixels; which of them need more steps."""
+        filled = np.resize(places, chunk)
+        ends = fit_side_by_side(
+            begin,
+            problem,
+            jnp.asarray(np.moveaxis(flat[..., filled], -1, 0), begin.dtype),
+            [None if leaf is None else jnp.asarray(leaf[filled]) for leaf in leaves],
+            jnp.asarray(steps),
+            chance,
+        )
+        ends = jax.tree.map(lambda x: np.asarray(x)[: len(places)], ends)
+        columns, told = _judged(problem, ends, inflate=misfit == "inflate")
+        for name, values in columns.items():
+            table[name][:, places] = values
+        chi_square[places], dof[places], state[places] = told
+        return places[~ends.stationary & ends.finite & (ends.count > 0)]
+
+    with progress_bar("fitting pixels") as advance:
+        slow = []
+        for places in _parts(np.arange(pixels), chunk):
+            slow.append(run(places, FEW_STEPS))
+            advance(int(places[-1]) + 1, pixels)
+        for places in _parts(np.concatenate(slow), chunk):
+            run(places, MANY_STEPS)
+    return _mapped(problem, table, chi_square, dof, state, shape)
+
+
+def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
+    for begin in range(0, len(places), size):
+        yield places[begin : begin + size]
+
+
+def _by_pixel(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any]:
+    """Leaves of the inputs with the pixels in front, None where one holds for all."""
+    own, form = jax.tree.flatten(problem.inputs)
+    if inputs is None:
+        return [None] * len(own)
+    given, other = jax.tree.flatten(inputs)
+    if form != other:
+        raise InputError("inputs: give them in the structure of the problem's own.")
+    found = []
+    for whole, leaf in zip(own, given, strict=True):
+        inner = np.shape(whole)
+        if np.shape(leaf) == (*inner, *shape):
+            flat = np.asarray(leaf).reshape(*inner, int(np.prod(shape)))
+            found.append(np.moveaxis(flat, -1, 0))
+        elif np.shape(leaf) == inner and np.array_equal(leaf, whole, equal_nan=True):
+            found.append(None)
+        else:
+            raise InputError(
+                f"inputs: an array of shape {np.shape(leaf)} is neither the problem's own nor one "
+                f"of shape {(*inner, *shape)}, that of every pixel."
+            )
+    return found
+
+
+def _judged(
+    problem: Problem, ends: Ends, *, inflate: bool
+) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(P, problems) of every column of the outline; chi-square, degrees of freedom and state."""
+    data, prior = (
+        np.asarray(part, np.float64) for part in (ends.data_information, ends.prior_information)
+    )
+    good = np.asarray(ends.determined & ends.finite & ends.stationary & (ends.count > 0))
+    square = np.eye(len(problem.space))
+
+    def inverse(information: np.ndarray) -> np.ndarray:
+        return np.linalg.inv(np.where(good[:, None, None], information, square))
+
+    covariance = inverse(data + prior)
+    chi_square = np.asarray(ends.chi_square, np.float64)
+    dof = np.asarray(ends.count) - np.einsum("kij,kji->k", data, covariance)
+    dof = np.where(good, dof, np.nan)
+    tested = good & (dof > 1e-6)
+    wrong = tested & ~(chdtrc(np.where(tested, dof, 1), np.maximum(chi_square, 0)) > CHANCE)
+    if inflate:
+        factor = np.where(tested, np.maximum(chi_square / np.where(tested, dof, 1), 1), 1)
+        covariance = inverse(data / factor[:, None, None] + prior)
+        wrong = wrong & (np.asarray(ends.agreeing) < 2)
+    spread = np.sqrt(np.einsum("kii->ki", covariance))
+    vector = np.asarray(ends.vector, np.float64)
+    steps = ndtri(np.asarray(QUANTILES))[:, None, None] * spread
+    natural = np.asarray(to_natural(problem.space, jnp.asarray(vector + steps)), np.float64)
+    low95, low68, middle, high68, high95 = np.where(good[:, None], natural, np.nan)
+    sd = np.where(good[:, None], np.abs(ends.slope) * spread, np.nan)
+    columns = dict(zip(OUTLINE, (middle, sd, low95, low68, high68, high95), strict=True))
+    state = np.select(
+        [ends.count == 0, ~ends.finite, ~ends.determined, ~ends.stationary, wrong],
+        [STATES.index(x) for x in ("no data", "not finite", "undetermined", "stopped", "misfit")],
+        STATES.index("converged"),
+    )
+    chi_square = np.where(good, chi_square, np.nan)
+    return {name: x.T for name, x in columns.items()}, (chi_square, dof, state)
+
+
+def _mapped(
+    problem: Problem,
+    table: dict[str, np.ndarray],
+    chi_square: np.ndarray,
+    dof: np.ndarray,
+    state: np.ndarray,
+    shape: tuple[int, ...],
+    fits: dict[int, Fit] | None = None,
+    told: Sequence[str] = (),
+) -> FitMap:
+    named: dict[str, dict[str, np.ndarray]] = {column: {} for column in OUTLINE}
+    begin = 0
+    for parameter in problem.free:
+        inner = parameter.shape or ()
+        size = int(np.prod(inner))
+        for column in OUTLINE:
+            part = table[column][begin : begin + size]
+            named[column][parameter.name] = part.reshape(*inner, *shape)
+        begin += size
+
+    def interval(level: str) -> dict[str, np.ndarray]:
+        low, high = named[f"low_{level}"], named[f"high_{level}"]
+        return {name: np.stack([low[name], high[name]]) for name in low}
+
+    return FitMap(
+        estimate=named["estimate"],
+        sd=named["sd"],
+        interval_68=interval("68"),
+        interval_95=interval("95"),
+        chi_square=chi_square.reshape(shape),
+        dof=dof.reshape(shape),
+        state=state.reshape(shape),
+        units={parameter.name: parameter.unit for parameter in problem.free},
+        findings=(*found_in_words(state, by_label=fits is not None), *told),
+        fits=fits or {},
+    )
+
+
+def _by_label(
+    problem: Problem,
+    data: Any,
+    leaves: list[Any],
+    labels: Any,
+    shape: tuple[int, ...],
+    *,
+    starts: int,
+    misfit: Literal["fail", "inflate"],
+    chunk: int,
+    seed: int,
+) -> FitMap:
+    """One fit a label, its pixels the rows of a problem that is read in chunks."""
+    labels = np.asarray(labels)
+    if labels.shape != shape or not np.issubdtype(labels.dtype, np.integer):
+        raise InputError(
+            f"labels: whole numbers of shape {shape} are needed, got {labels.dtype} of shape "
+            f"{labels.shape}."
+        )
+    flat, of = data.reshape(*problem.data.shape, -1), labels.ravel()
+    numbers = len(problem.space)
+    table = {name: np.full((numbers, of.size), np.nan) for name in OUTLINE}
+    chi_square, dof = np.full(of.size, np.nan), np.full(of.size, np.nan)
+    state = np.full(of.size, STATES.index("no data"), np.uint8)
+    whole, form = jax.tree.flatten(problem.inputs)
+
+    def rows(values: Any, inputs: Any) -> Any:
+        def one(place: Any, own: list[Any]) -> Any:
+            del place
+            every = [a if b is None else b for a, b in zip(whole, own, strict=True)]
+            return prediction(problem, values, inputs=jax.tree.unflatten(form, every))
+
+        return jax.vmap(one)(inputs["place"], inputs["own"])
+
+    # Numbers of the likelihood belong to the data of a pixel, not to the pixels.
+    likelihood = jax.tree.map(
+        lambda x: x[None] if hasattr(x, "ndim") and x.ndim else x, problem.likelihood
+    )
+    known = {p.name: p for p in problem.free} | problem.fixed | problem.tied
+    fits: dict[int, Fit] = {}
+    told = []
+    for label in np.unique(of[of >= 0]):
+        places = np.flatnonzero(of == label)
+        mine = np.moveaxis(np.asarray(flat[..., places], np.float64), -1, 0)
+        if np.isnan(mine).all():
+            continue
+        own = [None if leaf is None else leaf[places] for leaf in leaves]
+        try:
+            found = fit(
+                Problem(
+                    *(known, rows, likelihood, mine),
+                    records=problem.records,
+                    inputs={"place": np.arange(float(len(places))), "own": own},
+                    chunk=chunk,
+                ),
+                starts=starts,
+                misfit=misfit,
+                seed=seed,
+            )
+        except InputError as error:  # of these pixels alone
+            state[places] = STATES.index("undetermined")
+            told.append(f"Label {label}: {error}")
+            continue
+        fits[int(label)] = found
+        for i, one in enumerate(found.estimates):
+            assert one.interval_68 is not None
+            assert one.interval_95 is not None
+            row = (one.value, one.standard_error, one.interval_95[0])
+            row = (*row, one.interval_68[0], one.interval_68[1], one.interval_95[1])
+            for name, value in zip(OUTLINE, row, strict=True):
+                table[name][i, places] = value
+        chi_square[places], dof[places] = found.misfit.chi_square, found.misfit.dof
+        good = found.converged
+        state[places] = STATES.index("converged" if good else "misfit")
+        if not found.optimum.stationary:
+            state[places] = STATES.index("stopped")
+    return _mapped(problem, table, chi_square, dof, state, shape, fits, told)

@@ -1,0 +1,143 @@
+"""Many small problems of one form, each with its own data: fitted side by side in one program.
+
+Every search is Newton's damped method from each of the starts, the ends compared by their cost,
+with the curvature that `fit` uses: J^T J of a sum of squares, or else the Hessian. A problem whose
+data are missing or not finite fails alone.
+"""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .diagnostics import UNDETERMINED
+from .newton import minimise
+from .parameters import to_natural
+from .problem import (
+    Problem,
+    least_squares_residuals,
+    likelihood_at,
+    prediction,
+    values_at,
+)
+from .search import SAME_PLACE, gauss_newton, negative_log_density, prior_derivatives
+
+TOLERANCE = 1e-10  # fall in cost that another step promises
+
+
+class Ends(eqx.Module):
+    """Where the searches of some problems ended.
+
+    Attributes:
+        vector: (problems, P) the modes, unconstrained.
+        slope: (problems, P) d natural / d unconstrained, each of its own.
+        data_information: (problems, P, P) curvature of the data's part of the cost.
+        prior_information: (problems, P, P) of the prior's.
+        stationary: (problems,) whether the search ended at a maximum.
+        determined: (problems,) whether the curvature leaves no direction open.
+        finite: (problems,) whether the cost is.
+        agreeing: (problems,) searches that ended as deep.
+        chi_square: (problems,) sum of squared residuals.
+        count: (problems,) data that are not missing.
+    """
+
+    vector: Float[Array, "problems parameters"]
+    slope: Float[Array, "problems parameters"]
+    data_information: Float[Array, "problems parameters parameters"]
+    prior_information: Float[Array, "problems parameters parameters"]
+    stationary: Bool[Array, " problems"]
+    determined: Bool[Array, " problems"]
+    finite: Bool[Array, " problems"]
+    agreeing: Int[Array, " problems"]
+    chi_square: Float[Array, " problems"]
+    count: Int[Array, " problems"]
+
+
+@eqx.filter_jit
+def fit_side_by_side(
+    starts: Float[Array, "starts parameters"],
+    problem: Problem,
+    data: Float[Array, "problems ..."],
+    own: list[Any],
+    max_steps: Int[Array, ""],
+    chance: Float[Array, "..."],
+) -> Ends:
+    """The modes of problems that differ in their data, and in some inputs.
+
+    Args:
+        starts: (starts, P) unconstrained, the same for all.
+        problem: whose data and inputs are replaced.
+        data: (problems, ...) NaN where a datum is missing.
+        own: leaves of the inputs in their order, with a leading axis; None where the problem's own
+            holds for all.
+        max_steps: of each search.
+        chance: (...) on 0 .. 1, the place of a datum that covers an interval.
+
+    Returns:
+        Where the searches ended.
+    """
+    leaves, form = jax.tree.flatten(problem.inputs)
+
+    def one(data: Array, own: list[Any]) -> Ends:
+        present = ~jnp.isnan(data)
+        every = [whole if mine is None else mine for mine, whole in zip(own, leaves, strict=True)]
+        here = eqx.tree_at(
+            lambda p: (p.data, p.present, p.inputs),
+            problem,
+            (jnp.where(present, data, 0), present, jax.tree.unflatten(form, every)),
+            is_leaf=lambda x: x is None,
+        )
+        return _fitted(starts, here, max_steps, chance)
+
+    return jax.vmap(one)(data, own)
+
+
+def _fitted(starts: Array, problem: Problem, max_steps: Array, chance: Array) -> Ends:
+    squares = problem.likelihood.least_squares
+    precise = starts.dtype == jnp.float64
+    found = jax.vmap(
+        lambda start: minimise(
+            negative_log_density,
+            start,
+            problem,
+            derivatives=gauss_newton if squares else None,
+            max_steps=max_steps,
+            tolerance=TOLERANCE if precise else 1e-3,
+        )
+    )(starts)
+    costs = jnp.where(jnp.isfinite(found.cost), found.cost, jnp.inf)
+    best = jax.tree.map(lambda each: each[jnp.argmin(costs)], found)
+    prior = prior_derivatives(best.vector, problem)[2]
+    size = jnp.sqrt(jnp.maximum(jnp.diagonal(best.information), 0))
+    size = jnp.where(size > 0, size, 1)
+    scaled = best.information / jnp.outer(size, size)
+    finite = jnp.isfinite(best.cost) & jnp.isfinite(scaled).all()
+    lowest = jnp.linalg.eigvalsh(jnp.where(finite, scaled, jnp.eye(len(size))))[0]
+    residuals = _residuals(problem, best.vector, chance)
+    assert problem.present is not None
+    return Ends(
+        vector=best.vector,
+        slope=jax.jvp(
+            partial(to_natural, problem.space), (best.vector,), (jnp.ones_like(best.vector),)
+        )[1],
+        data_information=best.information - prior,
+        prior_information=prior,
+        stationary=best.converged,
+        determined=lowest > (UNDETERMINED if precise else 1e-6),
+        finite=finite,
+        agreeing=jnp.sum(costs < jnp.min(costs) + SAME_PLACE),
+        chi_square=jnp.sum(jnp.where(problem.present, residuals, 0) ** 2),
+        count=jnp.sum(problem.present),
+    )
+
+
+def _residuals(problem: Problem, vector: Array, chance: Array) -> Array:
+    if problem.likelihood.least_squares:
+        return least_squares_residuals(vector, problem).reshape(problem.data.shape)
+    values = values_at(problem, vector)
+    likelihood = likelihood_at(problem, values)
+    predicted = prediction(problem, values)
+    return jnp.asarray(likelihood.residuals(predicted, problem.data, chance))
