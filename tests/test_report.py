@@ -25,7 +25,7 @@ from fitting.inference.estimates import (
 )
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
-from fitting.report.formatting import format_interval, format_number, format_value
+from fitting.report.formatting import format_interval, format_number, format_p, format_value
 from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
@@ -96,6 +96,15 @@ def test_ends_of_an_interval_have_the_digits_of_the_error():
     estimate = gaussian_estimate(X, 2.0, 0.06)
     assert format_interval(estimate, 68) == "[1.940, 2.060]"
     assert format_interval(estimate, 95) == "[1.882, 2.118]"
+
+
+def test_chances_too_small_for_a_number_are_said_to_be_small():
+    assert [format_p(p) for p in (1.0, 0.0123, 1e-301, 0.0)] == [
+        "p = 1",
+        "p = 0.012",
+        "p < 1e-300",
+        "p < 1e-300",
+    ]
 
 
 def test_numbers_without_uncertainty_and_missing_ones():

@@ -27,7 +27,7 @@ from ..inference.problem import (
     values_from,
 )
 from ..inference.search import Optimum
-from ..report.formatting import format_interval, format_unit, format_value
+from ..report.formatting import format_interval, format_p, format_unit, format_value
 from .budget import Budget, Noise, budget
 from .information import Target
 from .plan import plan
@@ -298,7 +298,7 @@ class Fit:
     def summary(self) -> str:
         """Chi-square and starts in one line."""
         checks, starts = self.misfit, len(self.optimum.costs)
-        p = f" (p = {checks.p:.2g})" if np.isfinite(checks.p) else ""
+        p = f" ({format_p(checks.p)})" if np.isfinite(checks.p) else ""
         return (
             f"chi-square {checks.chi_square:.5g} for {checks.dof:.5g} degrees of freedom{p}; "
             f"{agreeing(self.optimum)} of {starts} starts reached this optimum"

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..inference.diagnostics import identifiability
 from ..inference.posterior import convergence_in_words
+from ..report.formatting import format_p
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE
@@ -60,7 +61,7 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
     if linear.p_value >= MISFIT:
         return [
             "A linear camera with pixel noise only explains every mean and variance: chi-square "
-            f"per degree of freedom {ratio:.2f} (p = {linear.p_value:.2g})."
+            f"per degree of freedom {ratio:.2f} ({format_p(linear.p_value)})."
         ]
     told = [
         "A linear camera with pixel noise only does not explain the measurement: chi-square per "
@@ -171,13 +172,13 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     if chosen.inflation > 1:
         told.append(
             "What is left is still beyond chance: chi-square per degree of freedom "
-            f"{chosen.chi_square / chosen.degrees:.2f} (p = {chosen.p_value:.1g}), so all errors "
+            f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
     elif chosen is not calibration.linear:
         told.append(
             "With that, nothing is left to explain: chi-square per degree of freedom "
-            f"{chosen.chi_square / chosen.degrees:.2f} (p = {chosen.p_value:.2g})."
+            f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
         )
     return told
 

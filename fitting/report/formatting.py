@@ -29,6 +29,18 @@ def format_name(name: str) -> str:
     return " ".join(ACRONYMS.get(word, word) for word in name.split("_"))
 
 
+def format_p(p_value: float) -> str:
+    """A p-value as `p = 0.03`; one too small for a number, as `p < 1e-300`.
+
+    Args:
+        p_value: 0 to 1.
+
+    Returns:
+        The text.
+    """
+    return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
+
+
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
     """A number rounded to given decimal places.
 

@@ -5,6 +5,7 @@ import numpy as np
 from ...inference.diagnostics import identifiability
 from ...inference.parameters import names
 from ...inference.posterior import convergence_in_words
+from ...report.formatting import format_p
 from ..levels import Levels
 from ..misfit import MISFIT
 from .calibration import CameraCalibration
@@ -74,7 +75,8 @@ def _claims(calibration: CameraCalibration) -> list[str]:
     for claim in failed:
         told.append(
             CAUSES[claim.quantity, claim.axis].format(own=_own(claim))
-            + f" Chi-square {claim.chi_square:.4g} over {claim.degrees} (p = {claim.p_value:.1g})."
+            + f" Chi-square {claim.chi_square:.4g} over {claim.degrees} "
+            f"({format_p(claim.p_value)})."
         )
         rivals = [NAMES[name] for name, axis in claim.rivals if (name, axis) not in fit.freed]
         if rivals:
@@ -99,7 +101,7 @@ def _misfit(calibration: CameraCalibration) -> list[str]:
     fit = calibration.fit
     ratio = fit.chi_square / max(fit.degrees, 1)
     words = (
-        f"chi-square per degree of freedom {ratio:.2f} over {fit.degrees} (p = {fit.p_value:.2g})"
+        f"chi-square per degree of freedom {ratio:.2f} over {fit.degrees} ({format_p(fit.p_value)})"
     )
     if fit.inflation > 1:
         return [
@@ -119,13 +121,13 @@ def _stated_gain(calibration: CameraCalibration) -> list[str]:
     if p_value >= MISFIT:
         return [
             f"The conversion gain is proportional to the stated one: {scale:.4g} DN/e⁻ a {unit} "
-            f"(p = {p_value:.2g})."
+            f"({format_p(p_value)})."
         ]
     worst = max(own, key=lambda one: abs(one.value) / one.error)
     return [
         "The conversion gain is not proportional to the stated one: at "
         f"{worst.label} it is {100 * worst.value:+.3g} ± {100 * worst.error:.2g} % off the others "
-        f"(p = {p_value:.1g}), so the stated gain is a label there; use the measured K."
+        f"({format_p(p_value)}), so the stated gain is a label there; use the measured K."
     ]
 
 
@@ -162,20 +164,20 @@ def _pooled(calibration: CameraCalibration) -> list[str]:
     told = []
     if calibration.prnu is not None and not calibration.prnu.holds:
         told.append(
-            "PRNU is not the same at every setting (p = "
-            f"{calibration.prnu.p_value:.1g}): uneven light that moved, or a non-linearity of the "
-            "pixels; no shared value is given."
+            f"PRNU is not the same at every setting ({format_p(calibration.prnu.p_value)}): uneven "
+            "light that moved, or a non-linearity of the pixels; no shared value is given."
         )
     if calibration.dsnu is not None and not calibration.dsnu.holds:
         told.append(
-            "DSNU in electrons is not the same at every setting (p = "
-            f"{calibration.dsnu.p_value:.1g}): a pattern behind the amplifier shrinks with gain, "
-            "and dark current of unequal pixels grows with temperature; no shared value is given."
+            "DSNU in electrons is not the same at every setting "
+            f"({format_p(calibration.dsnu.p_value)}): a pattern behind the amplifier shrinks with "
+            "gain, and dark current of unequal pixels grows with temperature; no shared value is "
+            "given."
         )
     if calibration.full_well is not None and not calibration.full_well.holds:
         told.append(
-            "The settings whose wells fill do not agree on how many electrons they hold (p = "
-            f"{calibration.full_well.p_value:.1g}); no shared value is given."
+            "The settings whose wells fill do not agree on how many electrons they hold "
+            f"({format_p(calibration.full_well.p_value)}); no shared value is given."
         )
     if calibration.full_well is None:
         told.append(
