@@ -1,0 +1,109 @@
+"""A wrong optimum never reads as success: a hundred single starts of each problem, spread over its
+box, end at the best optimum or say that they failed."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting import Gaussian, Normal, Parameter, Problem, StudentT, fit
+from fitting.inference.parameters import to_natural
+from fitting.inference.search import SAME_PLACE, spread_starts
+from jaxvision import Orthographic, Phong, PointLight, Scene, Sphere, Surface, render
+from jaxvision.errors import InputError
+
+STARTS = 100
+RNG = np.random.default_rng(8)
+
+
+def ball():
+    """The lamp of README."""
+    axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    view = Orthographic((0.0, 0.0, 5.0), axes, 2.2 / 20, resolution=(20, 20))
+
+    def scene(lamp, exponent, diffuse):
+        material = Phong(diffuse=(diffuse,), specular=(0.4,), exponent=exponent)
+        return Scene(
+            [Surface(Sphere((0.0, 0.0, 0.0), 1.0), material)], [PointLight(lamp, (300.0,))]
+        )
+
+    picture = np.asarray(render(scene((1.0, 1.5, 3.0), 25.0, 0.3), view)[..., 0])
+    return Problem(
+        {
+            "scene.lights[0].position": Parameter(lower=(-5, -5, 1.2), upper=5),
+            "scene.surfaces[0].material.exponent": Parameter(lower=1, upper=1000, transform="log"),
+            "scene.surfaces[0].material.diffuse": Parameter(lower=0, upper=1),
+        },
+        predict=lambda scene: render(scene, view)[..., 0],
+        likelihood=Gaussian(sd=0.1),
+        data=picture + 0.1 * RNG.standard_normal(picture.shape),
+        records={"scene": scene((0.0, 0.0, 2.0), 10.0, 0.5)},
+    )
+
+
+def glow():
+    """The decay under Student's t of the page on own models."""
+    time = np.linspace(0.0, 4.0, 60)
+    data = 1.5 * np.exp(-time / 0.8) + 0.2 + 0.02 * RNG.standard_t(4.0, 60)
+    return Problem(
+        {
+            "amplitude": Parameter(lower=0, upper=5),
+            "decay": Parameter(lower=0.1, upper=10, transform="log"),
+            "background": Parameter(prior=Normal(0.1, 0.1)),
+        },
+        lambda inputs, amplitude, decay, background: (
+            amplitude * jnp.exp(-inputs / decay) + background
+        ),
+        StudentT(scale=0.02, dof=4.0),
+        data,
+        inputs=time,
+    )
+
+
+def peak():
+    """A peak on a background, noise unknown: far from the peak there is no slope."""
+    place = np.linspace(0.0, 10.0, 80)
+    data = 0.3 + 2 * np.exp(-(((place - 6.5) / 0.4) ** 2) / 2) + 0.1 * RNG.standard_normal(80)
+    return Problem(
+        {
+            "height": Parameter(lower=0, upper=5),
+            "centre": Parameter(lower=0, upper=10),
+            "width": Parameter(lower=0.1, upper=3, transform="log"),
+            "base": Parameter(lower=-1, upper=2),
+        },
+        lambda inputs, height, centre, width, base: (
+            base + height * jnp.exp(-(((inputs - centre) / width) ** 2) / 2)
+        ),
+        Gaussian(sd=0.1),
+        data,
+        inputs=place,
+    )
+
+
+def counted(problem):
+    """How many starts were right, said that they failed, and were wrong without a word."""
+    begin = spread_starts(problem, STARTS, seed=1)
+    natural = np.asarray(to_natural(problem.space, jnp.asarray(begin)))
+    shapes = [(p.name, p.shape or ()) for p in problem.free]
+    costs, told = [], []
+    for row in natural:
+        parts = np.split(row, np.cumsum([int(np.prod(shape)) for _, shape in shapes])[:-1])
+        start = {name: part.reshape(s) for (name, s), part in zip(shapes, parts, strict=True)}
+        try:
+            found = fit(problem, start=start)
+        except InputError:
+            costs.append(np.inf)
+            told.append(True)
+            continue
+        costs.append(found.optimum.cost)
+        told.append(not found.converged)
+    best = np.array(costs) < min(costs) + SAME_PLACE
+    failed = np.array(told)
+    return int(np.sum(best & ~failed)), int(np.sum(failed)), int(np.sum(~best & ~failed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [ball, glow, peak])
+def test_a_wrong_optimum_never_reads_as_success(stated):
+    right, said, wrong = counted(stated())
+    assert wrong == 0, f"{right} right, {said} said that they failed"
+    assert right >= 50  # not by calling all of them failures
