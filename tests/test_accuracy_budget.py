@@ -178,6 +178,32 @@ def test_an_interrupt_before_a_later_knob_keeps_the_earlier_ones(clock):
         in_turn(["b"], measure, seconds=60.0, clock=clock)
 
 
+def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
+    """Each setting takes a program of 8 s: none fits into a third of 45 s, all but one into what
+    the two others leave."""
+    slow, quick = growing(clock, compiling=lambda n: 8.0), growing(clock)
+    shares = []
+
+    def measure(name, share):
+        shares.append((name, share))
+        problem = replace(slow, compiling=8.0) if name == "slow" else quick
+        return curve(problem, KNOB, seconds=share, clock=clock)
+
+    found = in_turn(["slow", "quick", "other"], measure, seconds=45.0, clock=clock)
+    assert [name for name, _ in shares] == ["slow", "quick", "other", "slow"]
+    assert clock.now <= 1.1 * 45.0
+    assert len(found[0].trials) >= 2
+    assert np.isfinite(found[0].reference.error)
+
+    def interrupted(name, share):
+        if len(shares) == 7:
+            raise KeyboardInterrupt
+        return measure(name, share)
+
+    kept = in_turn(["slow", "quick", "other"], interrupted, seconds=45.0, clock=clock)
+    assert [one.stopped for one in kept] == ["interrupted", "", ""]
+
+
 def test_work_in_time_is_that_of_the_caller(monkeypatch):
     """Its result, its errors, its precision; and what is left behind ends."""
     monkeypatch.setattr(deadlines, "TICK", 1e-3)

@@ -10,6 +10,8 @@ from .curves import LEAST
 from .records import Curve
 from .session import Clock
 
+WORTH = 1.5  # times its share, for a knob to be measured again
+
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
     """The knobs to turn, by the names that a user gives.
@@ -41,6 +43,9 @@ def in_turn(
 ) -> tuple[Curve, ...]:
     """The curves of several knobs, the time shared equally; an interrupt keeps those there are.
 
+    What time is left in the end is for those whose share was too short, such as one that takes a
+    new program for each setting: they are measured again, those with the fewest settings first.
+
     Args:
         names: of the knobs.
         measure: from a name and its share of the time, s, to the curve.
@@ -53,16 +58,32 @@ def in_turn(
     now = clock or time.perf_counter
     until = now() + seconds
     found: list[Curve] = []
-    for number, name in enumerate(names):
-        left = max(until - now(), 0.0) / (len(names) - number)
+    shares: list[float] = []
+
+    def measured(name: str, share: float) -> Curve | None:
+        """None where an interrupt came before anything was measured."""
         try:
             with raised_interrupts():
-                found.append(measure(name, max(left, LEAST)))
-        except KeyboardInterrupt:  # before anything of this knob was measured
+                return measure(name, max(share, LEAST))
+        except KeyboardInterrupt:
             if not found:
                 raise
             is_handled()
-            found[-1] = replace(found[-1], stopped="interrupted")
+            return None
+
+    for number, name in enumerate(names):
+        shares.append(max(until - now(), 0.0) / (len(names) - number))
+        one = measured(name, shares[-1])
+        found.append(one or replace(found.pop(), stopped="interrupted"))
         if found[-1].stopped == "interrupted":
+            return tuple(found)
+    for number in sorted(range(len(found)), key=lambda n: len(found[n].trials)):
+        left, before = until - now(), found[number]
+        if before.stopped != "out of time" or left < WORTH * shares[number]:
+            continue
+        again = measured(names[number], left)
+        if again is None or len(again.trials) >= len(before.trials):
+            found[number] = again or replace(before, stopped="interrupted")
+        if again is None or again.stopped == "interrupted":
             break
     return tuple(found)
