@@ -100,7 +100,7 @@ def curve(
     try:
         with raised_interrupts(), np.errstate(invalid="ignore", over="ignore"):
             session.wait_for_the_rest()
-            _look(session)
+            _look(session, names)
             if found is None:
                 found = random_reference(session) if turned.random else paired_reference(session)
             _take_turns(session, int(seeds))
@@ -133,7 +133,7 @@ def curve(
             return told("interrupted")
 
 
-def _look(session: Session) -> None:
+def _look(session: Session, names: tuple[str, ...]) -> None:
     """Two calls of each setting while they fit; where none does, of one that takes no new program
     or of the first, if one call may. What the problem refuses, such as too few pixels for a fit, is
     left out."""
@@ -144,6 +144,8 @@ def _look(session: Session) -> None:
         share = LAST_LOOK if setting in finest else FIRST_LOOK
         if session.expected(setting, calls=2) <= share * session.left:
             _run_twice(session, setting)
+        if setting == settings[0]:
+            _compile_norms(session, names)
         if session.given_up:
             break
     if not session.points and not session.refused and not session.given_up:
@@ -152,6 +154,13 @@ def _look(session: Session) -> None:
             _run_twice(session, first)
     if not session.points:
         raise next(iter(session.refused.values()), OutOfTime())
+
+
+def _compile_norms(session: Session, names: tuple[str, ...]) -> None:
+    """The programs of norms, for which nobody waits after an interrupt."""
+    for point in session.points.values():
+        some = next(iter(point.results.values()))
+        norms_of(some, some, 1.0, names=names, developed=session.problem.developed)
 
 
 def _run_twice(session: Session, setting: Any) -> None:

@@ -187,7 +187,7 @@ def settings(
     allowed = None if render_seconds is None else render_seconds - compiling
     if allowed is not None and allowed <= 0:
         raise InputError(
-            f"{scene_file.path}: compiling takes about {compiling:.0f} s before the first pixel; "
+            f"{scene_file.path}: compiling takes about {compiling:.2g} s before the first pixel; "
             f"allow more than {render_seconds:g} s, or render with the settings of the scene."
         )
     best, checked = settled(problem, curves, wanted, allowed, seconds=until - now(), clock=clock)

@@ -195,8 +195,6 @@ def scene_problem(
         once=lambda: once,
         about=_ABOUT,
     )
-    assert problem.developed is not None
-    problem.developed(picture, picture)  # compiled now, and not after an interrupt
     everything = np.divmod(np.arange(min(own.tile, height * width)), width)
     pixels = height * width / len(places[0])
     if own.integrator == "light" or pixels == 1 or compiling > SCALING * seconds:
