@@ -32,7 +32,7 @@ knots panels subdivisions degree refine cutoff
 # or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
 OTHER = words("""
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
-*.Misfit.count *.Stream.count
+*.Misfit.count *.Stream.count *.Ends.count *.fit_side_by_side.starts
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
 *.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior
 *.about_search.posterior *.about_posterior.posterior *.estimates.posterior

@@ -102,7 +102,7 @@ _APART = (
         (1, 2, 4, 8, 16),
         (32, 64),
         random=True,
-        sets=("*.fit.starts", "*.spread_starts.count", "*.search.starts"),
+        sets=("*.fit.starts", "*.spread_starts.count", "*.search.starts", "*.fit_map.starts"),
     ),
 )
 
