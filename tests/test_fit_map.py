@@ -157,9 +157,11 @@ def test_more_noise_than_stated_widens_a_pixels_interval():
     [
         (np.zeros((7, 4, 4)), {}, "do not fit"),
         (np.zeros(8), {}, "do not fit"),
+        (np.zeros((8, 0)), {}, "do not fit"),
         (np.zeros((8, 4)), {"inputs": np.zeros((8, 5))}, "neither"),
         (np.zeros((8, 4)), {"labels": np.zeros(4)}, "whole numbers"),
         (np.zeros((8, 4)), {"misfit": "ignore"}, "'fail' or 'inflate'"),
+        (np.zeros((8, 4)), {"chunk": 0}, "number of pixels"),
     ],
 )
 def test_shapes_that_do_not_fit_are_said(data, options, expected):

@@ -83,10 +83,16 @@ def fit_map(
     """
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
+    if chunk < 1:
+        raise InputError(f"chunk = {chunk}: give the number of pixels to be fitted at a time.")
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])
-    if problem.stream is not None or data.shape[: len(own_shape)] != own_shape or not shape:
+    if (
+        problem.stream is not None
+        or data.shape[: len(own_shape)] != own_shape
+        or 0 in (shape or (0,))
+    ):
         raise InputError(
             f"data of shape {tuple(data.shape)} do not fit: the problem's own shape, {own_shape}, "
             "comes first, that of the map behind it."
@@ -102,6 +108,7 @@ def fit_map(
         )
     begin = jnp.asarray(spread_starts(problem, starts, seed=seed), jnp.result_type(float))
     pixels = int(np.prod(shape))
+    chunk = min(chunk, pixels)
     flat = data.reshape(*own_shape, pixels)
     chance = jnp.asarray(np.random.default_rng(seed).uniform(size=own_shape), begin.dtype)
     numbers = len(problem.space)
