@@ -161,7 +161,8 @@ def test_more_noise_than_stated_widens_a_pixels_interval():
         (np.zeros((8, 4)), {"inputs": np.zeros((8, 5))}, "neither"),
         (np.zeros((8, 4)), {"labels": np.zeros(4)}, "whole numbers"),
         (np.zeros((8, 4)), {"misfit": "ignore"}, "'fail' or 'inflate'"),
-        (np.zeros((8, 4)), {"chunk": 0}, "number of pixels"),
+        (np.zeros((8, 4)), {"chunk": 7.5}, "number of pixels"),
+        (np.zeros((8, 4)), {"starts": 0}, "number of searches"),
     ],
 )
 def test_shapes_that_do_not_fit_are_said(data, options, expected):

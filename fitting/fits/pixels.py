@@ -83,8 +83,8 @@ def fit_map(
     """
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
-    if chunk < 1:
-        raise InputError(f"chunk = {chunk}: give the number of pixels to be fitted at a time.")
+    if not isinstance(chunk, int | np.integer) or chunk < 1:
+        raise InputError(f"chunk = {chunk}: give a whole number of pixels to be fitted at a time.")
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])

@@ -129,11 +129,13 @@ def spread_starts(
         (count, P), unconstrained.
 
     Raises:
-        InputError: when nothing says where to search for a parameter.
+        InputError: when nothing says where to search for a parameter, and for no starts.
 
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
     """
+    if not isinstance(count, int | np.integer) or count < 1:
+        raise InputError(f"starts = {count}: give a whole number of searches.")
     given = given_start(problem)
     lost = [
         p.name
