@@ -139,3 +139,37 @@ def test_shadows_that_nobody_searches_save_nothing():
     ):
         (shadows,) = (e for e in effects.inspect(scene, VIEW) if e.name == "shadows[0]")
         assert shadows.saves == saves
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        jv.Phong([0.1], [1.0], 1.0),
+        jv.GaussianLobe([0.1], [1.0], 0.5),
+        jv.GaussianLobeBRDF([0.0], [1.0], 0.05),
+    ],
+    ids=lambda material: type(material).__name__,
+)
+def test_a_lamp_that_the_horizon_cuts_is_bounded_as_a_place(material):
+    """A lobe without a cosine ends there at once: half of the lamp is away, or all of the place."""
+    floor = jv.Surface(jv.Quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), material)
+    r = np.sqrt(0.5)
+    view = jv.Pinhole(
+        [-2.0, 0, 2], [[0, -1, 0], [-r, 0, -r], [r, 0, -r]], 1.0, 0.02, resolution=(2, 2)
+    )
+    rule = jv.Quadrature(8)
+    for middle, half in ((0.0, 0.005), (0.02, 0.1)):
+        lamp = jv.RectangleLight(
+            [10.0, -half, middle - half], [0, 0, 2 * half], [0, 2 * half, 0], [1e4]
+        )
+        scene = jv.Scene(floor, lamp, occluders=())
+        (bound,) = (e.bound for e in effects.inspect(scene, view) if e.name == "lights[0].extent")
+        place = replace(scene, lights=(small_light(lamp),))
+        full, small = (jax.jit(render)(one, view, rule=rule) for one in (scene, place))
+        assert float(jnp.abs(full - small).max()) <= bound * (1 + 1e-9)
+
+
+def test_a_picture_without_a_finite_pixel_is_named_as_such():
+    scene = jv.Scene(FLOOR, replace(POINT, intensity=[np.nan]))
+    with pytest.raises(jv.InputError, match="no pixel of the picture is finite and lit"):
+        effects.prune(scene, VIEW, "1%")

@@ -10,7 +10,8 @@ times the mean square m2 = (u^2 + v^2) / 12 of places about the middle:
 
 with d the distance from the middle; kink = sqrt(m2) / (2 d (1 - q)^4), only where the receiver's
 horizon can cross the lamp. A lobe changes by its slope along the lamp, and never by more than its
-largest value under either light, which also bounds everything inside a penumbra. Lengths in m.
+largest value under either light, which also bounds everything inside a penumbra, and a lobe that
+ends at a horizon which can cross the lamp. Lengths in m.
 """
 
 import numpy as np
@@ -56,14 +57,17 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     area = float(np.linalg.norm(np.cross(u, v)))
     over = _height(place, sums.cells)
     peak = area / some**2 * np.clip(over / some, 0, 1)
-    kink = np.where(_crosses(sums.cells, place, half), np.sqrt(m2) / (2 * some * (1 - q) ** 4), 0)
+    crossed = _crosses(sums.cells, place, half)
+    kink = np.where(crossed, np.sqrt(m2) / (2 * some * (1 - q) ** 4), 0)
     relative = 6 * m2 / (some**2 * (1 - q) ** 5) + kink
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
     body = times((peak * relative)[:, None], times(sums.k_body, spectrum)[of_cell])
     at_place, lobe_at_place = _by_place(sums, k, place, area)
     either = np.maximum(sent(sums, k), at_place + lobe_at_place)
     lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
-    total = body + _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
+    moved = _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
+    cut = np.array([own.lobe is not None and own.lobe.step for own in sums.reflections])[of_cell]
+    total = body + np.where((cut & crossed)[:, None], lobes, moved)
     rough = np.array([np.any(own.plain) or own.grazing > 0 for own in sums.reflections])[of_cell]
     penumbra = sums.shaded[k]
     changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))

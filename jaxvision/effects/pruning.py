@@ -316,4 +316,11 @@ def _level(scene: Scene, view: View) -> float:
     if isinstance(coarse, ThinLens):
         coarse = replace(coarse, f_number=np.inf)
     picture = np.asarray(_probe(scene, coarse))
-    return float(np.max(picture, initial=0, where=np.isfinite(picture)))
+    finite = np.isfinite(picture)
+    brightest = float(np.max(picture, initial=0, where=finite))
+    if not brightest and not finite.all():
+        raise InputError(
+            "no pixel of the picture is finite and lit, so that there is no light to take a share "
+            "of; look for a number in the scene that is not finite, or give a level."
+        )
+    return brightest

@@ -195,6 +195,8 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
         return replace(draft, lights=_without(draft.lights, k, small))
 
     change = pictured(sums, onward(amount))
+    if np.isinf(change).any():
+        why += "; what shows it is a mirror, glass or a material without a bound"
     return _row(name, change, drop, why, saves=_SAVES["extent"], part_of=f"lights[{k}]")
 
 

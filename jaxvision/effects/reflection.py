@@ -39,9 +39,10 @@ class Lobe(NamedTuple):
         spectrum: (bands,) or (1,), k_s.
         most: from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
         size: sr / sr, the largest integral of f_r cos / k_s over all light.
-        slope: rad^-1, the largest change of it with the angle to the mirror direction, relative to
-            its peak; None where none is known.
+        slope: sr^-1 rad^-1, the largest change of f_r cos / k_s with the direction of light above
+            the horizon; None where none is known.
         neutral: whether its shape is the same for all bands.
+        step: whether it ends at the horizon at once, not as a cosine does.
     """
 
     spectrum: np.ndarray
@@ -49,6 +50,7 @@ class Lobe(NamedTuple):
     size: float
     slope: float | None
     neutral: bool
+    step: bool
 
 
 class Reflection(NamedTuple):
@@ -108,9 +110,9 @@ def _phong(x: Ends[Any]) -> Reflection:
     def most(a: Angles) -> np.ndarray:
         return scale * _power(_cos_mirror(a), n) * (a.cos_i if cosine else 1)
 
-    lobe = Lobe(
-        _peak(x, "specular"), most, scale * 2 * np.pi / (n + 1), scale * _power_slope(top), True
-    )
+    slope = scale * (_power_slope(top) + cosine)  # of the power, and of the cosine
+    size = scale * 2 * np.pi / (n + 1)
+    lobe = Lobe(_peak(x, "specular"), most, size, slope, True, not cosine)
     return Reflection(_peak(x, "diffuse"), lobe)
 
 
@@ -124,9 +126,9 @@ def _gaussian(x: Ends[Any]) -> Reflection:
         return np.exp(-((c * a.off_mirror) ** 2)) * (a.cos_i if cosine else 1)
 
     size = min(2 * np.pi, np.pi / c**2 if c > 0 else np.inf)
-    return Reflection(
-        _peak(x, "diffuse"), Lobe(_peak(x, "specular"), most, size, top * np.sqrt(2 / np.e), True)
-    )
+    slope = top * np.sqrt(2 / np.e) + cosine
+    lobe = Lobe(_peak(x, "specular"), most, size, slope, True, not cosine)
+    return Reflection(_peak(x, "diffuse"), lobe)
 
 
 def _blinn(x: Ends[Any]) -> Reflection:
@@ -141,7 +143,9 @@ def _blinn(x: Ends[Any]) -> Reflection:
         return scale * _power(a.cos_half, n) * (a.cos_i if cosine else 1)
 
     size = scale * min(2 * np.pi, 8 * np.pi / (n + 1))
-    return Reflection(_peak(x, "diffuse"), Lobe(_peak(x, "specular"), most, size, None, True))
+    return Reflection(
+        _peak(x, "diffuse"), Lobe(_peak(x, "specular"), most, size, None, True, not cosine)
+    )
 
 
 def _oren_nayar(x: Ends[OrenNayar]) -> Reflection:
@@ -206,9 +210,8 @@ def _torrance_sparrow(x: Ends[TorranceSparrow]) -> Reflection:
     def most(a: Angles) -> np.ndarray:
         return fresnel(a.cos_between) * facets(a.cos_half) * seen(a)
 
-    return Reflection(
-        _peak(x, "diffuse"), Lobe(_peak(x, "specular"), most, float(fresnel(0.0)), None, neutral)
-    )
+    lobe = Lobe(_peak(x, "specular"), most, float(fresnel(0.0)), None, neutral, False)
+    return Reflection(_peak(x, "diffuse"), lobe)
 
 
 def _fresnel(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
@@ -226,7 +229,7 @@ def _fresnel(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
             return lambda c: 0 * c + 1, neutral
         case Schlick(), Schlick():
             f0 = max(float(numbers(end.f0).max()) for end in (low, high))
-            return lambda c: f0 + (1 - f0) * (1 - c) ** 5, low.f0.shape == (1,)
+            return lambda c: np.maximum(f0, f0 + (1 - f0) * (1 - c) ** 5), low.f0.shape == (1,)
         case Conductor(), Conductor():
             return lambda c: 0 * c + 1, low.eta.shape == low.k.shape == (1,)
     return lambda c: 0 * c + 1, True
