@@ -6,19 +6,21 @@ that no pixel sees, for it lies outside of the picture or turns its back, counts
 Lengths in m, angles in rad; NumPy float64.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ..optics.views import sensor_vergence
+from ..optics.views import focus_vergence, sensor_vergence
 from ..scene import (
     Box,
     Disc,
     Orthographic,
     Plane,
     Quad,
+    RectangularAperture,
     Sphere,
     Surface,
     ThinLens,
@@ -27,6 +29,7 @@ from ..scene import (
 )
 from ..scene.shapes import Shape
 from .bodies import Bodies, body_of, heights, numbers, plane_of, unit
+from .boxes import corners
 from .stages import Ends, once
 
 _BUDGET = 6000  # cells of a scene
@@ -58,16 +61,18 @@ class Eye(NamedTuple):
 
     Attributes:
         place: (3,) m, middle of the pinhole or lens.
-        size: m, the radius of the lens; of what a fit may move, too.
+        moves: m, the farthest from it that a fit may move it.
+        size: m, the farthest from it that a ray may start: `moves` and the radius of the lens.
         rotation: (3, 3), rows right, down and forward.
-        planes: (k, 3) normals of the planes through `place` that bound the picture, inward; for a
-            parallel view with `offsets`, m.
+        planes: (k, 3) normals of the planes through `place` between which all rays that start there
+            lie, inward; for a parallel view with `offsets`, m.
         offsets: (k,) m.
         parallel: whether all pixels look along the axis.
         everywhere: whether nothing is known of where it looks.
     """
 
     place: np.ndarray
+    moves: float
     size: float
     rotation: np.ndarray
     planes: np.ndarray
@@ -83,9 +88,9 @@ def eye_of(view: Ends[View]) -> Eye:
     same = all(_equal(low, high, name) for name in ("rotation", "focal_length", "pixel_pitch"))
     same = same and _equal(low, high, "focus_distance")
     everywhere = not same or getattr(low, "distortion", None) is not None
-    size = float(np.linalg.norm(other - place)) / 2
+    moves, radius = float(np.linalg.norm(other - place)) / 2, 0.0
     if isinstance(low, ThinLens):
-        size += float(numbers(low.focal_length / low.f_number)) / 2
+        radius = max(lens_radius(lens) for lens in corners(view))
     right, down, forward = numbers(low.rotation)
     rows, columns = low.resolution
     pitch = float(low.pixel_pitch)
@@ -95,15 +100,25 @@ def eye_of(view: Ends[View]) -> Eye:
         planes, offsets = np.stack([right, -right, down, -down]), np.repeat(half, 2)
     else:
         slopes = half * float(sensor_vergence(low))
+        if isinstance(low, ThinLens):  # from the edge of the lens through the point in focus
+            slopes = slopes + radius * float(focus_vergence(low))
         sides = [
             s * axis + k * forward
             for axis, k in zip((right, down), slopes, strict=True)
             for s in (1, -1)
         ]
         planes, offsets = unit(np.stack([forward, *sides])), np.zeros(5)
-    return Eye(
-        (place + other) / 2, size, numbers(low.rotation), planes, offsets, parallel, everywhere
-    )
+    middle, size = (place + other) / 2, moves + radius
+    return Eye(middle, moves, size, numbers(low.rotation), planes, offsets, parallel, everywhere)
+
+
+def lens_radius(lens: ThinLens) -> float:
+    """m, from the axis to the farthest point of the aperture: the corner of a rectangle; all other
+    shapes reach as far as the lens's diameter."""
+    radius = float(lens.focal_length) / float(lens.f_number) / 2
+    if isinstance(lens.aperture, RectangularAperture):
+        return radius * math.hypot(float(lens.aperture.width), float(lens.aperture.height))
+    return radius
 
 
 def _equal(low: View, high: View, name: str) -> bool:
@@ -112,13 +127,13 @@ def _equal(low: View, high: View, name: str) -> bool:
 
 
 def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
-    """Whether a pixel may see any of each body, (n,): False is certain. A thin lens sees through
-    each of its points, which adds its size, m, to the picture; twice, where that is very wide."""
+    """Whether a pixel may see any of each body, (n,): False is certain. A ray of a thin lens starts
+    within its size, m, of the middle and goes at a slope of up to the pixel's and r / z_f: at a
+    depth z it is r (1 + z / z_f) off the pixel's chief ray at most."""
     if eye.everywhere:
         return np.ones(len(bodies.points), bool)
     moved = Bodies(bodies.points - eye.place, bodies.radii)
-    slack = eye.offsets + 2 * eye.size
-    return np.all(heights(moved, eye.planes) + slack >= 0, axis=1)
+    return np.all(heights(moved, eye.planes) + eye.offsets + eye.size >= 0, axis=1)
 
 
 def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:

@@ -6,7 +6,8 @@ x_i. With X, Z across and along the axis of the camera, a point in view (of slop
 
     |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
 
-over the pitch and times the distance to the sensor in pixels. What light does on the way is not
+over the pitch and times the distance to the sensor in pixels; through a point of a lens's aperture,
+at most r from the axis, rays of slope up to M + r / z_f pass. What light does on the way is not
 bounded: a body that turns, or passes a lamp, changes its shading and the shadows around it. So the
 bound is an estimate, unless nothing moves at all.
 """
@@ -20,17 +21,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lights import EnvironmentMap, LightFieldLight, RectangleLight
-from ..optics import chief_slope, sensor_vergence
+from ..optics import chief_slope, focus_vergence, sensor_vergence
 from ..scene import (
     Orthographic,
     Scene,
     Sensor,
+    ThinLens,
     TriangleMesh,
     View,
 )
 from ..sensor import exposure_slots
 from .bodies import corners as corners_of
 from .boxes import refuse_tracers
+from .cells import lens_radius
 from .certificate import IRRADIANCE, Effect
 from .optics import stretch
 from .pixel import INF, clean
@@ -172,6 +175,8 @@ def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray
     if nearest <= 0:
         return INF
     steepest = steepest_slope(view)
+    if isinstance(view, ThinLens):
+        steepest += lens_radius(view) * float(focus_vergence(view))
     along = float(np.abs(now[:, 2] - rest[:, 2]).max())
     per_slope = float(view.pixel_pitch) * float(sensor_vergence(view))
     pixels = (across + steepest * along) / nearest / per_slope

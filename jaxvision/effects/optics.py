@@ -20,6 +20,7 @@ import numpy as np
 from ..optics import airy_kernel, aperture_area, chief_slope, sensor_irradiance, sensor_vergence
 from ..scene import Orthographic, Pinhole, ThinLens, View
 from .boxes import corners, refuse_tracers
+from .cells import lens_radius
 from .certificate import IRRADIANCE, Effect
 from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
@@ -177,14 +178,15 @@ def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
 
 
 def _passes(grids: _Grids, *gone: str) -> bool:
-    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R."""
+    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R, with r that
+    of its farthest point."""
     view = grids.view.high
     assert isinstance(view, ThinLens)
     assert view.rim is not None
     steepest = float(np.hypot(*grids.slopes(*gone)).max())
     ahead = float(view.rim.distance)
     focus = 0.0 if view.focus_distance is None else 1 / float(view.focus_distance)
-    radius = float(view.focal_length) / float(view.f_number) / 2 * abs(1 - ahead * focus)
+    radius = lens_radius(view) * abs(1 - ahead * focus)
     return (radius + ahead * steepest) * (1 + 1e-6) <= float(view.rim.diameter) / 2
 
 
@@ -235,10 +237,11 @@ def diffraction(
 
 
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
-    """Half the largest circle of confusion, pixels: d z_i |1 / z - 1 / z_f| / 2 over the pitch.
+    """The farthest that a ray is off, pixels: r z_i |1 / z - 1 / z_f| over the pitch.
 
-    It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so that the
-    ends of what is in view and of what may change hold the largest.
+    r is that of the aperture's farthest point; of a round one, this is half the largest circle of
+    confusion. It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so
+    that the ends of what is in view and of what may change hold the largest.
 
     Args:
         view: thin lenses.
@@ -256,7 +259,7 @@ def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) ->
     for lens in corners(view):
         assert isinstance(lens, ThinLens)
         focus = 0.0 if lens.focus_distance is None else 1 / float(lens.focus_distance)
-        radius = float(lens.focal_length) / float(lens.f_number) / 2
+        radius = lens_radius(lens)
         image = 1 / float(sensor_vergence(lens))
         for depth in (near, far):
             if depth <= 0:

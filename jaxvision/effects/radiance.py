@@ -71,7 +71,7 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def depths(sums: Sums) -> tuple[float, float]:
-    """m along the axis, of all that may be in view."""
+    """m along the axis, of all that may be in view or blur into it."""
     eye = sums.eye
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
     lamps = [
@@ -86,8 +86,8 @@ def depths(sums: Sums) -> tuple[float, float]:
         elif in_view(eye, bodies := stacked([body]))[0]:
             moved = bodies._replace(points=bodies.points - eye.place)
             forward = eye.rotation[2][None]
-            near = min(near, max(float(-heights(moved, -forward)[0, 0]), 0.0))
-            far = max(far, float(heights(moved, forward)[0, 0]))
+            near = min(near, max(float(-heights(moved, -forward)[0, 0]) - eye.moves, 0.0))
+            far = max(far, float(heights(moved, forward)[0, 0]) + eye.moves)
     return near, far
 
 
