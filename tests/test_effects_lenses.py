@@ -140,6 +140,7 @@ def test_a_camera_that_may_move_comes_nearer():
         assert np.hypot(*hit.T).max() * image_of(1.0) / PITCH <= place * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_what_moves_towards_a_lens_moves_in_its_blur():
     """Through every point of the aperture: x' - x = (p - a) (1 / z' - 1 / z) for a point p."""
     card = facing(0, 0, 3, 0.1, 0.1)
