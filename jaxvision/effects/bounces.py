@@ -1,14 +1,23 @@
 """Light that goes on from surface to surface: what paths of so many pieces can add at most.
 
-With T_ij = rho_i F_ij the light of one more piece is T of the last, in the sup norm over each
-surface. A form factor F_ij is at most 1, at most (R / d)^2 of the ball about j seen from i, and 0
-where i is flat and j wholly behind it; those of a row sum to at most 1, which is spent on the
-brightest first. A mirror or glass may pass on all of the brightest. Proof is good in open scenes;
-in a bright closed room it is far too large, and its paths are kept.
+The light of one more piece is T of the last, in the sup norm over each surface:
+
+    T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
+
+with rho of the body, s of the lobe and m of a mirror or glass, which may pass on all of the
+brightest. F_ij, the share of a body's light that may come from j, is at most 1, at most (R / d)^2
+of the ball about j seen from i, and 0 where i is flat and j wholly behind it. A lobe may be turned
+toward j, whose solid angle is at most 2 pi (R / d)^2: its share is G_ij = min(1, g_i F_ij) with
+g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, which is spent on the brightest
+first. What is emitted is seen in paths of one piece, and what a surface makes of a lamp in paths of
+two. Proof is good in open scenes of dull surfaces; in a bright closed room it is far too large, and
+its paths are kept.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +29,7 @@ from .illumination import times
 from .stages import Draft, Row
 from .sums import Sums, pictured, sent
 
+EMITTED = 1  # pieces of a path from what shines of its own: surface to eye
 DIRECT = 2  # pieces of a path of direct light: light to surface, surface to eye
 _EACH = 16  # pieces up to which paths may be cut to any number
 _SETTLED = 1e-12  # of a sum: what may be left of it when it is ended
@@ -38,16 +48,14 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
     """
     if depth is None:
         return ()
-    onward, n = Onward(sums, depth), len(sums.surfaces)
-    first = np.searchsorted(sums.cells.surface, np.arange(n))
-    shone = sums.own + sum(
-        np.maximum.reduceat(sent(sums, k), first, axis=0) for k in range(len(sums.sources))
+    onward, wanted = Onward(sums, depth), shorter(depth)
+    emitted, lit = (
+        onward.tails(light, [pieces - own + 1 for pieces in wanted], depth - own)
+        for light, own in ((sums.own, EMITTED), (onward.lamps, DIRECT))
     )
-    wanted = shorter(depth)
-    tails = onward.tails(shone, [pieces - DIRECT + 1 for pieces in wanted], depth - DIRECT)
     return tuple(
         pieces_row(pictured(sums, tail[sums.cells.surface]), pieces, depth)
-        for pieces, tail in zip(wanted, tails, strict=True)
+        for pieces, tail in zip(wanted, emitted + lit, strict=True)
     )
 
 
@@ -82,35 +90,109 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
     return Row(effect, amount, drop, assumes=assumes, ladder="bounces", saves=saves)
 
 
+class Transport(NamedTuple):
+    """T of n surfaces; no units.
+
+    Attributes:
+        body, lobe, mirror: (n,) the most that each part reflects of what arrives from all sides.
+        factors: (n, n) suprema of the shares of bodies, F.
+        of_lobes: (n, n) suprema of the shares of lobes, G.
+    """
+
+    body: np.ndarray
+    lobe: np.ndarray
+    mirror: np.ndarray
+    factors: np.ndarray
+    of_lobes: np.ndarray
+
+    @property
+    def norm(self) -> float:
+        """The most by which the largest of all grows."""
+        body, lobe = (
+            times(share, np.minimum(part.sum(1), 1))
+            for share, part in ((self.body, self.factors), (self.lobe, self.of_lobes))
+        )
+        return float(np.max(body + lobe + self.mirror))
+
+    def once(self, sent: np.ndarray) -> np.ndarray:
+        """T of (n, bands) W m^-2 sr^-1."""
+        return (
+            times(self.body[:, None], gathered(self.factors, sent))
+            + times(self.lobe[:, None], gathered(self.of_lobes, sent))
+            + times(self.mirror[:, None], sent.max(0))
+        )
+
+
 class Onward:
     """From what each cell sends at first to the most that it sends after all further pieces."""
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
         self.sums, self.depth = sums, depth
         if depth is not None:
-            self.albedo, self.mirror, self.factors = _transport(sums)
+            self.transport = _transport(sums)
 
-    def __call__(self, cells: np.ndarray) -> np.ndarray:
-        """(c, bands) W m^-2 sr^-1 to the same."""
+    def __call__(
+        self, cells: np.ndarray, around: np.ndarray | None = None, *, pieces: int = DIRECT
+    ) -> np.ndarray:
+        """What cells send to the eye in the end.
+
+        Args:
+            cells: (c, bands) W m^-2 sr^-1 that they send to the eye at first.
+            around: the same toward any viewer; None: no more.
+            pieces: of the paths of that light.
+
+        Returns:
+            (c, bands) W m^-2 sr^-1.
+        """
         if self.depth is None:
             return cells
-        n = len(self.sums.surfaces)
-        first = np.searchsorted(self.sums.cells.surface, np.arange(n))
-        least = np.maximum.reduceat(cells, first, axis=0)
-        total = self.series(least, 1, self.depth - DIRECT)
+        least = self._of_surfaces(cells if around is None else around)
+        total = self.series(least, self.depth - pieces)
         return cells + total[self.sums.cells.surface]
 
-    def series(self, sent: np.ndarray, first: int, last: int) -> np.ndarray:
-        """The sum of T^k of what is sent, (n, bands), k from `first` to `last`, inclusive."""
-        return self.tails(sent, [first], last)[0]
+    @cached_property
+    def lamps(self) -> np.ndarray:
+        """(n, bands) W m^-2 sr^-1, the most that each surface makes of all lamps."""
+        found = np.zeros_like(self.sums.own)
+        for k in range(len(self.sums.sources)):
+            found += self._of_surfaces(sent(self.sums, k, around=True))
+        return found
+
+    @cached_property
+    def arriving(self) -> np.ndarray:
+        """(n, bands) W m^-2 sr^-1, the most that each surface sends by paths that may be reflected
+        once more; 0 in direct light."""
+        found = np.zeros_like(self.sums.own)
+        if self.depth is None:
+            return found
+        for own, pieces in ((self.sums.own, EMITTED), (self.lamps, DIRECT)):
+            if pieces < self.depth:
+                found += own + self.series(own, self.depth - 1 - pieces)
+        return found
+
+    def of_body(self, i: int) -> np.ndarray:
+        """(bands,) W m^-2 sr^-1, the mean of what arrives at a body from other surfaces."""
+        if self.depth is None:
+            return self.arriving[i]
+        return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
+
+    def of_lobe(self, i: int) -> np.ndarray:
+        """(bands,) W m^-2 sr^-1, the mean of what arrives at a lobe from other surfaces."""
+        if self.depth is None:
+            return self.arriving[i]
+        return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
+
+    def series(self, sent: np.ndarray, last: int) -> np.ndarray:
+        """The sum of T^k of what is sent, (n, bands), k from 1 to `last`, inclusive."""
+        return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
-        """The same for each of several `firsts`: (f, n, bands). T shrinks the largest of all by t
-        at least, so that what follows a term is at most t / (1 - t) of its largest."""
+        """The sums of T^k from each of several `firsts`, (f, n, bands). T shrinks the largest of
+        all by t at least, so that what follows a term is at most t / (1 - t) of its largest."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
-        t = np.max(self.albedo * np.minimum(self.factors.sum(1), 1) + self.mirror)
+        t = self.transport.norm
         for k in range(1, min(last, _MOST) + 1):
-            sent = np.stack([self._once(band) for band in sent.T], axis=1)
+            sent = self.transport.once(sent)
             whole = whole + sent
             found[np.array(firsts) <= k] += sent
             if not np.isfinite(sent).all():
@@ -123,21 +205,33 @@ class Onward:
                 return np.full_like(found, np.inf)
         return np.where(np.isfinite(sent), found, np.inf)
 
-    def _once(self, sent: np.ndarray) -> np.ndarray:
-        order = np.argsort(-sent)
-        taken = np.minimum(np.cumsum(self.factors[:, order], axis=1), 1)
-        spent = np.diff(taken, axis=1, prepend=0)
-        seen = times(spent, sent[order]).sum(1)
-        return times(self.albedo, seen) + times(self.mirror, sent.max())
+    def _of_surfaces(self, cells: np.ndarray) -> np.ndarray:
+        """The largest of (c, bands) over the cells of each surface, (n, bands)."""
+        n = len(self.sums.surfaces)
+        first = np.searchsorted(self.sums.cells.surface, np.arange(n))
+        return np.maximum.reduceat(cells, first, axis=0)
 
 
-def _transport(sums: Sums) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(n,) albedos and reflectances of mirrors, (n, n) suprema of form factors."""
-    albedo = np.zeros(len(sums.surfaces))
+def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
+    """The most that arrives of what all send, (n, bands), where each may have a share, (i, n), and
+    all together 1: it is spent on the brightest first. (i, bands)"""
+    found = np.zeros((len(shares), sent.shape[1]))
+    for band, own in enumerate(sent.T):
+        order = np.argsort(-own)
+        taken = np.minimum(np.cumsum(shares[:, order], axis=1), 1)
+        found[:, band] = times(np.diff(taken, axis=1, prepend=0), own[order]).sum(1)
+    return found
+
+
+def _transport(sums: Sums) -> Transport:
+    n, factors = len(sums.surfaces), _form_factors(sums)
+    body, lobe, of_lobes = np.zeros(n), np.zeros(n), np.zeros((n, n))
     for i, own in enumerate(sums.reflections):
-        lobe = 0.0 if own.lobe is None else float(np.max(own.lobe.spectrum)) * own.lobe.size
-        albedo[i] = np.pi * (1 + own.grazing) * float(np.max(own.body)) + lobe
-    return albedo, sums.k_mirror.max(1), _form_factors(sums)
+        body[i] = np.pi * (1 + own.grazing) * float(np.max(own.body))
+        if own.lobe is not None:
+            lobe[i] = float(np.max(own.lobe.spectrum)) * own.lobe.size
+            of_lobes[i] = np.minimum(times(factors[i], own.lobe.gain), 1)
+    return Transport(body, lobe, sums.k_mirror.max(1), factors, of_lobes)
 
 
 def _form_factors(sums: Sums) -> np.ndarray:

@@ -121,6 +121,11 @@ def lens_radius(lens: ThinLens) -> float:
     return radius
 
 
+def anywhere(eye: Eye) -> Eye:
+    """The same where it may be any viewer: another surface, which light goes on to."""
+    return eye._replace(everywhere=True)
+
+
 def _equal(low: View, high: View, name: str) -> bool:
     a, b = getattr(low, name, None), getattr(high, name, None)
     return (a is None) == (b is None) and (a is None or np.array_equal(numbers(a), numbers(b)))

@@ -17,8 +17,8 @@ from ..brdf.oren_nayar import OrenNayar
 from ..brdf.torrance_sparrow import TorranceSparrow
 from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
 from .bodies import body_of, heights, numbers, stacked
-from .bounces import Onward
-from .cells import eye_of, in_view, part_of
+from .bounces import EMITTED, Onward
+from .cells import anywhere, eye_of, in_view, part_of
 from .certificate import RADIANCE, Effect
 from .extent import extent_change
 from .illumination import times
@@ -29,6 +29,7 @@ from .sums import (
     ambient_reflected,
     emitted,
     geometry_of,
+    lobe_sent,
     looked_at,
     pictured,
     sent,
@@ -66,8 +67,10 @@ def scene_stage(
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
     """The supremum of the picture, (bands,): all lights, what is emitted, what is seen of lamps."""
-    cells = sum((sent(sums, k) for k in range(len(sums.sources))), sums.own[sums.cells.surface])
-    return np.maximum(pictured(sums, onward(cells)), looked_at(sums, sums.shown))
+    found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
+    for k in range(len(sums.sources)):
+        found = found + onward(sent(sums, k), sent(sums, k, around=True))
+    return np.maximum(pictured(sums, found), looked_at(sums, sums.shown))
 
 
 def depths(sums: Sums) -> tuple[float, float]:
@@ -134,7 +137,10 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
         return replace(draft, lights=_without(draft.lights, k))
 
     def amount(within: np.ndarray) -> np.ndarray:
-        lit = pictured(sums, onward(sent(sums, k, only=within)))
+        lamp, around = (
+            sent(sums, k, around=any_viewer, only=within) for any_viewer in (False, True)
+        )
+        lit = pictured(sums, onward(lamp, around))
         return np.maximum(np.maximum(lit, _mirrored(sums, k, within)), least)
 
     everywhere = np.ones(len(dark), bool)
@@ -185,6 +191,8 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
 def extent(sums: Sums, onward: Onward, k: int) -> Row:
     """A rectangle as a `SmallLight` at its middle, where nothing can tell them apart."""
     amount, small, why = extent_change(sums, k)
+    if onward.depth is not None:
+        small, why = None, "paths meet the lamp, which hides what is behind it"
     name = f"lights[{k}].extent"
     if small is None:
         return _row(
@@ -194,7 +202,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     def drop(draft: Draft) -> Draft:
         return replace(draft, lights=_without(draft.lights, k, small))
 
-    change = pictured(sums, onward(amount))
+    change = pictured(sums, amount)
     if np.isinf(change).any():
         why += "; what shows it is a mirror, glass or a material without a bound"
     return _row(name, change, drop, why, saves=_SAVES["extent"], part_of=f"lights[{k}]")
@@ -225,22 +233,26 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
 
 
 def _all_lights(
-    sums: Sums, onward: Onward, i: int, of_light: Callable[[int], np.ndarray]
+    sums: Sums, i: int, of_light: Callable[[int], np.ndarray], others: np.ndarray
 ) -> np.ndarray:
-    """The sum over all lights of what the cells of a surface make of them, (bands,) in the
-    picture."""
-    none = np.zeros((1, sums.k_body.shape[1]))
-    return _of_cells(sums, onward, i, sum((of_light(k) for k in range(len(sums.sources))), none))
+    """(c_i, bands): the sum over all lights of what the cells of a surface make of them, and of
+    what other surfaces send, (bands,)."""
+    cells = len(sums.cells.surface[part_of(sums.cells, i)])
+    none = np.zeros((cells, 1)) + others
+    return sum((of_light(k) for k in range(len(sums.sources))), none)
 
 
-def _of_cells(sums: Sums, onward: Onward, i: int, sent: np.ndarray) -> np.ndarray:
-    """What the cells of one surface send, (c_i, bands), in the picture, (bands,)."""
+def _of_cells(
+    sums: Sums, onward: Onward, i: int, sent: np.ndarray, around: np.ndarray | None = None
+) -> np.ndarray:
+    """What the cells of one surface send to the eye, and `around` to any viewer, (c_i, bands), in
+    the picture, (bands,)."""
     part = part_of(sums.cells, i)
     if onward.depth is None:
         return np.max(sent, axis=0, initial=0, where=sums.seen[part, None])
-    cells = np.zeros((len(sums.seen), sent.shape[1]))
-    cells[part] = sent
-    return pictured(sums, onward(cells))
+    cells, on = np.zeros((2, len(sums.seen), sent.shape[1]))
+    cells[part], on[part] = sent, sent if around is None else around
+    return pictured(sums, onward(cells, on))
 
 
 def _as_lambert(i: int) -> Drop:
@@ -260,8 +272,13 @@ def _with(draft: Draft, i: int, **fields: Any) -> Draft:
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """The lobe's own light; a Lambertian of the same k_d remains."""
-    material = sums.surfaces[i].low.material
-    amount = _of_cells(sums, onward, i, sums.lobes[part_of(sums.cells, i)])
+    material, part = sums.surfaces[i].low.material, part_of(sums.cells, i)
+    others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
+    lamp, around = (
+        _all_lights(sums, i, lambda k, on=on: lobe_sent(sums, k, around=on)[part], others)
+        for on in (False, True)
+    )
+    amount = _of_cells(sums, onward, i, lamp, around)
     plain = _is_plain_without_lobe(material)
     why = f"the lobe of {type(material).__name__}"
     if not plain:
@@ -270,6 +287,10 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     field = "material.specular" if hasattr(material, "specular") else "material"
     name = f"surfaces[{i}].{field}"
     return _row(name, amount, drop, why, saves=_SAVES["lobe"])
+
+
+def _size(lobe: Lobe | None) -> float:
+    return 0.0 if lobe is None else lobe.size
 
 
 def _is_plain_without_lobe(material: Material) -> bool:
@@ -282,14 +303,15 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
     least = fresnel_least(material.of("interface"))
     full: list[Lobe | None] = [None] * len(sums.surfaces)
     full[i] = reflection_of(Ends(*(replace(end, interface=None) for end in material))).lobe
+    own = sums if onward.depth is None else sums._replace(eye=anywhere(sums.eye))
+    others = times(_size(full[i]) * sums.k_lobe[i], onward.arriving.max(0))
 
     def of_light(k: int) -> np.ndarray:
-        _, whole = geometry_of(sums, sums.sources[k], sums.nearest[k], full)
-        own = whole[part_of(sums.cells, i), None]
-        return times(own, times(sums.k_lobe[i], sums.spectrum[k])[None])
+        _, whole = geometry_of(own, sums.sources[k], sums.nearest[k], full)
+        seen = whole[part_of(sums.cells, i), None]
+        return times(seen, times(sums.k_lobe[i], sums.spectrum[k])[None])
 
-    amount = _all_lights(sums, onward, i, of_light) * (1 - least)
-
+    amount = _of_cells(sums, onward, i, _all_lights(sums, i, of_light, others)) * (1 - least)
     name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
     return _row(f"{name}.interface", amount, None, why, part_of=f"{name}.specular")
 
@@ -305,7 +327,8 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
         even = times(sums.body[k, part, None], times(plain, sums.spectrum[k])[None])
         return even + times(sums.facing[k, part, None], times(grazing, sums.spectrum[k])[None])
 
-    amount = _all_lights(sums, onward, i, of_light)
+    others = times(np.pi * (plain + 2 * grazing), onward.of_body(i))
+    amount = _of_cells(sums, onward, i, _all_lights(sums, i, of_light, others))
     if np.isinf(plain).any():
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
         return _row(f"surfaces[{i}].material", amount + np.inf, None, why)
@@ -318,7 +341,7 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
     """What a surface sends of its own."""
     own = emitted(sums.surfaces, sums.own.shape[1])
     own[np.arange(len(own)) != i] = 0
-    amount = pictured(sums, onward(own[sums.cells.surface]))
+    amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
     return _row(f"surfaces[{i}].emission", amount, lambda d: _with(d, i, emission=None), "shines")
 
 

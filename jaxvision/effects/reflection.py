@@ -52,6 +52,14 @@ class Lobe(NamedTuple):
     neutral: bool
     step: bool
 
+    @property
+    def gain(self) -> float:
+        """2 pi times the largest f_r cos of any angles, over `size`: by what factor the lobe's
+        share of a small solid angle may exceed that angle over 2 pi. No unit."""
+        one = np.ones((1, 1))
+        peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
+        return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf
+
 
 class Reflection(NamedTuple):
     """The suprema of one material.

@@ -19,7 +19,7 @@ from ..scene import Light, Scene, Surface
 from .angles import cos_seen
 from .blocking import may_block
 from .bodies import body_of, gap, numbers, stacked, taken
-from .cells import Cells, Eye, bodies_of, cells_of, in_view
+from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view
 from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, reflection_of
 from .stages import Ends
@@ -37,9 +37,11 @@ class Sums(NamedTuple):
         body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
             light's spectrum.
         facing: (l, c) the suprema of E, of a facing surface.
-        lobes: (c, bands) W m^-2 sr^-1, the most that the lobe of each cell makes of all lights.
+        lobe_around: (l, c) as `lobe`, but toward any viewer, for light that goes on to other
+            surfaces.
         k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
-        own: (n, bands) W m^-2 sr^-1, emission and reflected ambient light.
+        own: (n, bands) W m^-2 sr^-1, emission and, where no light goes on from surface to surface,
+            reflected ambient light.
         spectrum: (l, bands) of each light.
         shown: (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0.
         visible: (l,) whether it may.
@@ -59,8 +61,8 @@ class Sums(NamedTuple):
     seen: np.ndarray
     body: np.ndarray
     lobe: np.ndarray
+    lobe_around: np.ndarray
     facing: np.ndarray
-    lobes: np.ndarray
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
@@ -98,11 +100,17 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     reflections = tuple(reflection_of(surface.of("material")) for surface in surfaces)
     cells = cells_of(surfaces, about=eye.place)
     facing = cos_seen(cells, eye)[1] > 0
+    if bounces:  # from within, too
+        glass = [isinstance(surface.low.material, Glass) for surface in surfaces]
+        facing |= np.array(glass, bool)[cells.surface]
     seen = facing & in_view(eye, bodies_of(cells))
     if not bounces:
         seen &= ~hidden(surfaces, cells, eye)
     nearest = _nearest(sources, surfaces)
     body, lobe, facing = _geometry(sources, nearest, reflections, cells, eye)
+    around = lobe
+    if bounces:
+        _, around, _ = _geometry(sources, nearest, reflections, cells, anywhere(eye))
     bands = _bands(scene, sources, reflections)
     table = _Table(len(surfaces), bands)
     k_body = table.filled((i, own.body) for i, own in enumerate(reflections))
@@ -110,20 +118,20 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         (i, own.lobe.spectrum) for i, own in enumerate(reflections) if own.lobe is not None
     )
     k_mirror = table.filled(
-        (i, own.mirror)
+        (i, own.mirror * _growth(surfaces[i], eye))
         for i, own in enumerate(reflections)
         if own.mirror is not None and (bounces or not isinstance(surfaces[i].low.material, Glass))
     )
     spectrum = _Table(len(sources), bands).filled(
         (k, own.spectrum) for k, own in enumerate(sources)
     )
-    lobes = np.zeros((len(cells.radius), bands))
-    for k in range(len(sources)):
-        lobes += times(lobe[k][:, None], times(k_lobe, spectrum[k])[cells.surface])
+    own = emitted(surfaces, bands)
+    if not bounces:
+        own += ambient_reflected(scene, surfaces, bands)
     visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
     extended = np.array([source.extended for source in sources], bool)
     shown = extended[:, None] & (k_mirror > 0).any(1)
-    lit = (body + lobe > 0) | shown[:, cells.surface]
+    lit = (body + around > 0) | shown[:, cells.surface]
     wanted = _reduced(lit, cells, len(surfaces))
     blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
     within = shaded(sources, surfaces, cells, may=blocked, wanted=lit & (seen | bounces))
@@ -136,12 +144,12 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         seen,
         body,
         lobe,
+        around,
         facing,
-        lobes,
         k_body,
         k_lobe,
         k_mirror,
-        _own_light(scene, surfaces, table),
+        own,
         spectrum,
         np.where(visible[:, None], spectrum, 0.0),
         visible,
@@ -152,6 +160,22 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         nearest,
         eye,
     )
+
+
+def _growth(surface: Ends[Surface], eye: Eye) -> float:
+    """By how much radiance may grow at a mirror or an interface of glass, no unit. Radiance over
+    the square of the index is kept, so that what enters a body of an index above 1 and leaves it
+    again has gained nothing; within one where the eye may be, or that of a lower index, it has."""
+    material, body = surface.of("material"), body_of(surface.of("shape"))
+    if not isinstance(material.low, Glass):
+        return 1.0
+    least, most = (float(numbers(end.index)) for end in material)
+    least, most = min(least, most), max(least, most)
+    viewer = eye.place[None], np.array([eye.size])
+    if least < 1 or body is None or eye.parallel:
+        return max(most, 1 / least) ** 2
+    outside = gap(stacked([body]), stacked([viewer]))[0] > 0
+    return 1.0 if outside else most**2
 
 
 class _Table(NamedTuple):
@@ -179,11 +203,6 @@ def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[
     if scene.low.ambient is not None:
         counts.append(scene.low.ambient.radiance.shape[-1])
     return max(counts)
-
-
-def _own_light(scene: Ends[Scene], surfaces: Sequence[Ends[Surface]], table: _Table) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1: what surfaces emit, and k_a L_a."""
-    return emitted(surfaces, table.bands) + ambient_reflected(scene, surfaces, table.bands)
 
 
 def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
@@ -300,13 +319,13 @@ def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
     return np.maximum.reduceat(values, first, axis=-1)
 
 
-def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = None) -> np.ndarray:
+def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:
     """The most that each cell makes of one light.
 
     Args:
         sums: of the scene.
         k: number of the light.
-        lobes: whether with the lobes.
+        around: whether toward any viewer, not only toward the eye.
         only: (c,) which cells count; None: all.
 
     Returns:
@@ -314,17 +333,17 @@ def sent(sums: Sums, k: int, *, lobes: bool = True, only: np.ndarray | None = No
     """
     of_cell = sums.cells.surface
     total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
-    if lobes:
-        total = total + lobe_sent(sums, k)
+    total = total + lobe_sent(sums, k, around=around)
     if sums.sources[k].extended:
         total = total + times(sums.k_mirror, sums.spectrum[k])[of_cell]
     return total if only is None else np.where(only[:, None], total, 0)
 
 
-def lobe_sent(sums: Sums, k: int) -> np.ndarray:
-    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1."""
+def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
+    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1; `around`: as
+    for `sent`."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
-    return times(sums.lobe[k][:, None], own)
+    return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
 
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:

@@ -1,0 +1,239 @@
+"""What effects change in light that goes from surface to surface, against closed forms, sums over
+small patches in NumPy, and the path tracer."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision import effects
+from jaxvision.rendering import PixelSamples, photograph
+from jaxvision.transport import Paths
+from jaxvision.transport.paths import path_along
+
+DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+DULL = 0.25  # sr^-1
+
+
+def view_from(place, rotation=DOWN):
+    return jv.Pinhole(place, rotation, 0.05, 0.05 / 32, resolution=(8, 8))
+
+
+def toward(place, target):
+    """Rows right, down and forward."""
+    forward = np.subtract(target, place) / np.linalg.norm(np.subtract(target, place))
+    right = np.cross(forward, [0, 0, 1.0])
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def bounds(surfaces, lights, view, depth):
+    """By name; of "bounces" that of the longest paths alone."""
+    found = effects.inspect(jv.Scene(surfaces, lights), view, depth=depth)
+    return {effect.name: effect.bound for effect in found}
+
+
+def patches(corner, u, v, side):
+    """(side^2, 3) middles of the patches of a rectangle, and the area of each."""
+    t = (np.arange(side) + 0.5) / side
+    s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
+    area = np.linalg.norm(np.cross(u, v)) / side**2
+    return np.add(corner, s * np.array(u) + t * np.array(v)), area
+
+
+@pytest.mark.parametrize("depth", [2, 3, 4, 5])
+def test_what_is_emitted_is_reflected_in_each_further_piece(depth):
+    """Two plates that face each other, of which the roof, out of view, shines; the radiance of the
+    floor's middle, by patches, in paths of at most so many pieces."""
+    floor, roof = ([-0.5, -0.5, z] for z in (0.0, 1.0))
+    side, area = 12, 1 / 144
+    below, _ = patches(floor, [1, 0, 0], [0, 1, 0], side)
+    apart = np.linalg.norm(below[:, None] + [0, 0, 1.0] - below, axis=-1)
+    t = DULL * area / apart**4  # f cos cos / r^2 from one plate to the other
+    of_floor, of_roof, added = np.zeros(144), np.ones(144), []
+    for _ in range(depth - 1):
+        of_floor, of_roof = t @ of_roof, t @ of_floor
+        added.append(of_floor.max())
+    surfaces = [
+        jv.Surface(jv.Quad(floor, [1, 0, 0], [0, 1, 0]), jv.Lambert([DULL])),
+        jv.Surface(jv.Quad(roof, [0, 1, 0], [1, 0, 0]), jv.Lambert([DULL]), [1.0]),
+    ]
+    found = bounds(surfaces, [], view_from([0, 0, 0.5]), depth)
+    assert sum(added) > 0.1
+    assert sum(added) <= found["surfaces[1].emission"]
+    assert depth == 2 or added[-1] <= found["bounces"]
+
+
+ROUGH = 0.6  # rad
+IN_A_BRIGHT_BALL = [
+    (jv.NormalisedPhong([0.1], [0.5], 300.0), "specular", 0.5),
+    (jv.TorranceSparrow([0.1], [0.5], 0.05), "specular", 0.98 * 0.5),
+    (jv.OrenNayar([0.1], ROUGH), "sigma", np.pi * 0.1 * 0.5 * ROUGH**2 / (ROUGH**2 + 0.33)),
+]
+
+
+@pytest.mark.parametrize(("material", "field", "change"), IN_A_BRIGHT_BALL)
+def test_lobes_and_rough_facets_reflect_what_surfaces_emit(material, field, change):
+    """Under even light of radiance 1, seen along the normal: a normalised lobe sends k_s, smooth
+    facets nearly as much, and a rough body pi k_d (1 - A) less than Lambert's (A: Oren and Nayar,
+    1994)."""
+    plate = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 0.1), material)
+    ball = jv.Surface(jv.Sphere([0, 0, 0], 2.0), jv.Lambert([0.0]), [1.0], two_sided=True)
+    found = bounds([plate, ball], [], view_from([0, 0, 1]), 2)
+    assert change <= found[f"surfaces[0].material.{field}"] * (1 + 1e-9)
+
+
+def test_a_narrow_lobe_gathers_what_a_small_bright_surface_reflects():
+    """A lamp shines up at a small roof, and the lobe of the floor reflects that: in the middle,
+    seen from above, k_s (n + 2) / (2 pi) cos^n times cos over the roof's patches."""
+    n, k_s, width = 3000.0, 0.9, 0.2
+    lamp = np.array([0, 0, 1.0])
+    corner = [-width / 2, -width / 2, 2.0]
+    places, area = patches(corner, [width, 0, 0], [0, width, 0], 300)
+    from_lamp = np.linalg.norm(places - lamp, axis=1)
+    roof = DULL / from_lamp**4  # height 1: cos = 1 / r at both ends
+    apart = np.linalg.norm(places, axis=1)
+    cos = 2 / apart
+    lobe = k_s * (n + 2) / (2 * np.pi) * cos ** (n + 1)
+    seen = np.sum(roof * lobe * cos * area / apart**2)
+    surfaces = [
+        jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.NormalisedPhong([0.0], [k_s], n)),
+        jv.Surface(jv.Quad(corner, [0, width, 0], [width, 0, 0]), jv.Lambert([DULL])),
+    ]
+    lights = [jv.SmallLight(lamp, [0, 0, 1.0], [1.0])]
+    found = bounds(surfaces, lights, view_from([0, 0, 0.5]), 3)
+    assert seen > 0.9 * k_s * DULL
+    assert seen <= found["bounces"]
+    assert seen <= found["surfaces[0].material.specular"]
+    assert seen <= found["lights[0]"]
+
+
+def test_a_lobe_that_is_turned_away_from_the_eye_lights_what_the_eye_sees():
+    """A small glossy floor throws a lamp's light on a dull wall, of which alone the picture is:
+    the wall's middle, by patches of the floor."""
+    n, k_s, width = 300.0, 0.9, 0.5
+    lamp, wall = np.array([-1.0, 0, 1]), np.array([1.0, 0, 1])
+    facing = np.array([-1.0, 0, -1]) / np.sqrt(2)
+    corner = [-width / 2, -width / 2, 0.0]
+    places, area = patches(corner, [width, 0, 0], [0, width, 0], 60)
+    to_lamp, to_wall = lamp - places, wall - places
+    near, far = (np.linalg.norm(x, axis=1) for x in (to_lamp, to_wall))
+    mirrored = to_lamp * [-1, -1, 1] / near[:, None]
+    off = np.sum(mirrored * to_wall, axis=1) / far
+    floor = k_s * (n + 2) / (2 * np.pi) * off**n * to_lamp[:, 2] / near**3
+    lit = floor * to_wall[:, 2] / far * (-to_wall @ facing / far) * area / far**2
+    seen = DULL * np.sum(lit)
+    across = np.array([0.2, 0, -0.2])
+    surfaces = [
+        jv.Surface(
+            jv.Quad(corner, [width, 0, 0], [0, width, 0]), jv.NormalisedPhong([0.0], [k_s], n)
+        ),
+        jv.Surface(
+            jv.Quad(wall - across / 2 - [0, 0.1, 0], [0, 0.2, 0], across), jv.Lambert([DULL])
+        ),
+    ]
+    assert np.cross([0, 0.2, 0], across) @ facing > 0
+    eye = [-0.5, -2.0, 0.5]
+    view = view_from(eye, toward(eye, wall))
+    found = bounds(surfaces, [jv.PointLight(lamp, [1.0])], view, 3)
+    assert seen > 0.01
+    assert seen <= found["bounces"]
+    assert seen <= found["lights[0]"]
+
+
+def test_glass_about_the_eye_or_of_a_low_index_adds_to_radiance():
+    """Within a body of index n radiance is up to n^2 times that outside, and where light leaves a
+    bubble of index n < 1, up to 1 / n^2 times; through a ball of glass it is at most the same."""
+    sky = jv.environment_map(np.ones((4, 8, 1)))
+
+    def of_sky(index, place):
+        ball = jv.Surface(jv.Sphere([0, 0, 0], 1.0), jv.Glass(index))
+        return bounds([ball], [sky], view_from(place), 3)["lights[0]"]
+
+    straight = [1 - ((n - 1) / (n + 1)) ** 2 for n in (1.5, 1.0)]
+    assert of_sky(1.5, [0, 0, 0.0]) >= straight[0] * 1.5**2
+    assert of_sky(1.5, [0, 0, 3.0]) < 4
+    shining = jv.Surface(jv.Sphere([0, 0, 0], 0.1), jv.Lambert([0.0]), [1.0])
+    bubble = jv.Surface(jv.Sphere([0, 0, 0], 1.0), jv.Glass(1 / 1.5))
+    found = bounds([bubble, shining], [], view_from([0, 0, 3.0]), 2)
+    assert found["surfaces[1].emission"] >= straight[0] * 1.5**2
+
+
+def of_random_records(seed):
+    """A floor, a wall and two balls of all families of lobes and bodies, some of which shine, and a
+    lamp; always of one structure, so that one program draws them."""
+    rng = np.random.default_rng(seed)
+    some = lambda most: rng.uniform(0, most, 1) * rng.choice([1, 1, 1e-3])  # noqa: E731
+    shine = lambda: rng.choice([0, 1, 1e-2]) * rng.uniform(0.5, 1, 1)  # noqa: E731
+    place = lambda: rng.uniform([-1, -1, 0.6], [1, 1, 2])  # noqa: E731
+    lobe = jv.NormalisedPhong(some(0.15), some(0.5), rng.choice([1.0, 20.0, 300.0]))
+    facets = jv.TorranceSparrow(some(0.15), some(0.5), rng.choice([0.1, 0.5]))
+    rough = jv.OrenNayar(some(0.3), rng.uniform(0.1, 1))
+    surfaces = [
+        jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), lobe, shine()),
+        jv.Surface(jv.Quad([-1, 1, 0], [2, 0, 0], [0, 0, 2]), jv.Lambert(some(0.3)), shine()),
+        jv.Surface(jv.Sphere(place(), rng.uniform(0.1, 0.5)), facets, shine()),
+        jv.Surface(jv.Sphere(place(), rng.uniform(0.1, 0.5)), rough, shine()),
+    ]
+    lights = [jv.PointLight(rng.uniform([-2, -2, 2.6], [2, 0, 4]), rng.uniform(0.1, 5, 1))]
+    eye = rng.uniform([-1, -4, 1], [1, -3, 3])
+    view = jv.Pinhole(eye, toward(eye, [0, 0, 0.5]), 1.0, 0.2, resolution=(4, 4))
+    return jv.Scene(surfaces, lights), view, int(rng.integers(2, 6))
+
+
+def without(scene, name):
+    """The scene with one effect at 0."""
+    surfaces, lights = list(scene.surfaces), list(scene.lights)
+    if name == "lights[0]":
+        return replace(scene, lights=(replace(lights[0], intensity=0 * lights[0].intensity),))
+    i, field = int(name[9]), name.rsplit(".", 1)[1]
+    own = surfaces[i]
+    if field == "emission":
+        surfaces[i] = replace(own, emission=0 * own.emission)
+    else:
+        value = 0 * getattr(own.material, field)
+        surfaces[i] = replace(own, material=replace(own.material, **{field: value}))
+    return replace(scene, surfaces=tuple(surfaces))
+
+
+@jax.jit
+def drawn(scene, view, depth):
+    samples = PixelSamples(jax.random.key(0), 128)
+    return photograph(path_along(scene, Paths(128), depth=depth), view, samples)
+
+
+def surely_changed(full, small):
+    """The largest change of a pixel beyond five standard errors."""
+    error = np.hypot(full.error, small.error)
+    return np.max(np.abs(full.radiance - small.radiance) - 5 * error)
+
+
+@pytest.mark.slow
+def test_random_scenes_by_paths():
+    """Each effect alone, and all that goes at three tolerances: the path tracer with these at 0."""
+    changed = 0
+    for seed in range(12):
+        scene, view, depth = of_random_records(seed)
+        full = drawn(scene, view, jnp.asarray(depth))
+        level = float(full.radiance.max())
+        for effect in effects.inspect(scene, view, depth=depth):
+            if effect.name.endswith((".emission", ".specular", ".sigma", "lights[0]")):
+                small = drawn(without(scene, effect.name), view, jnp.asarray(depth))
+                change = surely_changed(full, small)
+                assert change <= effect.bound, (seed, effect)
+                changed += change > 0
+        for tolerance in ("0%", "1%", "10%"):
+            pruned = effects.prune(scene, view, tolerance, depth=depth, level=level)
+            left = scene
+            for effect in pruned.certificate.dropped:
+                if effect.name.startswith(("surfaces", "lights")):
+                    left = without(left, effect.name)
+            small = drawn(left, view, jnp.asarray(pruned.depth))
+            assert surely_changed(full, small) <= pruned.certificate.total * level, (
+                seed,
+                tolerance,
+            )
+    assert changed > 20, changed
