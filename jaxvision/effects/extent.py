@@ -135,7 +135,7 @@ def _lobes(
     of_cell = sums.cells.surface
     along = times(slope[of_cell], peak * rms / (d * (1 - q)))
     moved = times(along[:, None], times(sums.k_lobe, sums.spectrum[k])[of_cell])
-    return np.minimum(moved + either * (4 * q / (1 - q) ** 5)[:, None], either)
+    return np.minimum(moved + times(either, (4 * q / (1 - q) ** 5)[:, None]), either)
 
 
 def _by_place(sums: Sums, k: int, place: Source, area: float) -> tuple[np.ndarray, np.ndarray]:
