@@ -1,18 +1,13 @@
 """Autocorrelation times against emcee's, R-hat and effective draws against ArviZ', and both against
 an autoregression, whose own are known: tau = (1 + rho) / (1 - rho)."""
 
-import warnings
-
+import arviz
 import emcee
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from fitting.inference.convergence import autocorrelation_times, effective_draws, split_r_hat
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # its notice of a coming release
-    import arviz
 
 
 def autoregression(rho, *shape, seed=0):
