@@ -139,6 +139,26 @@ def test_sums_of_parts_judge_like_the_whole():
     assert found.faults == whole.faults != ()
 
 
+def test_what_has_as_many_rows_as_a_part_of_the_data_by_chance_is_given_whole():
+    """A table of twelve, of which the last chunk has as many rows."""
+    table, time = np.linspace(1, 2, 12), TIME[:112]
+    data = 2 * time + table.sum()
+
+    def pieces():
+        for begin in (0, 100):
+            part = slice(begin, begin + 100)
+            yield data[part], {"time": time[part], "knots": table}
+
+    free = {"base": Parameter(start=0.0), "slope": Parameter(start=0.0)}
+    for source, inputs in ((data, {"time": time, "knots": table}), (pieces, None)):
+        stated = Problem(free, line, SMALL, source, inputs=inputs, chunk=100)
+        read = list(chunks(stated))
+        assert len(read) == 2
+        for part in (stated, *read):
+            np.testing.assert_array_equal(part.inputs["knots"], table)
+            assert part.inputs["time"].shape == (100,)
+
+
 class Changing:
     """Yields fewer data at every call."""
 
@@ -160,6 +180,8 @@ class Changing:
         (lambda: iter(()), {}, "there are none"),
         (lambda: iter([(np.ones(3), np.ones(3)), (np.ones((3, 2)), np.ones(3))]), {}, "row has"),
         (np.array([1.0, np.inf]), {"inputs": np.ones(2)}, "infinite"),
+        (lambda: iter([(np.ones(3), np.ones(3)), (np.ones(2), np.ones(3))]), {}, "as many rows"),
+        (lambda: iter([(np.ones(3), 1.0), (np.ones(3), 2.0)]), {}, "the same each time"),
     ],
 )
 def test_what_cannot_be_read_is_said(data, options, expected):

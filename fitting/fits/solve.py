@@ -118,8 +118,9 @@ def fit(
             optimum = _searched_before(after, options)
         vector = jnp.asarray(optimum.vector, jnp.result_type(float))
         residuals = residuals_at(problem, vector, seed=seed)
-        totals = sums(residuals)
-        if problem.stream is not None:
+        if problem.stream is None:
+            totals = sums(residuals)
+        else:
             totals = residual_sums(problem, vector, advance, seed=seed)
     covariance = _inverse(optimum.curvature)
     checks = judge_sums(totals, float(np.trace(optimum.data_information @ covariance)))

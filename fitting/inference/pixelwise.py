@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .curvature import gauss_newton, prior_derivatives
 from .diagnostics import UNDETERMINED
 from .newton import minimise
 from .parameters import to_natural
@@ -23,7 +24,7 @@ from .problem import (
     prediction,
     values_at,
 )
-from .search import SAME_PLACE, gauss_newton, negative_log_density, prior_derivatives
+from .search import SAME_PLACE, negative_log_density
 
 TOLERANCE = 1e-10  # fall in cost that another step promises
 

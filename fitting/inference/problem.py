@@ -114,8 +114,7 @@ class Problem(eqx.Module):
         self.records = dict(records or {})
         self.stream = None
         if chunk is not None:
-            self.stream, sample = opened(data, inputs, likelihood, chunk)
-            data, inputs, likelihood = sample.data, sample.inputs, sample.likelihood
+            self.stream, data, inputs, likelihood = opened(data, inputs, likelihood, chunk)
         self.inputs = as_arrays(inputs)
         self.free = tuple(
             placed(name, entry, self.records)

@@ -15,10 +15,11 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
+from .curvature import prior_derivatives, squares, with_prior
 from .newton import minimise_read, twice
 from .parameters import log_prior
 from .problem import Problem, Vector, log_likelihood
-from .search import BATCH, Optimum, prior_derivatives, squares, with_prior
+from .search import BATCH, Optimum
 from .streams import Advance, chunks
 
 Derivatives = tuple[Array, Array, Array]

@@ -7,7 +7,7 @@ data where an approximation is enough: where a search begins, and in figures.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import equinox as eqx
@@ -29,13 +29,11 @@ class Rows:
 
     Attributes:
         data: (rows, ...).
-        inputs: PyTree; leaves with as long a first axis belong to the rows.
-        likelihood: its numbers likewise.
+        own: (rows, ...) each, those leaves of inputs and likelihood that belong to the rows.
     """
 
     data: np.ndarray
-    inputs: Any
-    likelihood: Any
+    own: tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +46,8 @@ class Stream:
         data: (rows, ...) array, or the function that yields some rows after others.
         inputs: as the problem's user gave them.
         likelihood: likewise.
+        beside: inputs and likelihood, those of the first rows where the function yields them.
+        by_row: of each leaf of these, whether it belongs to the rows; the others hold for all.
         size: rows of a chunk.
         count: rows in all, known after the first pass.
     """
@@ -55,8 +55,10 @@ class Stream:
     data: Any = field(repr=False)
     inputs: Any = field(repr=False)
     likelihood: Any = field(repr=False)
+    beside: tuple[Any, Any] = field(repr=False)
+    by_row: tuple[bool, ...]
     size: int
-    count: int
+    count: int = 0
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Stream)
@@ -65,7 +67,9 @@ class Stream:
         return hash(Stream)
 
 
-def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, Rows]:
+def opened(
+    data: Any, inputs: Any, likelihood: Any, size: int
+) -> tuple[Stream, np.ndarray, Any, Any]:
     """Reads all data once: counts, checks and samples them.
 
     Args:
@@ -76,7 +80,8 @@ def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, 
         size: rows of a chunk.
 
     Returns:
-        The stream, and `size` rows in their order; NaN in rows that are missing.
+        The stream, and a sample: `size` rows of data in their order, NaN in rows that are missing,
+        their inputs and their likelihood.
 
     Raises:
         InputError: for data that are no such thing, that are infinite or none, and for groups.
@@ -95,9 +100,10 @@ def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, 
         )
     if not callable(data) and not hasattr(data, "shape"):
         data = np.asarray(data)
+    stream = Stream(data, inputs, likelihood, *_beside(data, inputs, likelihood), size)
     rng = np.random.default_rng(SEED)
     count, kept, keys = 0, None, np.empty(0)
-    for piece in _pieces(data, inputs, likelihood, size):
+    for piece in _pieces(stream):
         _check(piece, kept)
         count += len(piece.data)
         own = rng.random(len(piece.data))
@@ -111,8 +117,8 @@ def opened(data: Any, inputs: Any, likelihood: Any, size: int) -> tuple[Stream, 
         raise InputError("data: there are none to read.")
     filled, there = _filled(kept, size)
     blank = there.reshape(-1, *[1] * (filled.data.ndim - 1))
-    sample = Rows(np.where(blank, filled.data, np.nan), filled.inputs, filled.likelihood)
-    return Stream(data, inputs, likelihood, size, count), sample
+    sample = np.where(blank, filled.data, np.nan)
+    return replace(stream, count=count), sample, *_placed(stream, stream.beside, filled)
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
@@ -135,14 +141,11 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
     done, whole = 0, -(-stream.count // stream.size)
     for rows, there in _chunks(stream):
         known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
+        beside = _floating(_placed(stream, (problem.inputs, problem.likelihood), rows))
         yield eqx.tree_at(
             lambda p: (p.data, p.present, p.inputs, p.likelihood),
             problem,
-            (
-                jnp.asarray(np.where(known, rows.data, 0)),
-                jnp.asarray(known),
-                *(_floating(tree) for tree in (rows.inputs, rows.likelihood)),
-            ),
+            (jnp.asarray(np.where(known, rows.data, 0)), jnp.asarray(known), *beside),
             is_leaf=lambda x: x is None,
         )
         done += int(there.sum())
@@ -155,25 +158,58 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
         )
 
 
-def _pieces(data: Any, inputs: Any, likelihood: Any, size: int) -> Iterator[Rows]:
-    """As they come, the data floating."""
-    dtype = jnp.result_type(float)
+def _beside(data: Any, inputs: Any, likelihood: Any) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
+    """Inputs and likelihood, and which of their leaves belong to the rows."""
     if not callable(data):
-        everything = Rows(data, inputs, likelihood)
-        for begin in range(0, len(data), size):
-            some = _taken(everything, slice(begin, begin + size))
-            yield Rows(np.asarray(some.data, dtype), some.inputs, some.likelihood)
+        beside, known = (inputs, likelihood), len(data)
+        return beside, tuple(_by_row(leaf, known) for leaf in jax.tree.leaves(beside))
+    first = next(iter(cast(Iterable[Any], data())), None)
+    if not isinstance(first, tuple):
+        return (inputs, likelihood), (False,) * len(jax.tree.leaves((inputs, likelihood)))
+    rows, yielded = first
+    count = np.shape(rows)[0] if np.ndim(rows) else 0
+    own = [_by_row(leaf, count) for leaf in jax.tree.leaves(yielded)]
+    return (yielded, likelihood), (*own, *[False] * len(jax.tree.leaves(likelihood)))
+
+
+def _pieces(stream: Stream) -> Iterator[Rows]:
+    """As they come, the data floating."""
+    data, dtype = stream.data, jnp.result_type(float)
+    if not callable(data):
+        own = _chosen(stream, stream.beside)
+        for begin in range(0, len(data), stream.size):
+            part = slice(begin, begin + stream.size)
+            yield Rows(np.asarray(data[part], dtype), tuple(np.asarray(leaf[part]) for leaf in own))
         return
     for piece in cast(Iterable[Any], data()):
-        rows, own = piece if isinstance(piece, tuple) else (piece, inputs)
-        yield Rows(np.asarray(rows, dtype), own, likelihood)
+        rows, inputs = piece if isinstance(piece, tuple) else (piece, stream.beside[0])
+        rows = np.asarray(rows, dtype)
+        beside = inputs, stream.likelihood
+        _check_beside(stream, beside, len(rows) if rows.ndim else 0)
+        yield Rows(rows, tuple(np.asarray(leaf) for leaf in _chosen(stream, beside)))
+
+
+def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
+    """That inputs which a function yields are alike in every piece."""
+    alike = jax.tree.structure(beside) == jax.tree.structure(stream.beside)
+    if alike:
+        pairs = zip(jax.tree.leaves(beside), jax.tree.leaves(stream.beside), strict=True)
+        alike = all(
+            _by_row(leaf, count) if own else leaf is first or np.array_equal(leaf, first)
+            for (leaf, first), own in zip(pairs, stream.by_row, strict=True)
+        )
+    if not alike:
+        raise InputError(
+            "inputs: of what the function yields with the data, the same arrays must have as many "
+            "rows as the data each time, and all else must be the same each time."
+        )
 
 
 def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
     """Chunks of one size, and which of their rows are there."""
     rest = None
     every = np.ones(stream.size, bool)
-    for piece in _pieces(stream.data, stream.inputs, stream.likelihood, stream.size):
+    for piece in _pieces(stream):
         rows = _joined(rest, piece)
         begin = 0
         while len(rows.data) - begin >= stream.size:
@@ -195,27 +231,32 @@ def _check(piece: Rows, first: Rows | None) -> None:
         raise InputError("Some of the data are infinite: mark missing ones by NaN.")
 
 
+def _chosen(stream: Stream, beside: tuple[Any, Any]) -> tuple[Any, ...]:
+    """The leaves of inputs and likelihood that belong to the rows."""
+    leaves = jax.tree.leaves(beside)
+    return tuple(leaf for leaf, own in zip(leaves, stream.by_row, strict=True) if own)
+
+
+def _placed(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, Any]:
+    """Inputs and likelihood with what belongs to these rows, in place of others."""
+    leaves, form = jax.tree.flatten(beside)
+    own = iter(rows.own)
+    return jax.tree.unflatten(
+        form,
+        [next(own) if mine else leaf for leaf, mine in zip(leaves, stream.by_row, strict=True)],
+    )
+
+
 def _taken(rows: Rows, index: Any) -> Rows:
-    count = len(rows.data)
-
-    def part(leaf: Any) -> Any:
-        return np.asarray(leaf)[index] if _by_row(leaf, count) else leaf
-
-    return Rows(*(jax.tree.map(part, x) for x in (rows.data, rows.inputs, rows.likelihood)))
+    return Rows(rows.data[index], tuple(leaf[index] for leaf in rows.own))
 
 
 def _joined(first: Rows | None, second: Rows) -> Rows:
     if first is None:
         return second
-
-    def both(one: Any, other: Any) -> Any:
-        rows = _by_row(one, len(first.data)) and _by_row(other, len(second.data))
-        return np.concatenate([one, other]) if rows else one
-
     return Rows(
         np.concatenate([first.data, second.data]),
-        jax.tree.map(both, first.inputs, second.inputs),
-        jax.tree.map(both, first.likelihood, second.likelihood),
+        tuple(np.concatenate(pair) for pair in zip(first.own, second.own, strict=True)),
     )
 
 

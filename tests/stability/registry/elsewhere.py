@@ -476,7 +476,7 @@ ELSEWHERE = (
             fitting.fits.widening: residual_sums
             fitting.inference.misfit: judge_sums sums
             fitting.inference.newton: minimise_read twice
-            fitting.inference.search: prior_derivatives squares with_prior
+            fitting.inference.curvature: prior_derivatives squares with_prior
             fitting.inference.search_read: derivatives search_read
             fitting.inference.streams: chunks opened
         """,
@@ -488,7 +488,7 @@ ELSEWHERE = (
             fitting.fits.map: found_in_words
             fitting.fits.pixels: fit_map
             fitting.inference.pixelwise: fit_side_by_side
-            fitting.inference.search: gauss_newton
+            fitting.inference.curvature: gauss_newton
         """,
     ),
     Elsewhere(
