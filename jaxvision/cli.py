@@ -98,7 +98,10 @@ def inspect(
 def render(
     scene: Annotated[
         str,
-        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+        typer.Argument(
+            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
+            metavar="SCENE",
+        ),
     ],
     out: Annotated[
         Path,
@@ -235,7 +238,10 @@ def render(
 def accuracy(
     scene: Annotated[
         str,
-        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+        typer.Argument(
+            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
+            metavar="SCENE",
+        ),
     ],
     knob: KnobNames = None,
     seconds: Annotated[float, typer.Option(help="Time to measure, s.")] = 60.0,
@@ -284,7 +290,10 @@ def _share(text: str) -> float:
 def effects(
     scene: Annotated[
         str,
-        typer.Argument(help="TOML scene file, or the name of a shipped scene.", metavar="SCENE"),
+        typer.Argument(
+            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
+            metavar="SCENE",
+        ),
     ],
     camera: Annotated[
         str,

@@ -19,6 +19,7 @@ from .scene import TriangleMesh
 
 Vector = Sequence[float | int] | np.ndarray
 Axes = Sequence[Vector] | np.ndarray
+Affine = Sequence[Sequence[float | int]] | np.ndarray
 
 
 def read_mesh(
@@ -27,21 +28,24 @@ def read_mesh(
     scale: float | int = 1.0,
     rotation: Axes | None = None,
     position: Vector = (0.0, 0.0, 0.0),
+    matrix: Affine | None = None,
     smooth: bool = False,
     flip: bool = False,
     dtype: str | np.dtype | None = None,
 ) -> TriangleMesh:
     """Reads the triangles of a file, in its order.
 
-    Points are scaled, then rotated, then moved. Triangles without area in the numbers of `dtype`,
-    which no ray would hit, are left out, and a warning counts them. Coordinates that are not finite
-    are kept; `geometry.problems` reports them.
+    Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles without area in
+    the numbers of `dtype`, which no ray would hit, are left out, and a warning counts them.
+    Coordinates that are not finite are kept; `geometry.problems` reports them.
 
     Args:
         path: the file.
         scale: m per unit of the file, 1 if it is in m.
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
+        matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world,
+            instead of scale, rotation and position; one that mirrors keeps the outside outside.
         smooth: take the file's normals at the vertices or, if it has none, the means of the
             adjacent triangles weighted by their angles; otherwise triangles are flat.
         flip: reverse every triangle and every normal.
@@ -51,25 +55,47 @@ def read_mesh(
         The mesh.
 
     Raises:
-        InputError: there is no such file, it is not a mesh, or a triangle names a vertex that does
-            not exist.
+        InputError: there is no such file, it is not a mesh, a triangle names a vertex that does
+            not exist, or the matrix flattens it.
     """
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such mesh file; check the name and the folder.")
     loaded = _load(file)
-    axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
-    vertices = scale * np.asarray(loaded.vertices, float) @ axes + np.asarray(position, float)
+    loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
+    vertices = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
         vertices = vertices.astype(jnp.result_type(float) if dtype is None else dtype)
     faces = _with_area(file, vertices, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
-        normals = (np.asarray(loaded.vertex_normals, float) @ axes).astype(vertices.dtype)
+        normals = np.asarray(loaded.vertex_normals, float).astype(vertices.dtype)
     if flip:
         faces = faces[:, ::-1]
         normals = None if normals is None else -normals
     return TriangleMesh(vertices, faces, normals=normals)
+
+
+def _to_world(
+    file: Path,
+    scale: float | int,
+    rotation: Axes | None,
+    position: Vector,
+    matrix: Affine | None,
+) -> np.ndarray:
+    """(4, 4), of column vectors, m."""
+    whole = np.eye(4)
+    if matrix is None:
+        axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
+        whole[:3, :3], whole[:3, 3] = scale * axes.T, position
+        return whole
+    given = np.asarray(matrix, float)
+    if given.shape != (3, 4) or not np.isfinite(given).all():
+        raise InputError(f"{file}: matrix must be three rows of four finite numbers; correct it.")
+    if not np.linalg.det(given[:, :3]):
+        raise InputError(f"{file}: matrix flattens the mesh; give one that has an inverse.")
+    whole[:3] = given
+    return whole
 
 
 def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

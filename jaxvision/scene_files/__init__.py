@@ -1,4 +1,5 @@
-"""Scene files: TOML with lights, surfaces, materials and a camera, read as records.
+"""Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
+Mitsuba, of whose XML `mitsuba` says what is read.
 
 `schema` documents the format. Eager; every mistake is an `InputError` of one sentence that names
 the file and the object. The scenes that ship with the library are read by their names.
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -71,7 +73,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     """Reads and checks a scene file, or a shipped scene by its name.
 
     Args:
-        path: the file, or one of `shipped_scenes`.
+        path: the file, TOML or Mitsuba's XML, or one of `shipped_scenes`.
 
     Returns:
         The scene and how to render it.
@@ -80,7 +82,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         InputError: the first mistake in the file, or the first problem that `scene_checks` finds.
     """
     file = existing_file(path, "scene")
-    entry = checked(file, read_toml(file, "scene"), SceneEntry, "scene")
+    entry = checked(file, _content(file), SceneEntry, "scene")
     folder = Folder(file)
     with _named(file, ""):
         bands = bands_of(entry.bands, entry.wavelengths)
@@ -122,6 +124,16 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         light_names,
         _digest(kept, kept_view),
     )
+
+
+def _content(file: Path) -> dict[str, Any]:
+    """The tables of a TOML file, or those that a scene of Mitsuba amounts to."""
+    if file.suffix.lower() != ".xml":
+        return read_toml(file, "scene")
+    from .mitsuba import scene_of
+
+    with _named(file, ""):
+        return scene_of(file)
 
 
 def _digest(*records: object) -> str:

@@ -112,8 +112,13 @@ def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndar
 
 
 def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
-    if spectrum.file is not None:
-        known, values = _column(spectrum.file, spectrum.column, folder)
+    if spectrum.pairs is not None or spectrum.file is not None:
+        if spectrum.pairs is not None:
+            nanometres, values = np.asarray(spectrum.pairs).T
+            known = nanometres * 1e-9
+        else:
+            assert spectrum.file is not None
+            known, values = _column(spectrum.file, spectrum.column, folder)
         reduced = values @ reduction(known, bands, quantity=quantity)
     else:
         wanted = _samples(bands)

@@ -68,6 +68,7 @@ def shape_of(entry: surface_schema.Surface, folder: Folder, dtype: str) -> Shape
                 scale=entry.scale,
                 rotation=_checked_axes(entry.rotation),
                 position=entry.position,
+                matrix=entry.matrix,
                 smooth=entry.smooth,
                 flip=entry.flip,
                 dtype=dtype,

@@ -1,6 +1,7 @@
 """Numbers and spectra of a scene file."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -18,11 +19,12 @@ Count = Annotated[int, Field(strict=True, ge=1, lt=2**31)]
 
 
 class Tabulated(Entry):
-    """A spectrum given by name, reduced to the bands of the scene.
+    """A spectrum by its wavelengths or by name, reduced to the bands of the scene.
 
-    One of `file`, `illuminant`, `patch` and `blackbody` is given.
+    One of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
 
     Attributes:
+        pairs: [wavelength in nm, value], wavelengths ascending, as many as there are.
         file: a CSV with a header line and wavelengths in nm in its first column.
         column: header of the column with the values; by default the second column.
         illuminant: relative power by colour-science's name ("D65", "A", "FL2").
@@ -32,6 +34,7 @@ class Tabulated(Entry):
         scale: factor on the spectrum, no unit.
     """
 
+    pairs: Annotated[tuple[tuple[Positive, NonNegative], ...], Field(min_length=2)] | None = None
     file: str | None = None
     column: str | None = None
     illuminant: str | None = None
@@ -42,9 +45,12 @@ class Tabulated(Entry):
 
     @model_validator(mode="after")
     def _one_source(self) -> "Tabulated":
-        sources = (self.file, self.illuminant, self.patch, self.blackbody)
+        sources = (self.pairs, self.file, self.illuminant, self.patch, self.blackbody)
         if sum(source is not None for source in sources) != 1:
-            raise ValueError("give one of file, illuminant, patch and blackbody")
+            raise ValueError("give one of pairs, file, illuminant, patch and blackbody")
+        known = [wavelength for wavelength, _ in self.pairs or ()]
+        if any(after <= before for before, after in pairwise(known)):
+            raise ValueError("the wavelengths of pairs must ascend")
         if self.column is not None and self.file is None:
             raise ValueError("column is that of a file; give the file")
         return self

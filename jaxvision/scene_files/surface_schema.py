@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from ..toml_files import Entry
 from .spectrum_schema import (
     Axes,
+    Finite,
     Positive,
     Spectrum,
     Vector,
@@ -111,8 +112,11 @@ class BoxEntry(_Surface):
     rotation: Axes | None = None
 
 
+_Row = tuple[Finite, Finite, Finite, Finite]
+
+
 class MeshEntry(_Surface):
-    """Triangles from a file. Points are scaled, then rotated, then moved.
+    """Triangles from a file. Points are scaled, then rotated, then moved; or mapped by `matrix`.
 
     Attributes:
         shape: "mesh".
@@ -120,6 +124,8 @@ class MeshEntry(_Surface):
         scale: m per unit of the file.
         rotation: rows are the file's axes in the world.
         position: m, added to every point.
+        matrix: three rows of four numbers, an affine map of the file's points to m in the world,
+            instead of scale, rotation and position.
         smooth: shade with normals interpolated between vertices.
         flip: turn the surface inside out.
     """
@@ -129,8 +135,16 @@ class MeshEntry(_Surface):
     scale: Positive = 1.0
     rotation: Axes | None = None
     position: Vector = (0.0, 0.0, 0.0)
+    matrix: tuple[_Row, _Row, _Row] | None = None
     smooth: bool = False
     flip: bool = False
+
+    @model_validator(mode="after")
+    def _placed_once(self) -> "MeshEntry":
+        placed = {"scale", "rotation", "position"} & self.model_fields_set
+        if self.matrix is not None and placed:
+            raise ValueError(f"give either matrix or {', '.join(sorted(placed))}")
+        return self
 
 
 Surface = Annotated[
