@@ -44,7 +44,7 @@ FLOORS = [
     {"cli"},
     {"__main__"},
 ]
-PHYSICS = set.union(*FLOORS[2:16])
+KNOWN_TO_INFERENCE = {"errors", "io"}  # of `jaxvision`: no light, surface or camera
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},
@@ -102,6 +102,28 @@ def imports(file: Path) -> set[str]:
 
 
 @cache
+def offered(package: str) -> dict[str, str]:
+    """The module in which each name that a package offers is defined, from its stub."""
+    stub = ROOT / package / "__init__.pyi"
+    nodes = [node for node in ast.parse(stub.read_text()).body if isinstance(node, ast.ImportFrom)]
+    return {
+        alias.asname or alias.name: f"{package}.{node.module}"
+        for node in nodes
+        if node.module is not None
+        for alias in node.names
+    }
+
+
+def where_defined(name: str) -> str:
+    """`jaxvision.render` is `jaxvision.rendering.direct.render`: a name taken through a package
+    counts as taken from where it is defined."""
+    package, _, rest = name.partition(".")
+    if package not in ("jaxvision", "fitting") or rest not in offered(package):
+        return name
+    return f"{offered(package)[rest]}.{rest}"
+
+
+@cache
 def files_of_rooms(package: str) -> dict[str, list[Path]]:
     """The files of each top-level module of a package (a sub-package counts as one).
 
@@ -117,9 +139,9 @@ def files_of_rooms(package: str) -> dict[str, list[Path]]:
 
 @cache
 def rooms(package: str) -> dict[str, set[str]]:
-    """What each room imports."""
+    """What each room imports, by where it is defined."""
     return {
-        room: set[str]().union(*map(imports, files))
+        room: {where_defined(name) for file in files for name in imports(file)}
         for room, files in files_of_rooms(package).items()
     }
 
@@ -144,6 +166,7 @@ def outside(names: set[str]) -> set[str]:
 def test_the_reader_of_imports_reads():
     """A check that cannot fail is a defect: three imports that are known to be there."""
     plan = neighbours("jaxvision")
+    assert where_defined("jaxvision.render").startswith("jaxvision.rendering.")
     assert {"geometry", "scene", "_numerics"} <= plan["brdf"]
     assert {"sensor", "optics", "shading"} <= plan["shot"]
     assert "jax" in outside(rooms("jaxvision")["sensor"])
@@ -204,8 +227,18 @@ def test_the_stages_of_a_calibration_follow_each_other(folder):
 def test_inference_knows_no_physics_and_no_calibration():
     assert not neighbours("fitting")["inference"]
     used = {name.split(".")[1] for name in rooms("fitting")["inference"] if "jaxvision." in name}
-    assert "errors" in used  # the reader of imports reads
-    assert not used & PHYSICS
+    assert used == KNOWN_TO_INFERENCE
+
+
+def test_images_and_measured_files_are_two_calibrations():
+    """The calibrations of one folder use what they share there, not each other."""
+    for one, other in [("from_files", "from_images"), ("from_images", "from_files")]:
+        for file in (ROOT / "fitting" / "reflectance" / one).glob("*.py"):
+            taken = {name for name in imports(file) if f"reflectance.{other}" in name}
+            assert not taken, f"{file} must not import {sorted(taken)}"
+    for file in (ROOT / "fitting" / "noise").glob("*.py"):
+        taken = {name for name in imports(file) if "noise.across_settings" in name}
+        assert not taken, f"{file} must not import {sorted(taken)}"
 
 
 @pytest.mark.parametrize("package", ["jaxvision", "fitting"])
@@ -234,8 +267,8 @@ def borrowed(package: str) -> set[str]:
     """The private names that rooms import of other rooms. A module like `_types`, at the top of a
     package, is private to the package."""
     found = set()
-    for room, names in rooms(package).items():
-        for name in names:
+    for room, files in files_of_rooms(package).items():
+        for name in set[str]().union(*map(imports, files)):
             owner, *inner = name.split(".")
             if owner == package:
                 inner = [] if inner[:1] == [room] else inner[1:]
