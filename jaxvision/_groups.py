@@ -1,5 +1,5 @@
-"""Records of equal structure, stacked so that one program serves them all, and taken from the stack
-by an index that may be traced."""
+"""Records of equal structure, stacked so that one program serves them all; the index of a record in
+its stack may be traced."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

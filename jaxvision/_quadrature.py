@@ -1,7 +1,11 @@
-"""Nodes and weights on the unit interval."""
+"""Nodes and weights on the unit interval, and steps that fill the unit square."""
 
 import numpy as np
 from jaxtyping import Float
+
+# Steps of the two-dimensional Kronecker sequence: powers of the inverse of the plastic number,
+# x^3 = x + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+KRONECKER_STEPS = (0.7548776662466927, 0.5698402909980532)
 
 
 def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.ndarray, " order"]]:

@@ -229,8 +229,8 @@ def _seen_along(light: Lighting, direction: Vec) -> Colour:
 
 
 def _in_numbers(material: Material) -> Callable[[], Material]:
-    """The material, put together anew for each that reads it, of numbers whose cotangents all
-    lights share: those of arrays would be put side by side for each light, and added then."""
+    """The material, assembled from scalars at each use. All lights add to the cotangents of these
+    scalars; those of arrays would be stacked light by light before they are added."""
     leaves, tree = jax.tree.flatten(material)
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
     numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]

@@ -132,7 +132,7 @@ def _local(count: int) -> "Iterator[Client]":
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.deploy.lost-worker-timeout": f"{_LOOK} s",
     }
-    # Said by a process that outlives an interrupted command, of what ends with it.
+    # Python's resource tracker outlives an interrupted command and warns of what ended with it.
     sys.warnoptions.append("ignore:resource_tracker")
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with config.set(options):

@@ -181,7 +181,7 @@ class Changing:
         (lambda: iter([(np.ones(3), np.ones(3)), (np.ones((3, 2)), np.ones(3))]), {}, "row has"),
         (np.array([1.0, np.inf]), {"inputs": np.ones(2)}, "infinite"),
         (lambda: iter([(np.ones(3), np.ones(3)), (np.ones(2), np.ones(3))]), {}, "as many rows"),
-        (lambda: iter([(np.ones(3), 1.0), (np.ones(3), 2.0)]), {}, "the same each time"),
+        (lambda: iter([(np.ones(3), 1.0), (np.ones(3), 2.0)]), {}, "unchanged"),
     ],
 )
 def test_what_cannot_be_read_is_said(data, options, expected):

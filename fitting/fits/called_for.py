@@ -91,8 +91,8 @@ def called_for(
 
 
 def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
-    """By the ratio of the two likelihoods of simulated data, whose logarithm scatters by no more
-    than the tolerance or two."""
+    """`InputError` where the log ratio of the two likelihoods, on simulated data, is beyond the
+    limit; where only small effects were left out it is about the tolerance."""
     if not abs(float(_log_ratio(whole, left))) <= limit:
         raise InputError(
             "called_for: without what was left out, simulated data would be quite another; predict "

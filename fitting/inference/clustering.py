@@ -175,7 +175,7 @@ def _clustering(
 
 
 def _power(matrices: np.ndarray, power: float) -> np.ndarray:
-    """Of symmetric matrices (..., P, P), 0 in the directions of no extent."""
+    """Power of symmetric matrices, (..., P, P); directions without extent stay 0."""
     values, directions = np.linalg.eigh((matrices + np.swapaxes(matrices, -1, -2)) / 2)
     extended = values > WHOLE
     powers = np.where(extended, np.where(extended, values, 1) ** power, 0)

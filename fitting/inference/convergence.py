@@ -66,7 +66,7 @@ def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
 
 
 def effective_draws(draws: Float[np.ndarray, "chains draws"]) -> float:
-    """Number of independent draws that would tell the bulk of a parameter as well.
+    """Effective sample size of the bulk, from rank-normalised draws.
 
     Args:
         draws: (chains, draws) of one parameter.

@@ -76,7 +76,7 @@ def numerics(*known: Any) -> tuple[Any, Any]:
 
 
 def require_positive(what: str, value: Any) -> None:
-    """Refuses what can be no width; a name, or a value not known yet, passes.
+    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes.
 
     Args:
         what: is judged, in words.

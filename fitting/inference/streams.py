@@ -200,8 +200,8 @@ def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
         )
     if not alike:
         raise InputError(
-            "inputs: of what the function yields with the data, the same arrays must have as many "
-            "rows as the data each time, and all else must be the same each time."
+            "inputs: each chunk must come with input arrays of as many rows as its data, the same "
+            "ones in every chunk, and with all other inputs unchanged."
         )
 
 

@@ -62,7 +62,9 @@ def _prior_alone(posterior: Posterior) -> list[str]:
     told = [name for name, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
     if not told:
         return []
-    return [f"What is said of {listed(told)} is what the rig states, hardly what the images show."]
+    return [
+        f"The estimates of {listed(told)} are those that the rig states; the images add little."
+    ]
 
 
 def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:

@@ -46,8 +46,8 @@ def read_table(file: Path, bits: int | None) -> PhotonTransfer:
     light = _column(file, columns, "photons_per_pixel")
     if light.max() > MOST_PHOTONS:
         raise InputError(
-            f"{file}: photons_per_pixel reaches {light.max():.3g}, of which no pixel holds the "
-            f"electrons; correct the unit (at most {MOST_PHOTONS:g})."
+            f"{file}: photons_per_pixel reaches {light.max():.3g}, more than any pixel can "
+            f"hold; correct the unit (at most {MOST_PHOTONS:g})."
         )
     exposure = _column(file, columns, units[0]) * EXPOSURE_UNITS[units[0]]
     frames = columns.get(FRAMES_COLUMN, np.full(len(light), 2.0))

@@ -97,8 +97,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
-    """The method that lacks a figure, "" for both, None for neither; the likelihood's one dark
-    current, from means and variances together, is a parameter and no line of the sheet."""
+    """The method that has no figure for a quantity: "" if both lack it, None if neither does. The
+    likelihood has one dark current, from means and variances together, and no line for each."""
     if not standard and not likelihood:
         return ""
     return None if likelihood or name.startswith("dark_current") else LIKELIHOOD

@@ -13,8 +13,8 @@ what its gradient amounts to at the true curve (the corrected score of Nakamura,
 another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
 sum (ln t - mean)^2, is added to the posterior. So are, code by code, a tenth of the variance of
 ln X itself, what the score leaves of the bias of noisy logarithms; and of the slope, half of that
-variance which does not fall with the light: misregistration and compression, which are no noise of
-a code alone, so that it is open how much of them the score should take for one.
+variance which does not fall with the light. It comes from misregistration and compression, which
+are not noise of single codes, so that the right share of it in the score is open.
 
 Of a photograph, no more is believed than repeats: where tiles of the picture or exposures of the
 stack differ by more than this posterior allows, their jackknife (`repeats.py`) sets the error.

@@ -15,7 +15,7 @@ STEP = 2**0.5  # between settings that are inferred
 
 
 def bound(trial: Trial, floor: float) -> float:
-    """What the error of another run is below; of a hollow one the reference's own comes on top.
+    """Upper bound on the error of another run, with the reference's error for a hollow point.
 
     Args:
         trial: of a setting.

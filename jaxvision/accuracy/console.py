@@ -16,8 +16,8 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """What every command that measures is asked. What draws a page is imported here: an interrupt,
-    after which there is one all the same, leaves little time for it.
+    """Checks the options that all measuring commands share. What draws a page is imported here,
+    since an interrupted run still writes one and has little time for it.
 
     Args:
         seconds: s, to measure in.

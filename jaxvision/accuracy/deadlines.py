@@ -32,7 +32,7 @@ def _double() -> bool:
 
 
 class _Job:
-    """What is to be done, and in the end what came of it."""
+    """A task and, once it has run, its result."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self.work = work
@@ -84,7 +84,7 @@ def something_left_behind() -> bool:
 
 
 def wait_for_the_rest(left: Callable[[], float]) -> None:
-    """Waits until nothing that was left behind goes on, or its time is over.
+    """Waits until the threads that were left behind have ended, or the time is over.
 
     Args:
         left: s that are left for it.

@@ -261,7 +261,7 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """What times are those of: processor, cores and JAX.
+    """The machine that measured times belong to: processor, cores and JAX.
 
     Returns:
         One line of text.

@@ -160,7 +160,7 @@ class Session:
         compiling = 0.0
         if not self.is_compiled(setting):
             apart = [(p.setting, max(p.first - p.seconds, 0.0)) for p in before]
-            if len(apart) == 2:  # a program from a cache, or one that others share, tells no growth
+            if len(apart) == 2:  # a cached or shared program does not show growth
                 apart[0] = apart[0][0], max(apart[0][1], apart[1][1] / ONE_STEP)
             compiling = max(self.problem.compiling, _next(apart, setting, 0.0))
         running = _next([(p.setting, p.seconds) for p in before], setting, 1.0)

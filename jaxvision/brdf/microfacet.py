@@ -27,10 +27,13 @@ Alpha = Float[Array, "2"]
 print_by_name(globals(), "Alpha")
 
 
+LEAST_ROUGHNESS = 1e-6  # what is smoother counts as this
+
+
 @takes_numbers
 def at_least_polished(alpha: Alpha) -> Alpha:
     """The roughness that counts: below 1e-6 it is 1e-6, without gradient; no unit."""
-    return jnp.maximum(alpha, 1e-6)
+    return jnp.maximum(alpha, LEAST_ROUGHNESS)
 
 
 @takes_numbers

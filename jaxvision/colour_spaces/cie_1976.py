@@ -13,8 +13,8 @@ _BREAK = 6 / 29
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line t / (3 (6/29)^2) + 4/29
-    below. In two parts, of which f(t) - 4/29 is the sum: the line's constant never meets a dark
-    colour's digits, nor that of two cube roots those of their difference."""
+    below. In two parts whose sum is f(t) - 4/29, so that a dark colour loses no digits to the
+    line's constant, nor the difference of two cube roots to its own."""
     curved = t > _BREAK**3
     root = jnp.cbrt(jnp.where(curved, t, 1))
     return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)

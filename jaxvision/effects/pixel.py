@@ -246,15 +246,15 @@ class Pixel:
 
     @property
     def surely_counted(self) -> float:
-        """Variance that the brightest charge is sure to have: none of it where a well may cut it or
-        charges repel each other, which makes it smaller."""
+        """Least variance of the brightest charge; 0 if a full well may cut it or charges repel each
+        other, both of which reduce it."""
         sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0
         return self.light + self.dark if sure else 0.0
 
     @property
     def rank_of_counts(self) -> Rank:
-        """Of a bound that rests on the law of counts, which is not Poisson's where charges repel
-        each other; then that of more light is taken."""
+        """Rank of a bound that takes counts for Poisson's. Where charges repel each other they are
+        not, and a bound for more light stands in as an estimate."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property

@@ -286,8 +286,8 @@ def prune(
 
 
 def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
-    """Materials that have become a kind of their own while others of theirs remain, where there are
-    more kinds than before: each kind is shaded by a program of its own, so the whole would grow."""
+    """Materials whose pruning would add a kind of material: each kind is shaded by a program of its
+    own, so the whole would grow."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
         for surfaces in (scene.surfaces, draft.surfaces)

@@ -18,6 +18,7 @@ from ..brdf.glass import Glass
 from ..brdf.half_difference import HalfDifferenceTable
 from ..brdf.lambert import Lambert
 from ..brdf.measured import AnisotropicTable, IsotropicTable
+from ..brdf.microfacet import LEAST_ROUGHNESS
 from ..brdf.mirror import Mirror
 from ..brdf.oren_nayar import OrenNayar
 from ..brdf.phong import NormalisedPhong, Phong, PhongBRDF
@@ -28,7 +29,6 @@ from .angles import Angles
 from .bodies import numbers
 from .stages import Ends
 
-_LEAST_ROUGH = 1e-6  # as `brdf.microfacet` counts it
 _MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the angle
 
 
@@ -185,9 +185,9 @@ def _torrance_sparrow(x: Ends[TorranceSparrow]) -> Reflection:
     pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i + c_o))). The integral is at
     most 1, for facets only lose light.
     """
-    wide = max(_most(x, "roughness"), _LEAST_ROUGH)
+    wide = max(_most(x, "roughness"), LEAST_ROUGHNESS)
     small = np.min([np.broadcast_to(numbers(end.roughness), (2,)) for end in x], axis=0)
-    narrow = np.maximum(small, _LEAST_ROUGH)
+    narrow = np.maximum(small, LEAST_ROUGHNESS)
     peak, tight = 1 / (np.pi * narrow[0] * narrow[1]), narrow.min()
 
     def facets(cos_half: np.ndarray) -> np.ndarray:

@@ -15,14 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..scene import Sensor, ShotNoise
-from ..sensor import mean_photoelectrons
+from ..sensor import QUANTISATION_VARIANCE, mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
 from .boxes import refuse_tracers
 from .certificate import DN, Effect
 from .pixel import Bound, Pixel, clean, pixel_of, share_of_light
 from .stages import Draft, Ends, Gone, Response, Row
-
-QUANTISATION = 1 / 12  # DN^2, variance of rounding
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **sensor_light.BOUNDS,
@@ -116,7 +114,7 @@ def dark_noise(pixel: Pixel) -> float:
     dark = pixel.counted_dark
     read = (1 + conversion**2) * dark + (conversion * dark) ** 2 + pixel.added()
     variance = pixel.gain_low**2 * (1 + column**2) * read
-    rounding = 0.0 if pixel.sensor.high["bits"] is None else QUANTISATION
+    rounding = 0.0 if pixel.sensor.high["bits"] is None else QUANTISATION_VARIANCE
     return math.sqrt(variance + rounding)
 
 

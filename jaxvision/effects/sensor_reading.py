@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from ..scene import HeavyTailedReadNoise
+from ..sensor import QUANTISATION_VARIANCE
 from .overflow import excess
 from .pixel import INF, Bound, Pixel, growth
 
@@ -88,7 +89,7 @@ def bits(pixel: Pixel) -> Bound:
     smooth = pixel.gain_low**2 * _gaussian(pixel)
     if smooth >= 0.25:
         ripple = math.exp(-2 * math.pi**2 * smooth)
-        noise = growth(smooth, 1 / 12 + 2 * (4 * smooth + math.pi**-2) * ripple)
+        noise = growth(smooth, QUANTISATION_VARIANCE + 2 * (4 * smooth + math.pi**-2) * ripple)
         rounding = min(rounding, math.hypot(noise, 2 * ripple / math.pi))
     clipped = _clipped(pixel)
     why = f"rounds by {rounding:.2g} DN, clips {clipped:.2g} DN"

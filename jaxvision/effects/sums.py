@@ -4,8 +4,8 @@ The radiance of a pixel is a sum of terms, a geometry times a spectrum:
 
     L(x, b) = sum_l E_l(x) s_l(b) k_d(b) + sum_l lobe_l(x) s_l(b) k_s(b) + emission + ambient
 
-and here stands the supremum of each geometry over each cell. What a bound asks is a sum over some
-of the terms, at its largest over the cells that are seen. W m^-2 sr^-1; NumPy float64.
+and here stands the supremum of each geometry over each cell. A bound is the sum of some of the
+terms, at its largest over the cells that are seen. W m^-2 sr^-1; NumPy float64.
 """
 
 from collections.abc import Iterable, Sequence

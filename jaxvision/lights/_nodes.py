@@ -8,12 +8,8 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._quadrature import gauss_legendre
+from .._quadrature import KRONECKER_STEPS, gauss_legendre
 from .._types import Key
-
-# Steps of the two-dimensional Kronecker sequence: powers of the inverse of the plastic number,
-# x^3 = x + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
-_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 def product(
@@ -50,6 +46,6 @@ def shifted_lattice(
     Returns:
         Points, (samples, 2), and equal weights of sum 1, (samples,); no unit.
     """
-    lattice = jnp.asarray(np.arange(samples)[:, None] * _STEPS % 1, dtype)
+    lattice = jnp.asarray(np.arange(samples)[:, None] * np.array(KRONECKER_STEPS) % 1, dtype)
     points = (lattice + jax.random.uniform(key, (1, 2), dtype)) % 1
     return points, jnp.full(samples, 1 / samples, dtype)

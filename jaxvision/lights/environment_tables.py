@@ -71,7 +71,7 @@ def _tables(
     return _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
 
 
-@jax.jit  # apart from the tables, whose numbers as they are stored it takes
+@jax.jit  # compiled apart, so that it uses the tables as they were rounded
 def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Float[Array, "h w"]:
     """Probability of each pixel's draws by solid angle."""
     solid_angles = jnp.asarray(_solid_angles(len(rows) - 1, columns.shape[1] - 1), rows.dtype)

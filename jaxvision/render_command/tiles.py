@@ -97,7 +97,7 @@ class PartialImage:
                 held = held[size:]
 
     def delete(self) -> None:
-        """When the picture has its own file."""
+        """Deletes the partial file, once the picture is written."""
         if self._file is not None:
             self._file.close()
         self._path.unlink(missing_ok=True)
@@ -152,7 +152,7 @@ class PartialSum:
             os.fsync(file.fileno())
 
     def delete(self) -> None:
-        """When the picture has its own file."""
+        """Deletes the partial file, once the picture is written."""
         self._path.unlink(missing_ok=True)
 
 

@@ -163,7 +163,7 @@ def vertex(
         )
         chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
-    # stored, for else all that is computed of it would draw it again
+    # stored; otherwise XLA draws it again for every use
     world = together(as_vec(to_world(frame, chosen.onward.direction)))
     return eqx.tree_at(lambda v: v.onward.direction, chosen, world)
 

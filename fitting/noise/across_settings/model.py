@@ -35,7 +35,7 @@ Vector = Float[Array, " parameters"]
 
 
 class SharedModel(eqx.Module):
-    """Which settings share what, and what each tells.
+    """Which parameters the settings share, and the estimates that each setting supplies.
 
     Attributes:
         told: (settings, told) in the order of `TOLD`; 0 where nothing is told.

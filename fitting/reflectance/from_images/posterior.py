@@ -113,8 +113,8 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 def channel_posterior(
     fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int
 ) -> Posterior:
-    """Draws of one channel: Laplace with the robust covariance and Student's t, or, where the
-    likelihood is no Gaussian, draws from that whose 95 % intervals are as wide as that t's.
+    """Draws of one channel: Laplace with the robust covariance and Student's t. Where the
+    likelihood is not Gaussian, draws from one whose 95 % intervals are as wide as those of t.
 
     Args:
         fit: with a known covariance.

@@ -1,7 +1,7 @@
 """Where the elements of a plan receive light: in the part that no other body covers.
 
 Each is cut into parts once more, and what comes straight from a lamp is the mean over these: where
-the edge of a shadow runs through an element, as much of it is lit as is. Lengths in m.
+the edge of a shadow runs through an element, only its lit part counts. Lengths in m.
 """
 
 import equinox as eqx

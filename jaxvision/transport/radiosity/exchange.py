@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._numerics import dot, norm, reciprocal
+from ..._quadrature import KRONECKER_STEPS
 from ..._random import Stream, uniforms
 from ..._types import Scalar, check_count
 from ..._vector import Vec
@@ -32,8 +33,6 @@ from ._sources import largest_of, shapes_of
 from .patches import Patches
 
 TILE = 128  # elements by patches at once: what is not needed for any of them is skipped
-# steps of the Kronecker sequence of the plastic number (Roberts, 2018)
-_STEPS = (0.7548776662466927, 0.5698402909980532)
 Tile = tuple[Float[Array, "*tiles lengths n"], Int[Array, "*tiles numbers n"]]
 Numbered = tuple[Patches, Int[Array, "..."]]
 
@@ -170,7 +169,7 @@ def _place_above(
 
     def place(k: int) -> tuple[Scalar, Scalar]:
         number = (ray * _TRIES + k).astype(shift.dtype)
-        s, t = (u + number * step for u, step in zip(shift, _STEPS, strict=True))
+        s, t = (u + number * step for u, step in zip(shift, KRONECKER_STEPS, strict=True))
         return s - jnp.floor(s), t - jnp.floor(t)
 
     s, t = place(0)
