@@ -16,6 +16,7 @@ from jaxvision.accuracy import (
 )
 from jaxvision.accuracy.choice import candidates
 from jaxvision.accuracy.records import Order
+from jaxvision.accuracy.reference import mean_of
 from jaxvision.errors import InputError
 
 LENGTH = 400  # numbers of a result, where it stands for a picture
@@ -318,7 +319,7 @@ def test_a_setting_that_the_problem_refuses_is_left_out_and_says_why():
     found = curve(Problem("pixels", prepare), knob, seconds=100.0)
     assert [trial.setting for trial in found.trials] == [4, 16, 64]
     assert [trial.seeds for trial in found.trials] == [8, 7, 8]
-    assert (found.not_run, found.stopped) == ((1,), "refused (only 1 pixels)")
+    assert (found.not_run, found.stopped) == ((1,), "1 refused (only 1 pixels)")
     with pytest.raises(InputError, match="only 2 pixels"):
         curve(Problem("pixels", prepare), knob, settings=(2, 3), seconds=100.0)
 
@@ -361,12 +362,102 @@ def test_several_norms_are_kept():
     np.testing.assert_allclose(trial.norms["p99"], np.quantile(np.abs(apart), 0.99) / level)
 
 
-def test_nan_is_no_perfect_result():
-    problem = Problem("nan", lambda settings: lambda seed: np.full(4, np.nan))
-    found = curve(replace(problem, exact=np.ones(4)), N, clock=STILL)
-    assert np.isnan(found.trials[0].error)
-    with pytest.raises(InputError, match="no error is known"):
-        choose(found, tolerance=1.0)
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("knob", [N, RANDOM])
+def test_a_result_that_is_not_finite_is_left_out_and_says_so(knob, wrong):
+    """In all settings, in the first, in the reference: what is left has an error all the same."""
+
+    def broken(*lost):
+        def prepare(settings):
+            n = settings["n"]
+            value = wrong if n in lost else 1 + 1 / n**2
+            return lambda seed: np.array([1.0, value, 1.0]) + 1e-13 * seed * knob.random
+
+        return Problem("broken", prepare)
+
+    every = (*knob.settings, *knob.reference)
+    with pytest.raises(InputError, match=r"of n 4 is not finite in 1 of 3 numbers"):
+        curve(broken(*every), knob, clock=STILL)
+    found = curve(broken(4), knob, clock=STILL)
+    assert found.not_run == (4,)
+    assert found.stopped.startswith("4 refused (broken: the result of n 4 is not finite")
+    assert choose(found, tolerance=0.1).setting > 4
+    last = knob.settings[-1]
+    found = curve(broken(*knob.reference), knob, clock=STILL)
+    assert found.reference.setting == last
+    assert [trial.setting for trial in found.trials] == list(knob.settings)
+    assert last**-2.0 / 3 < found.reference.error * np.sqrt(3) < 17 * last**-2.0
+    with pytest.raises(InputError, match="the reference holds numbers that are not finite"):
+        curve(broken(), knob, reference=[wrong, 1, 1], clock=STILL)
+
+
+@pytest.mark.parametrize("knob", [N, RANDOM])
+@pytest.mark.parametrize("at", [32, 128, 1024])
+def test_a_setting_that_fails_loses_no_other(knob, at):
+    """As one that needs more memory than there is, among the settings or in the reference; what
+    fails at once is a fault of the problem."""
+    plain = quadrature(midpoint)[0] if knob is N else monte_carlo()
+
+    def prepare(settings):
+        if settings["n"] >= at:
+            raise MemoryError("too large\nwith more to say")
+        return plain.prepare(settings)
+
+    found = curve(Problem("large", prepare), knob, clock=STILL)
+    run = [trial.setting for trial in found.trials]
+    assert run == [n for n in knob.settings if n < at]
+    assert np.isfinite(found.reference.error)
+    failed = max(knob.reference) >= at
+    assert ("refused (MemoryError: too large)" in found.stopped) == failed
+    with pytest.raises(MemoryError):
+        curve(Problem("large", prepare), knob, settings=(at, 2 * at), clock=STILL)
+
+
+def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
+    """All seeds agree, and no finer setting could be run: the scatter of the seeds is 0, the
+    reference's own error is not."""
+    knob = replace(RANDOM, settings=(4, 8), reference=())
+    found = curve(
+        Problem("biased", lambda s: lambda seed: np.full(9, 1 + 1 / s["n"] ** 2)), knob, clock=STILL
+    )
+    assert found.reference.error >= 1 / 8**2
+    with pytest.raises(InputError, match="and the reference itself within"):
+        choose(found, tolerance=1e-3)
+
+
+def test_the_mean_of_what_is_cut_off_is_cut_off_after_the_mean():
+    """Cut before, it would be darker; and its error is the scatter of means made anew."""
+    draws = 2 * np.random.default_rng(0).binomial(4, 0.5, (16, 64, LENGTH)) / 4
+
+    def cut(values):
+        return np.minimum(values, 1.1)
+
+    means = cut(draws.mean(axis=0))
+    found, error = mean_of(list(draws[:, 0]), cut)
+    np.testing.assert_allclose(found, means[0])
+    assert found.mean() > cut(draws).mean() + 0.05
+    np.testing.assert_allclose(error, np.sqrt(means.var(axis=0).mean()), rtol=0.15)
+    whole = mean_of(list(draws[:, 0]), None)[1]
+    np.testing.assert_allclose(whole, mean_of(list(draws[:, 0]), np.asarray)[1])
+
+
+@pytest.mark.parametrize("reference", [(64, 128), (48, 64), (64, 256), ()])
+@pytest.mark.parametrize("order", [-0.5, -1.0, -2.0, -4.0])
+@pytest.mark.parametrize("chance", [False, True])
+def test_the_error_of_a_reference_without_a_closed_form_is_the_true_one(reference, order, chance):
+    """Within 2 times, for settings that are and are not evenly apart, whether all numbers move to
+    one side or each by chance, as where rays decide what a patch sees."""
+    c = np.linspace(1, 2, LENGTH)
+
+    def result(n):
+        error = np.random.default_rng(n).standard_normal(LENGTH) if chance else c
+        return c + error * n**order
+
+    knob = replace(N, settings=(4, 8, 16, 32), reference=reference, order=None)
+    problem = Problem("sequence", lambda settings: lambda seed: result(settings["n"]))
+    found = curve(problem, knob, clock=STILL).reference
+    truth = relative_rms(result(found.setting), c)
+    assert truth / 2 < found.error < 2 * truth
 
 
 @pytest.mark.parametrize(

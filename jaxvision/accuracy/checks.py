@@ -13,7 +13,7 @@ from ..errors import InputError
 from .deadlines import OutOfTime, in_time
 from .norms import level_of
 from .records import Curve, Problem
-from .reference import DRAWS, FIRST_SEED
+from .reference import DRAWS, FIRST_SEED, mean_of
 from .session import Clock, part_seconds
 from .several import Combination, combined
 from .spread import next_error
@@ -130,15 +130,11 @@ def _fresh_error(
     """The error of settings by fresh seeds against the finest; None where that is no better."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
-    reference = np.mean(draws, axis=0)
-    level = level_of(reference, problem.level)
-    own = 0.0
-    if random:
-        own = float(np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)) / len(draws))) / level
+    compared = problem.compared or np.asarray
+    reference, own = mean_of(draws, compared) if random else (compared(draws[0]), 0.0)
     chosen = problem.prepare(turned)
-    errors = [
-        float(np.sqrt(np.mean((np.asarray(chosen(FIRST_SEED // 2 + n)) - reference) ** 2))) / level
-        for n in range(FRESH)
-    ]
-    found = next_error(np.array(errors))[2]
-    return None if own > found / 2 else found
+    results = [compared(np.asarray(chosen(FIRST_SEED // 2 + n))) for n in range(FRESH)]
+    errors = [np.sqrt(np.mean((one - reference) ** 2)) for one in results]
+    level = level_of(reference, problem.level)
+    found = next_error(np.array(errors) / level)[2]
+    return None if own / level > found / 2 else found

@@ -10,7 +10,7 @@ from ..errors import InputError
 from .fitted import holds
 from .records import Curve, Trial
 
-BEYOND = 2**14  # times the finest setting, as far as a declared order is relied upon
+BEYOND = 2**14  # times the finest setting, as far as the declared order of chance is relied upon
 STEP = 2**0.5  # between settings that are inferred
 
 
@@ -43,8 +43,10 @@ def candidates(curve: Curve) -> tuple[Trial, ...]:
         return run
     solid = [trial for trial in run if not trial.hollow]
     known, found = {trial.setting for trial in run}, list(run)
-    setting = float(solid[0].setting)
-    while (setting := setting * STEP) <= BEYOND * solid[-1].setting:
+    setting, most = float(solid[0].setting), BEYOND * solid[-1].setting
+    if not curve.knob.random:  # nobody knows whether a bias falls so beyond what was ever run
+        most = max(curve.knob.settings + curve.knob.reference)
+    while (setting := setting * STEP) <= most:
         if (whole := round(setting)) not in known:
             known.add(whole)
             found.append(_inferred(curve, solid, whole))

@@ -1,7 +1,6 @@
 """Error against time for one knob of one problem, within a budget."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,14 +14,14 @@ from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
-from .reference import PAIRED, paired_reference, random_reference
+from .reference import PAIRED, mean_of, paired_reference, random_reference
 from .session import GRACE, Clock, Point, Session, whole_seconds
 from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
 HOLLOW = 3.0  # errors below so many of the reference's say little
-WRONG = 3.0  # standard deviations between a reference and the finest setting
+CERTAIN = 0.99865  # that a reference and the finest setting beside it differ: 3 sigma
 LEAST = 2e-3  # s, below which nothing is begun
 REPEATS = 5  # of the time of a setting that is not random
 
@@ -95,7 +94,9 @@ def curve(
     how = "closed form" if reference is None else "given"
     found: tuple[Reference, Any] | None = None
     if given is not None:
-        found = Reference(None, 0.0, how), np.asarray(given, np.float64)
+        found = Reference(None, 0.0, how), session.compared(np.asarray(given, np.float64))
+        if not np.isfinite(found[1]).all():
+            raise InputError(f"{problem.name}: the reference holds numbers that are not finite.")
     stopped = ""
     try:
         with raised_interrupts(), np.errstate(invalid="ignore", over="ignore"):
@@ -114,14 +115,15 @@ def curve(
         raise KeyboardInterrupt("interrupted before anything was measured.")
     not_run = tuple(s for s in turned.settings if s not in run)
     late = session.given_up or any(setting not in session.refused for setting in not_run)
-    refused = next((f"refused ({why})" for why in session.refused.values()), "")
-    stopped = stopped or (f"out of time{session.given_up}" if late else refused)
+    why = (f"out of time{session.given_up}" if late else "", session.refusal)
+    stopped = stopped or ", ".join(filter(None, why))
     if not run:
         nothing = Reference(None, np.inf, "none")
         return Curve(problem.name, turned, (), nothing, None, (), not_run, stopped, session.taken)
     if found is None:
         last = session.points[run[-1]].results
-        found = Reference(run[-1], np.inf, "finest setting"), next(iter(last.values()))
+        nearest = session.compared(next(iter(last.values())))
+        found = Reference(run[-1], np.inf, "finest setting"), nearest
     points = [session.points[setting] for setting in run]
     told = partial(_told, session, points, *found, names, not_run)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -170,10 +172,10 @@ def _run_twice(session: Session, setting: Any) -> None:
     try:
         for seed in PAIRED:
             session.call(setting, seed, within=until - session.taken)
-    except InputError as refusal:
-        session.refuse(setting, refusal)
     except OutOfTime:  # one call alone tells a bias from chance no more than none
         session.points.pop(setting, None)
+    except Exception as refusal:  # of the problem, which may raise what it likes
+        session.refuse(setting, refusal)
 
 
 def _take_turns(session: Session, seeds: int) -> None:
@@ -185,11 +187,12 @@ def _take_turns(session: Session, seeds: int) -> None:
             known = setting in session.points
             if known and session.expected(setting, calls=1) <= session.left:
                 try:
-                    with suppress(InputError):  # a part of the pixels that cannot be fitted
-                        session.call(setting, number if session.knob.random else PAIRED[0])
+                    session.call(setting, number if session.knob.random else PAIRED[0])
                 except OutOfTime:  # slower than the calls before: it has been measured all the same
                     session.given_up = ""
                     return
+                except Exception:  # such as a part of the pixels that cannot be fitted
+                    continue
 
 
 def _told(
@@ -203,7 +206,7 @@ def _told(
 ) -> Curve:
     problem = session.problem
     some = np.asarray(next(iter(exact.values())) if isinstance(exact, dict) else exact)
-    shape = next(iter(points[0].results.values())).shape
+    shape = session.compared(next(iter(points[0].results.values()))).shape
     if not spreads_over(some.shape, shape):
         raise InputError(
             f"{problem.name}: a result has shape {shape}, and the reference {some.shape}; give one "
@@ -211,12 +214,13 @@ def _told(
         )
     level = level_of(some, problem.level)
     own = reference.error
-    if session.knob.random and reference.how == "other seeds":
-        own = max(own, _gap(points[-1], some, own))
+    apart = [point for point in points if point.setting != reference.setting]
+    if session.knob.random and reference.how == "other seeds" and apart:
+        own = max(own, _gap(session, apart[-1], some, own))
     if len(turned := session.knob.settings) > 1 and session.points.keys() == {reference.setting}:
         own = np.inf if reference.setting == turned[0] else own  # what all share does not show
     relative = replace(reference, error=own / level)
-    trials = [_trial(problem, session.knob, p, exact, level, relative.error, names) for p in points]
+    trials = [_trial(session, p, exact, level, relative.error, names) for p in points]
     return Curve(
         problem.name,
         session.knob,
@@ -230,32 +234,37 @@ def _told(
     )
 
 
-def _gap(finest: Point, reference: np.ndarray, error: float) -> float:
+def _gap(session: Session, finest: Point, reference: np.ndarray, error: float) -> float:
     """How far the finest setting is from the reference where that is more than their scatter
     allows, so that one of the two is wrong; else 0."""
-    results = np.stack(list(finest.results.values()))
-    apart = float(np.mean((results.mean(axis=0) - reference) ** 2))
-    scatter = float(np.mean(np.var(results, axis=0, ddof=1))) / len(results)
-    return float(np.sqrt(apart)) if apart > WRONG**2 * (scatter + error**2) else 0.0
+    from scipy.special import stdtrit
+
+    results = list(finest.results.values())
+    if len(results) < 2:
+        return 0.0
+    mean, own = mean_of(results, session.problem.compared)
+    apart = float(np.mean((mean - reference) ** 2))
+    limit = float(stdtrit((len(results) - 1) * mean.size, CERTAIN))
+    return float(np.sqrt(apart)) if apart > limit**2 * (own**2 + error**2) else 0.0
 
 
 def _trial(
-    problem: Problem,
-    knob: Knob,
+    session: Session,
     point: Point,
     exact: Any,
     level: float,
     floor: float,
     names: tuple[str, ...],
 ) -> Trial:
+    problem, knob = session.problem, session.knob
     truth: Mapping[int, np.ndarray] = exact if isinstance(exact, dict) else {}
     if not truth:
         truth = dict.fromkeys(point.results, np.asarray(exact))
     seeds = [seed for seed in point.results if seed in truth]
+    found = {seed: session.compared(point.results[seed]) for seed in seeds}
+    norms_named = (*names, "rms")
     each = [
-        norms_of(
-            point.results[s], truth[s], level, names=(*names, "rms"), developed=problem.developed
-        )
+        norms_of(found[s], truth[s], level, names=norms_named, developed=problem.developed)
         for s in seeds
     ]
     norms = {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each]))) for n in each[0]}
@@ -263,7 +272,7 @@ def _trial(
     if knob.random:
         error, low, high = next_error(main)
     else:
-        apart = np.stack([point.results[s] - truth[s] for s in seeds]) / level
+        apart = np.stack([found[s] - truth[s] for s in seeds]) / level
         error, low, high = _bias(main, apart)
     hollow = bool(norms["rms"] < HOLLOW * floor)
     times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)

@@ -8,6 +8,7 @@ import numpy as np
 
 Law = Literal["power", "geometric"]
 Compute = Callable[[int], Any]
+Compared = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,10 @@ class Problem:
         compiling: s that one more program is expected to take, before any was seen to.
         once: s of the last call that the whole takes no longer for, such as what comes before the
             first pixel of a picture.
+        compared: from a result, or the mean of several, to what is compared, such as radiance cut
+            at white; None: the result itself.
+        alone: by the name of a random knob `prepare` where the seed changes its chance alone, and
+            not that of other knobs, which would hide its error.
     """
 
     name: str
@@ -78,6 +83,8 @@ class Problem:
     compiling: float = 0.0
     once: Callable[[], float] = lambda: 0.0
     about: str = "Errors are root mean squares over the result, relative to that of the result."
+    compared: Compared | None = None
+    alone: Mapping[str, Callable[[Mapping[str, Any]], Compute]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
 """What errors are measured against, made apart from what is measured, and how far it may itself be
 off: by other seeds where a knob is random, by ever finer settings where it is not."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from .deadlines import OutOfTime
-from .records import Reference
+from .fitted import variable
+from .records import Compared, Knob, Reference
 from .session import Session
 
 DRAWS = 4  # independent ones that a random reference is the mean of, at least
@@ -18,49 +20,76 @@ LATEST = 0.9  # of the time that is left, after which a reference is given up
 FIRST_SEED = 1_000_000  # of references; trials have smaller seeds
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
 UNITS = 4  # in the last place, to which no sum is right
-MOST_TAIL = 3.0  # of the last step between two settings, for the rest of the sequence
+MOST_TAIL = 6.0  # of the last step between two settings, for the rest of a sequence
+STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.ndarray, float]:
+    """What is compared of the mean of at least two independent results, and its standard error as a
+    root mean square over its numbers, by the jackknife: what leaves one of them out, in turns. Of
+    results that are compared as they are that is their standard deviation over the root of their
+    number.
+
+    Source: Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982), ch. 3.
+    """
+    count, total = len(draws), np.sum(draws, axis=0)
+    if compared is None:
+        return total / count, _rms(np.std(draws, axis=0, ddof=1)) / count**0.5
+    without = np.stack([compared((total - draw) / (count - 1)) for draw in draws])
+    return compared(total / count), _rms(np.std(without, axis=0)) * (count - 1) ** 0.5
+
+
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
     """The mean of independent draws of the finest setting that time allows; its error, in the unit
-    of the result, is the scatter of the draws over the root of their number."""
-    setting, run = _finest(session, calls=DRAWS), tuple(session.points)
+    of the result, is that of the mean by their scatter."""
+    run = tuple(session.points)
+    setting = _finest(session, calls=DRAWS)
     try:
         draws = _drawn(session, setting)
-    except OutOfTime:
+    except Exception as failure:
+        late = isinstance(failure, OutOfTime)
         if setting not in run:
-            session.points.pop(setting, None)
+            if late:
+                session.points.pop(setting, None)
+            else:
+                session.refuse(setting, failure)
         coarser = run[: run.index(setting)] if setting in run else run
         if not coarser:
             raise
         setting = coarser[-1]
         draws = _drawn(session, setting)
-    mean = np.mean(draws, axis=0)
-    scatter = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1)))
-    return Reference(setting, float(scatter) / len(draws) ** 0.5, "other seeds"), mean
+    mean, error = mean_of(draws, session.problem.compared)
+    return Reference(setting, error, "other seeds"), mean
 
 
 def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
     """Independent draws of a setting, as many as are worth their time; what was foreseen wrongly
-    leaves something for a coarser one."""
+    leaves something for a coarser one, and a seed that fails after others is left out."""
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
     latest = session.taken + LATEST * session.left
-    while len(draws) < MOST_DRAWS:
+    for seed in range(FIRST_SEED, FIRST_SEED + MOST_DRAWS):
         if len(draws) >= DRAWS and session.taken + session.expected(setting, calls=1) > until:
             break
-        seed = FIRST_SEED + len(draws)
         try:
             point = session.call(setting, seed, within=latest - session.taken)
         except OutOfTime:
             if len(draws) < DRAWS:
                 raise
             break
+        except Exception:
+            if not draws:
+                raise
+            continue
         draws.append(point.results.pop(seed))
+    if len(draws) < 2:
+        raise InputError(
+            f"{session.problem.name}: {session.knob.name} {setting} fails with most seeds."
+        )
     return draws
 
 
@@ -69,7 +98,7 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
     follows from the steps between it and the two settings before it."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
-    steps: list[Any] = list(session.points)[-2:]
+    steps: list[Any] = list(session.points)[-3:]
     chosen = list(session.points)[-1]
     for setting in knob.reference:
         if session.expected(setting, calls=len(PAIRED)) > SHARE * session.left:
@@ -80,15 +109,22 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
         except OutOfTime:
             session.points.pop(setting, None)
             break
+        except Exception as failure:
+            session.refuse(setting, failure)
+            break
         steps = [step for step in steps if step != setting] + [setting]
         chosen = setting
-    found = {seed: session.points[chosen].results[seed] for seed in PAIRED}
+    rungs = (*steps[-3:-1], chosen)
+    ladder = [
+        {seed: session.compared(session.points[step].results[seed]) for seed in PAIRED}
+        for step in rungs
+    ]
+    found = ladder[-1]
     rounding = UNITS * session.points[chosen].rounding * _rms(found[PAIRED[0]])
     if exact and chosen == knob.reference[-1]:
         return Reference(chosen, rounding, "exact setting"), found
-    ladder = [session.points[step].results for step in steps[-3:]]
     how = "twice as fine" if chosen in knob.reference else "finest setting"
-    return Reference(chosen, max(_tail(ladder), rounding), how), found
+    return Reference(chosen, max(_tail(knob, rungs, ladder), rounding), how), found
 
 
 def _finest(session: Session, *, calls: int) -> Any:
@@ -101,16 +137,68 @@ def _finest(session: Session, *, calls: int) -> Any:
     return chosen
 
 
-def _tail(ladder: Sequence[dict[int, np.ndarray]]) -> float:
-    """What the last of a sequence is off by: the sum of the steps to come, if each is to the one
-    before as the last two are."""
+def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
+    """What the last of a sequence of two or three results is off by.
+
+    With errors E exp(-k x), x being what the knob's law is in, the step from one result to the next
+    is the difference of two errors where all numbers move to one side, and the root of the sum of
+    their squares where they move at random. The steps give k and with it the last error; which of
+    the two they are is told by the correlation of one with the next.
+    """
     if len(ladder) < 2:
         return float("inf")
     steps = [
-        _rms(np.mean([after[s] - before[s] for s in PAIRED], axis=0))
+        np.mean([after[seed] - before[seed] for seed in PAIRED], axis=0)
         for before, after in pairwise(ladder)
     ]
-    if len(steps) < 2 or steps[0] == 0:
-        return steps[-1]
-    ratio = steps[1] / steps[0]
-    return steps[1] * (min(ratio / (1 - ratio), MOST_TAIL) if ratio < 1 else MOST_TAIL)
+    last = _rms(steps[-1])
+    apart = [_apart(knob, *pair) for pair in pairwise(settings)]
+    if len(steps) < 2:
+        known = knob.order is not None and knob.law == "power"
+        return last * max(1.0, 1 / np.expm1(abs(knob.order or 1.0) * apart[0])) if known else last
+    first = _rms(steps[0])
+    if first == 0 or last == 0:
+        return last
+    alike = float(np.clip(np.mean(steps[0] * steps[1]) / (first * last), 0, 1))
+    bias = _bias_of_last(first / last, *apart)
+    chance = _chance_of_last(first / last, *apart)
+    return last * float(np.sqrt(alike * bias**2 + (1 - alike) * chance**2))
+
+
+def _apart(knob: Knob, coarse: Any, fine: Any) -> float:
+    """How far two settings are apart in the variable of the knob's law; 1 for words."""
+    if not all(isinstance(one, int | float) and one > 0 for one in (coarse, fine)):
+        return 1.0
+    return abs(variable(fine, knob.law) - variable(coarse, knob.law)) or 1.0
+
+
+def _bias_of_last(ratio: float, before: float, after: float) -> float:
+    """The error behind two steps to one side, over the last of them, by their ratio."""
+    if ratio <= before / after:
+        return MOST_TAIL
+    rate = _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
+    return float(min(1 / np.expm1(rate * after), MOST_TAIL))
+
+
+def _chance_of_last(ratio: float, before: float, after: float) -> float:
+    """The error behind two steps at random, over the last of them, by their ratio."""
+    if ratio <= 1:
+        return 1.0
+    squared = ratio**2
+    rate = _rate(
+        lambda k: (np.exp(2 * k * before) + 1) / (1 + np.exp(-2 * k * after)),
+        squared,
+        before,
+        after,
+    )
+    return float(1 / np.sqrt(np.exp(2 * rate * after) + 1))
+
+
+def _rate(law: Callable[[float], float], ratio: float, before: float, after: float) -> float:
+    """k at which a rising law has the ratio."""
+    from scipy.optimize import brentq
+
+    most = STEEPEST / max(before, after)
+    if law(most) <= ratio:
+        return most
+    return float(brentq(lambda k: np.log(law(k) / ratio), 1e-12, most))

@@ -161,6 +161,7 @@ def settings(
     if tolerance is not None:
         problem = scene_problem(scene_file, settings=own, seconds=seconds, clock=clock)
         picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
+        picture = picture if problem.compared is None else problem.compared(picture)
         level = float(np.sqrt(np.mean(picture**2)))
     pruned, prunable = None, until - (1 - PRUNING) * seconds
     with suppress(OutOfTime):

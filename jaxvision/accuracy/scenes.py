@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -30,6 +31,7 @@ NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 sam
 SCALING = 0.1  # of the time for everything, that one more program may take to scale times
 FEW = 16  # samples of a problem whose other knobs are turned
 APART = ("rule",)  # compared at a number of samples of its own, whatever the other knobs stand at
+OF_LIGHT = ("light samples", "rule", "gather")  # whose chance is not where rays meet a pixel
 _ABOUT = (
     "Times are those of the whole picture, errors root mean squares over its pixels relative to "
     "that of the picture."
@@ -136,8 +138,8 @@ def scene_problem(
     rows, columns = (_spread(size, min(probe, size)) for size in (height, width))
     places = tuple(axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
 
-    compiled: dict[str, Callable[[int], Callable[..., np.ndarray]]] = {}
-    brightest, once = np.inf, 0.0
+    compiled: dict[str, Callable[..., Callable[..., np.ndarray]]] = {}
+    once = 0.0
     now = clock or time.perf_counter
 
     def program(entry: RenderEntry) -> RenderEntry:
@@ -147,13 +149,12 @@ def scene_problem(
     def known(turned: Mapping[str, Any]) -> bool:
         return program(entry_of(own, turned)).model_dump_json() in compiled
 
-    def prepare(turned: Mapping[str, Any]) -> Compute:
+    def prepare(turned: Mapping[str, Any], *, within_pixels: int | None = None) -> Compute:
         entry = entry_of(own, turned)
         scene, view = as_dtype((source.scene, source.view), entry.dtype)
         given = replace(source, scene=scene, view=view)
         if own.integrator == "light":
-            small = _by_passes(given, entry, (len(rows), len(columns)), expand)
-            return lambda seed: np.minimum(small(seed), brightest)
+            return _by_passes(given, entry, (len(rows), len(columns)), expand)
         few = program(entry)
         if few.model_dump_json() not in compiled:
             compiled[few.model_dump_json()] = seeded_pixels_of(given, few)
@@ -163,10 +164,10 @@ def scene_problem(
         def compute(seed: int) -> np.ndarray:
             nonlocal once
             start = now()
-            pixels = seeded(seed)
+            pixels = seeded(seed, within_pixels)
             once = now() - start
             total = sum(pixels(*places, first, entry.depth).astype(np.float64) for first in firsts)
-            return np.minimum(_in_all_bands(np.asarray(total) / len(firsts), expand), brightest)
+            return _in_all_bands(np.asarray(total) / len(firsts), expand)
 
         return compute
 
@@ -194,6 +195,8 @@ def scene_problem(
         compiling=compiling,
         once=lambda: once,
         about=_ABOUT,
+        compared=lambda radiance: np.minimum(radiance, brightest),
+        alone=dict.fromkeys(OF_LIGHT, partial(prepare, within_pixels=0)),
     )
     everything = np.divmod(np.arange(min(own.tile, height * width)), width)
     pixels = height * width / len(places[0])

@@ -23,6 +23,10 @@ ONE_STEP = 4.0  # growth of compiling between two settings that is believed with
 UNKNOWN = 2.0  # growth from one setting to the next that is no larger number, at least
 
 
+class NotComparable(InputError):
+    """A result that no other setting's can be compared with: a fault of the problem."""
+
+
 @dataclass
 class Point:
     """The calls of one setting.
@@ -63,7 +67,7 @@ class Session:
         self.clock = clock or time.perf_counter
         self.begun = self.clock()
         self.points: dict[Any, Point] = {}
-        self.refused: dict[Any, InputError] = {}
+        self.refused: dict[Any, Exception] = {}
         self.given_up = ""
 
     @property
@@ -103,10 +107,11 @@ class Session:
             compute = point.compute
             if compute is None:
                 settings: Mapping[str, Any] = {**self.problem.settings, self.knob.name: setting}
-                compute = self.problem.prepare(settings)
+                own = self.problem.alone.get(self.knob.name, self.problem.prepare)
+                compute = own(settings)
             result = jax.block_until_ready(compute(seed))
             taken = self.clock() - start
-            return compute, np.asarray(result), taken, self.problem.once()
+            return compute, self._array(setting, result), taken, self.problem.once()
 
         def left() -> float:
             spent = self.clock() - begun
@@ -129,26 +134,56 @@ class Session:
         point.results[seed] = values.astype(np.float64)
         return point
 
+    def compared(self, values: Any) -> np.ndarray:
+        """What is compared of a result, or of the mean of several."""
+        return self.problem.compared(values) if self.problem.compared else np.asarray(values)
+
+    def _of(self, setting: Any) -> str:
+        return f"{self.problem.name}: the result of {self.knob.name} {setting}"
+
+    def _array(self, setting: Any, result: Any) -> np.ndarray:
+        try:
+            return np.asarray(result)
+        except ValueError:
+            raise NotComparable(f"{self._of(setting)} is no array; give real numbers.") from None
+
     def _check(self, setting: Any, values: np.ndarray) -> None:
-        """`InputError` for what is no array of real numbers of the shape of all others."""
-        of = f"{self.problem.name}: the result of {self.knob.name} {setting}"
+        """`NotComparable` for what is no array of real numbers of the shape of all others, and
+        `InputError` for numbers that are not finite."""
+        of = self._of(setting)
         if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool) or np.iscomplexobj(
             values
         ):
-            raise InputError(f"{of} is {values.dtype}; give real numbers.")
+            raise NotComparable(f"{of} is {values.dtype}; give real numbers.")
         if values.size == 0:
-            raise InputError(f"{of} is empty; give at least one number.")
+            raise NotComparable(f"{of} is empty; give at least one number.")
+        if lost := int(np.sum(~np.isfinite(values))):
+            raise InputError(
+                f"{of} is not finite in {lost} of {values.size} numbers, so that no error is known."
+            )
         shapes = {one.shape for p in self.points.values() for one in p.results.values()}
         if shapes and values.shape not in shapes:
-            raise InputError(
+            raise NotComparable(
                 f"{of} has shape {values.shape}, that of others {shapes.pop()}; give arrays that "
                 "can be compared."
             )
 
-    def refuse(self, setting: Any, why: InputError) -> None:
-        """Leaves out a setting that the problem cannot be computed with."""
+    def refuse(self, setting: Any, why: Exception) -> None:
+        """Leaves out a setting that the problem cannot be computed with. What cannot be compared,
+        or fails before anything was measured, is a fault of the problem and raised."""
         self.points.pop(setting, None)
+        if isinstance(why, NotComparable) or not (self.points or isinstance(why, InputError)):
+            raise why
         self.refused[setting] = why
+
+    @property
+    def refusal(self) -> str:
+        """What is said of the settings that were left out, "" for none."""
+        for setting, why in self.refused.items():
+            words = str(why).strip().split("\n")[0].rstrip(".")
+            kind = "" if isinstance(why, InputError) else f"{type(why).__name__}: "
+            return f"{setting} refused ({kind}{words})"
+        return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
         """s that so many calls of a setting will take: as much more than the last one as compiling

@@ -51,10 +51,11 @@ def pixels_of(
     return lambda rows, columns: compute(rows, columns).astype(np.float32)
 
 
-def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int], Computed]:
+def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
     """From a seed, by what comes before the first pixel, to the function of rows, columns and,
     where there are several samples, the number of the first of them; of paths also another depth,
-    at least 2, for which nothing is compiled.
+    at least 2, for which nothing is compiled. A second seed, where it is given, is that of where
+    rays meet a pixel.
 
     Args:
         source: the scene and its view.
@@ -72,20 +73,22 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int]
         scene: Scene,
         view: View,
         key: Key,
+        within: Key,
         ready: Solution | None,
         rows: Numbers,
         columns: Numbers,
         first: Array,
         depth: Array,
     ) -> Pixels:
-        samples = PixelSamples(jax.random.fold_in(key, 1), settings.samples)
+        samples = PixelSamples(jax.random.fold_in(within, 1), settings.samples)
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
         rays, pixels = along(scene, key, ready, depth), (rows, columns)
         return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
 
-    def seeded(seed: int) -> Computed:
+    def seeded(seed: int, within_pixels: int | None = None) -> Computed:
         key = jax.random.key(seed)
+        within = key if within_pixels is None else jax.random.key(within_pixels)
         ready = jax.block_until_ready(solved(key))
 
         def compute(
@@ -94,7 +97,7 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[[int]
             places = rows.astype(np.int32), columns.astype(np.int32)
             numbers = np.uint32(first), np.uint32(depth)
             with _in_words_of(source):
-                found = tile(source.scene, source.view, key, ready, *places, *numbers)
+                found = tile(source.scene, source.view, key, within, ready, *places, *numbers)
             radiance = np.asarray(found)
             return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
 

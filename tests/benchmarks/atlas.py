@@ -2,10 +2,11 @@
 `jaxvision.accuracy` and `fitting.accuracy` and on the rigs of a simulated afternoon, with the
 points of peers that do the same job, as pages for `docs/`.
 
-    python tests/benchmarks/atlas.py [--seconds 30] [--kept DIR] [--out docs/atlas] [--only WORD]
+    python tests/benchmarks/atlas.py [--minutes 60] [--kept DIR] [--out docs/atlas] [--only WORD]
 
-Each knob takes `--seconds`, its compilation included; at 30 s the whole takes about half an hour on
-two cores. Killed, it goes on where it was: curves and compiled programs are kept in `--kept`.
+All knobs share the time, compilation included, those of scenes and fits with more of it; what one
+leaves is not used, so that the whole takes less. Killed, it goes on where it was: curves and
+compiled programs are kept in `--kept`.
 Peers that are not installed (OpenCV, Mitsuba; Mitsuba needs `DRJIT_LIBLLVM_PATH`) are left out.
 """
 
@@ -42,18 +43,22 @@ from jaxvision.accuracy.tables import rows
 from jaxvision.errors import InputError
 from jaxvision.render_command import with_resolution
 from jaxvision.scene_files import read_scene
+from jaxvision.scene_files.schema import overridden
 
 STYLE = (
     "<style>svg{color:#1b1f24;background:#fff}@media (prefers-color-scheme:dark)"
     "{svg{color:#e6edf3;background:#0d1117}}</style>"
 )
 INK, PEER = "#010203", "#8250df"
-SCENES = (  # name, integrator, pixels a side
-    ("cornell_box", "path", 128),
-    ("cornell_box", "direct", 256),
-    ("cornell_box", "radiosity", 128),
-    ("glass_and_mirror", "rays", 128),
+SCENES = (  # name, pixels a side, `[render]`, knobs or all
+    ("cornell_box", 128, {"integrator": "path"}, ()),
+    ("cornell_box", 256, {"integrator": "direct"}, ()),
+    ("cornell_box", 256, {"integrator": "direct", "rule": "monte_carlo"}, ("light samples",)),
+    ("cornell_box", 128, {"integrator": "radiosity"}, ()),
+    ("cornell_box", 128, {"integrator": "radiosity", "gather": 16}, ("gather",)),
+    ("glass_and_mirror", 128, {"integrator": "rays"}, ()),
 )
+SHARES = {"Pictures": 1, "Cameras": 1, "Light": 1.5, "Fits": 2, "Scenes": 4}  # of the time
 
 
 @dataclass(frozen=True)
@@ -96,10 +101,10 @@ def jobs(kept: Path) -> dict[str, tuple[str, Job]]:
     for fit in ("noise", "response", "brdf"):
         for knob in _OF_FITS[fit]:
             found[f"{fit} {knob}"] = "Fits", _of_rig(kept / "lab", fit, knob)
-    for name, integrator, side in SCENES:
-        source = _replaced(read_scene(name), integrator, side)
-        for knob in knobs_of(source, source.render):
-            found[f"{name} {integrator} {knob}"] = "Scenes", _of_scene(source, knob)
+    for name, side, settings, knobs in SCENES:
+        source = _replaced(read_scene(name), settings, side)
+        for knob in knobs or knobs_of(source, source.render):
+            found[f"{name} {settings['integrator']} {knob}"] = "Scenes", _of_scene(source, knob)
     return found
 
 
@@ -111,9 +116,9 @@ _OF_FITS = {
 }
 
 
-def _replaced(source, integrator, side):
-    settings = source.render.model_copy(update={"integrator": integrator})
-    return replace(source, render=settings, view=with_resolution(source.view, (side, side)))
+def _replaced(source, settings, side):
+    view = with_resolution(source.view, (side, side))
+    return replace(source, render=overridden(source.render, settings), view=view)
 
 
 def _of_scene(source, knob: str) -> Job:
@@ -252,7 +257,7 @@ def _range(numbers: Iterable[float]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--minutes", type=float, default=60.0, help="for all, at most")
     parser.add_argument("--kept", type=Path, default=Path(".atlas"))
     parser.add_argument("--out", type=Path, default=Path("docs/atlas"))
     parser.add_argument("--only", default="")
@@ -262,13 +267,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     jax.config.update("jax_compilation_cache_dir", str(asked.kept / "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     every = jobs(asked.kept)
+    share = 60 * asked.minutes / sum(SHARES[page] for page, _ in every.values())
     sheets: dict[str, Sheet] = {}
     for name, (page, job) in every.items():
         known = (asked.kept / f"{slug(name)}.pickle").exists()
         if asked.only not in name or (asked.write and not known):
             continue
         try:
-            sheets[name] = measure(name, page, job, asked.kept, asked.seconds)
+            sheets[name] = measure(name, page, job, asked.kept, SHARES[page] * share)
         except InputError as error:  # such as a program that takes longer than its knob may
             print(f"{name}: {error}", flush=True)
     if asked.write or not asked.only:
