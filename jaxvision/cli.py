@@ -282,6 +282,8 @@ def _share(text: str) -> float:
     goal = parse(text)
     if goal.unit != "relative" or not goal.value > 0:
         raise InputError(f"--accuracy {text}: give a share of the picture above 0, as in 1%.")
+    if goal.value >= 1:
+        raise InputError(f"--accuracy {text}: a black picture is as near; give less, as in 1%.")
     return goal.value
 
 

@@ -234,6 +234,8 @@ def test_the_command_measures_a_scene(scene, tmp_path):
         (["accuracy", "BALL", "--seconds", "0"], "give a time above 0"),
         (["accuracy", "BALL", "--out", "BALL"], "is a file"),
         (["render", "BALL", "--out", "x.exr", "--accuracy", "1DN"], "a share of the picture"),
+        (["render", "BALL", "--out", "x.exr", "--accuracy", "200%"], "a black picture is as near"),
+        (["render", "BALL", "--out", "x.exr", "--accuracy", "5"], "a black picture is as near"),
         (
             ["render", "BALL", "--out", "x.exr", "--accuracy", "1%", "--samples", "4"],
             "--samples and a choice of settings exclude each other",

@@ -5,6 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from .several import Combination, combined
 from .spread import next_error
 
 FRESH = 3  # seeds of the check
+FINER = (4, 2)  # times a random setting, for the draws of a reference of the check
 ROUNDS = 3  # of tightening after a check that failed
 MARGIN = 0.9
 
@@ -95,33 +97,46 @@ def checked_error(
     """
     now = clock or time.perf_counter
     until = now() + seconds
+    turned = {**problem.settings, **best.settings}
+    random = any(one.knob.random for one in curves)
+    for finer in (None, *FINER) if random else (None,):
+        finest, each = _finer(problem, curves, best, finer)
+        compiling = sum(
+            problem.compiling
+            for one in (finest, turned)
+            if problem.compiled is None or not problem.compiled(one)
+        )
+        call = part_seconds(problem, best.seconds)
+        if compiling + DRAWS * each + FRESH * call <= seconds:
+            with suppress(OutOfTime):
+                work = partial(_fresh_error, problem, finest, turned, random)
+                return in_time(work, lambda: until - now())
+            return None
+    return None
+
+
+def _finer(
+    problem: Problem, curves: Sequence[Curve], best: Combination, finer: int | None
+) -> tuple[dict[str, Any], float]:
+    """Settings for a reference, and s of a call: of each knob those of its own reference; of random
+    ones at least four times the chosen number, or so many times where that takes too long."""
     measured = [one for one in curves if one.knob.name not in best.unknown]
     fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
-    call = each = part_seconds(problem, best.seconds)
+    each = part_seconds(problem, best.seconds)
     for one in measured:
-        if not one.knob.random:
-            base, setting = one.trials[0], fine.get(one.knob.name)
+        name = one.knob.name
+        setting = fine.get(name)
+        if not isinstance(setting, int | float):
+            continue
+        if one.knob.random:
+            chosen = best.settings[name]
+            fine[name] = max(setting, FINER[0] * chosen) if finer is None else finer * chosen
+            each *= fine[name] / chosen
+        else:
             known = {trial.setting: trial.seconds for trial in one.trials}
-            ends = known.get(best.settings[one.knob.name], base.seconds)
-            if isinstance(setting, int | float) and ends > 0:
-                each *= max(max(known.values()) / ends, 1.0)
-        elif isinstance(fine.get(one.knob.name), int | float):
-            setting = max(fine[one.knob.name], 4 * best.settings[one.knob.name])
-            fine[one.knob.name] = setting
-            each *= setting / best.settings[one.knob.name]
-    turned = {**problem.settings, **best.settings}
-    finest = {**turned, **fine}
-    compiling = sum(
-        problem.compiling
-        for one in (finest, turned)
-        if problem.compiled is None or not problem.compiled(one)
-    )
-    if compiling + DRAWS * each + FRESH * call > seconds:
-        return None
-    random = any(one.knob.random for one in curves)
-    with suppress(OutOfTime):
-        return in_time(lambda: _fresh_error(problem, finest, turned, random), lambda: until - now())
-    return None
+            ends = known.get(best.settings[name], one.trials[0].seconds)
+            each *= max(max(known.values()) / ends, 1.0) if ends > 0 else 1.0
+    return {**problem.settings, **best.settings, **fine}, each
 
 
 def _fresh_error(

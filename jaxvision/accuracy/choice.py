@@ -87,7 +87,8 @@ def choose(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Trial:
-    """The cheapest setting within a tolerance, or the most accurate within a time.
+    """The cheapest setting within a tolerance, or the most accurate within a time. Of settings
+    whose times cannot be told apart the most accurate is taken.
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.
@@ -118,7 +119,9 @@ def choose(
         enough = [trial for trial in found if bound(trial, floor) <= limit]
         if not enough:
             raise InputError(_not_reached(curve, found, floor, limit))
-        return min(enough, key=lambda trial: trial.seconds)
+        fastest = min(enough, key=lambda trial: trial.seconds)
+        as_fast = [trial for trial in enough if trial.seconds <= fastest.seconds_high]
+        return min(as_fast, key=lambda trial: (bound(trial, floor), trial.seconds))
     if not found:
         raise InputError(f"No setting takes at most {seconds:g} s: none was run; allow more time.")
     quick = [trial for trial in found if trial.seconds <= seconds]
