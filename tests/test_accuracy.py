@@ -341,6 +341,14 @@ def test_settings_between_and_beyond_are_inferred_where_the_order_holds():
         choose(shallow, tolerance=0.01)
 
 
+def test_of_settings_whose_times_cannot_be_told_apart_the_most_accurate_is_chosen():
+    """None of them inferred; a declared order is no measurement."""
+    clock = Clock()
+    found = curve(monte_carlo(clock=clock, cost=lambda n: 1e-3), RANDOM, clock=clock)
+    chosen = choose(found, tolerance=0.3)
+    assert (chosen.setting, chosen.measured) == (256, True)
+
+
 def test_the_most_accurate_within_a_time():
     clock = Clock()
     found = curve(monte_carlo(clock=clock), replace(RANDOM, whole=False), clock=clock)

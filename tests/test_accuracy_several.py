@@ -14,7 +14,7 @@ from scene_texts import BALL
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
 from jaxvision.accuracy.checks import checked_error, settled
 from jaxvision.accuracy.scene_settings import Chosen
-from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of
+from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of, scene_problem
 from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
@@ -277,6 +277,32 @@ order = 2
     by_chance = source.render.model_copy(update={"rule": "monte_carlo", "order": 4})
     base = base_of(by_chance, knobs_of(source, by_chance))
     assert entry_of(by_chance, base | {"light samples": 16}).order == 16
+
+
+def test_the_chance_of_light_is_measured_apart_from_that_of_places_within_pixels(tmp_path):
+    """The edges of the ball are hit elsewhere by each seed, but not where rules are compared: there
+    two seeds of a rule without chance agree, and those of a random one do not."""
+    lamp = """
+[[light]]
+kind = "rectangle"
+corner = [-0.5, -1.5, 3]
+edge_u = [0, 1, 0]
+edge_v = [1, 0, 0]
+radiance = [5, 5, 4]
+
+[render]
+integrator = "direct"
+samples = 4
+"""
+    (tmp_path / "lamp.toml").write_text(BALL + lamp)
+    problem = scene_problem(read_scene(tmp_path / "lamp.toml"))
+    apart = {}
+    for rule in ("quadrature", "monte_carlo"):
+        for kind, prepare in (("all", problem.prepare), ("light", problem.alone["rule"])):
+            compute = prepare({**problem.settings, "rule": rule})
+            apart[rule, kind] = np.sqrt(np.mean((compute(1) - compute(2)) ** 2))
+    assert apart["quadrature", "light"] == 0
+    assert 0 < apart["monte_carlo", "light"] < apart["quadrature", "all"]
 
 
 @pytest.mark.slow

@@ -62,10 +62,10 @@ def _inferred(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
     settings, times = zip(*((t.setting, t.seconds) for t in curve.trials), strict=True)
     if setting < last.setting:
         seconds = float(np.interp(setting, settings, times))
-    else:  # what one more unit costs, from the two ends of what was run
-        each = max(last.seconds - first.seconds, 0.0) / max(last.setting - first.setting, 1)
-        seconds = last.seconds + max(each, 0.0) * (setting - last.setting)
-        seconds = max(seconds, last.seconds)
+    else:  # what one more unit costs at most, from the two ends of what was run
+        more = max(last.seconds_high - first.seconds_low, 0.0)
+        each = more / max(last.setting - first.setting, 1)
+        seconds = last.seconds + each * (setting - last.setting)
     spread = near.seconds_high / near.seconds if near.seconds > 0 else 1.0
     return replace(
         near,
@@ -120,8 +120,8 @@ def choose(
         if not enough:
             raise InputError(_not_reached(curve, found, floor, limit))
         fastest = min(enough, key=lambda trial: trial.seconds)
-        as_fast = [trial for trial in enough if trial.seconds <= fastest.seconds_high]
-        return min(as_fast, key=lambda trial: (bound(trial, floor), trial.seconds))
+        as_fast = [t for t in enough if t.measured and t.seconds <= fastest.seconds_high]
+        return min(as_fast or [fastest], key=lambda trial: (bound(trial, floor), trial.seconds))
     if not found:
         raise InputError(f"No setting takes at most {seconds:g} s: none was run; allow more time.")
     quick = [trial for trial in found if trial.seconds <= seconds]

@@ -236,7 +236,8 @@ def _told(
 
 def _gap(session: Session, finest: Point, reference: np.ndarray, error: float) -> float:
     """How far the finest setting is from the reference where that is more than their scatter
-    allows, so that one of the two is wrong; else 0."""
+    allows, so that one of the two is wrong, or where all seeds of the reference agree, so that
+    nothing else tells its error; else 0."""
     from scipy.special import stdtrit
 
     results = list(finest.results.values())
@@ -245,7 +246,8 @@ def _gap(session: Session, finest: Point, reference: np.ndarray, error: float) -
     mean, own = mean_of(results, session.problem.compared)
     apart = float(np.mean((mean - reference) ** 2))
     limit = float(stdtrit((len(results) - 1) * mean.size, CERTAIN))
-    return float(np.sqrt(apart)) if apart > limit**2 * (own**2 + error**2) else 0.0
+    told = error == 0 or apart > limit**2 * (own**2 + error**2)
+    return float(np.sqrt(apart)) if told else 0.0
 
 
 def _trial(

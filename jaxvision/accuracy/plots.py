@@ -50,7 +50,7 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
     if shown and np.isfinite(floor) and floor > 0:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
-    exact = any(t.error == 0 for t in curve.trials)
+    exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
     _scaled(axes, [t.error for t in shown], "no error was found" if exact else _UNKNOWN)
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
@@ -149,7 +149,7 @@ def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:
 
     def text(value: float, _: Any) -> str:
         low, high = axis.get_view_interval()
-        if high > 20 * low:
+        if high > 50 * low:
             return ""
         return f"{value:.3g}" if high < 3 * low or f"{value:e}"[0] in "25" else ""
 

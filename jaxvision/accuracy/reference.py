@@ -201,4 +201,4 @@ def _rate(law: Callable[[float], float], ratio: float, before: float, after: flo
     most = STEEPEST / max(before, after)
     if law(most) <= ratio:
         return most
-    return float(brentq(lambda k: np.log(law(k) / ratio), 1e-12, most))
+    return brentq(lambda k: np.log(law(k) / ratio), 1e-12, most)  # pyright: ignore[reportReturnType]

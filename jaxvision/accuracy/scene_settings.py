@@ -113,7 +113,7 @@ def _with_base(knob: Knob, base: Any) -> Knob:
     """The knob with the setting at which it stands while others are turned among its settings."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
-    if base >= min(knob.reference):
+    if base >= max(knob.reference):
         return knob
     return replace(knob, settings=tuple(sorted({*knob.settings, base})))
 

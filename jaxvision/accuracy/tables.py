@@ -66,14 +66,14 @@ def _cells(curve: Curve) -> list[str]:
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
         best = min((bound(trial, curve.reference.error) for trial in curve.trials), default=np.inf)
-        known = f"at best {100 * best:.2g} %" if np.isfinite(best) else "no error is known"
+        known = f"at best {in_percent(best)}" if np.isfinite(best) else "no error is known"
         found[found.index(NOT_REACHED)] = f"{NOT_REACHED}: {known}"
     return found
 
 
 def _cell(trial: Trial) -> str:
     inferred = "" if trial.measured else " (inferred)"
-    return f"{trial.setting}{inferred}  {in_seconds(trial.seconds)}"
+    return f"{trial.setting}{inferred} in {in_seconds(trial.seconds)}"
 
 
 def _all(combination: Combination | None) -> str:
@@ -83,7 +83,7 @@ def _all(combination: Combination | None) -> str:
     words = ", ".join(
         f"{n} {setting}{left.get(n, '')}" for n, setting in combination.settings.items()
     )
-    return f"{words}  {in_seconds(combination.seconds)}"
+    return f"{words} in {in_seconds(combination.seconds)}"
 
 
 def in_seconds(seconds: float) -> str:
@@ -102,6 +102,18 @@ def in_seconds(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"
 
 
+def in_percent(error: float) -> str:
+    """A relative error with two digits that count.
+
+    Args:
+        error: relative.
+
+    Returns:
+        Text in percent.
+    """
+    return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
+
+
 def notes(curves: Sequence[Curve]) -> list[str]:
     """Sentences below the table: references, and what was not run.
 
@@ -115,7 +127,7 @@ def notes(curves: Sequence[Curve]) -> list[str]:
     for curve in curves:
         name, own = curve.knob.name, curve.reference
         of = "" if own.setting is None else f" {own.setting}"
-        error = f"{100 * own.error:.2g} %" if np.isfinite(own.error) else "not known"
+        error = in_percent(own.error) if np.isfinite(own.error) else "not known"
         if curve.trials:
             found.append(f"{name}: reference{of} ({own.how}), its own error {error}.")
         if curve.not_run:
@@ -190,7 +202,7 @@ def choice_in_words(chosen: Chosen) -> str:
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
     said = (
-        f"Chosen: {words}: within {100 * chosen.promised:.2g} % ({how}), about "
+        f"Chosen: {words}: within {in_percent(chosen.promised)} ({how}), about "
         f"{in_seconds(chosen.predicted_seconds)}."
     )
     if not chosen.unknown:

@@ -68,7 +68,6 @@ class Sheet:
     Attributes:
         page: title of the page.
         problem: its name.
-        rows: cells of the table, without the heads.
         curve: error against time.
         peers: points of others.
         seconds: s, that it was given.
@@ -77,11 +76,15 @@ class Sheet:
 
     page: str
     problem: str
-    rows: tuple[tuple[str, ...], ...]
     curve: Curve
     peers: tuple[Peer, ...]
     seconds: float = 12.0
     load: float = np.nan
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Of the table."""
+        return rows(Problem(self.problem, lambda settings: lambda seed: None), [self.curve])[1]
 
 
 Job = Callable[[float], tuple[Problem, Curve]]
@@ -167,13 +170,12 @@ def measure(name: str, page: str, job: Job, kept: Path, seconds: float) -> Sheet
     if file.exists():
         return pickle.loads(file.read_bytes())
     problem, found = job(seconds)
-    cells, load = tuple(rows(problem, [found])[1:]), os.getloadavg()[0]
-    sheet = Sheet(page, problem.name, cells, found, (), seconds, load)
+    sheet = Sheet(page, problem.name, found, (), seconds, os.getloadavg()[0])
     _keep(file, sheet)  # before its peers, of which one that ends the process costs its points only
     if name in PEERS:
         sheet = replace(sheet, peers=tuple(PEERS[name](problem, found)))
         _keep(file, sheet)
-    print(f"{name}: {found.taken:.0f} s", *sheet.rows[0], flush=True)
+    print(f"{name}: {found.taken:.0f} s", *sheet.cells, flush=True)
     return sheet
 
 
@@ -239,7 +241,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for name in names:
             sheet = sheets[name]
-            lines += [f"| {sheet.problem} | {' | '.join(row)} |" for row in sheet.rows]
+            lines.append(f"| {sheet.problem} | {' | '.join(sheet.cells)} |")
             told = ", ".join(
                 f"{p.name} {100 * p.error:.2g} % in {1e3 * p.seconds:.3g} ms" for p in sheet.peers
             )
@@ -257,7 +259,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
 def _range(numbers: Iterable[float]) -> str:
     """The least and the largest of those that are known."""
     known = sorted(one for one in numbers if np.isfinite(one))
-    ends = [f"{known[0]:.2g}", f"{known[-1]:.2g}"] if known else ["?"]
+    ends = [f"{known[0]:.0f}", f"{known[-1]:.0f}"] if known else ["?"]
     return " to ".join(dict.fromkeys(ends))
 
 
