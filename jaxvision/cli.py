@@ -311,7 +311,12 @@ def effects(
             help="Say what may be left out: 1% of the level, 0.5DN or 0.1sigma.", metavar="AMOUNT"
         ),
     ] = None,
-    place: Annotated[float, typer.Option(help="Pixels by which anything may move.")] = 0.1,
+    place: Annotated[
+        float | None,
+        typer.Option(
+            help="Pixels by which anything may move.", show_default="0.1; 0 of a tolerance of 0"
+        ),
+    ] = None,
     free: Annotated[
         list[str] | None,
         typer.Option(

@@ -1,5 +1,7 @@
 """Certified distances and shadow tests, against quadratic programmes and sampled segments."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles.direct_light import hit
@@ -7,8 +9,9 @@ from oracles.random_scenes import Draw
 from scipy.optimize import nnls
 
 import jaxvision as jv
+from jaxvision import effects
 from jaxvision.effects.blocking import may_block
-from jaxvision.effects.bodies import gap, stacked
+from jaxvision.effects.bodies import body_of, gap, is_closed, stacked
 from jaxvision.effects.cells import cells_of, eye_of, in_view
 from jaxvision.effects.illumination import source_of
 from jaxvision.effects.stages import Ends
@@ -146,3 +149,100 @@ def test_what_a_pixel_sees_is_in_view():
     )
     bodies = stacked([(p[None], np.zeros(1)) for p in places])
     assert in_view(eye, bodies).tolist() == [True, True, True, False, False, False]
+
+
+TURN = np.linalg.qr(np.arange(9.0).reshape(3, 3) ** 2 + np.eye(3))[0]
+CENTRES = [1.3, 0, 0.5], [2.3, 0.2, 0.7]
+FREE = {
+    "box": (lambda c, s: jv.Box(c, s), [0.1, 0.1, 0.05], [1.1, 0.4, 0.05]),
+    "turned box": (lambda c, s: jv.Box(c, s, rotation=TURN), [0.1, 0.1, 0.05], [1.1, 0.4, 0.05]),
+    "disc": (lambda c, s: jv.Disc(c, [0.3, 0, 1.0], s), 0.1, 1.1),
+    "ball": (lambda c, s: jv.Sphere(c, s), 0.1, 1.1),
+    "parallelogram": (lambda c, s: jv.Quad(c, s, [0, 1.0, 0.1]), [-0.5, 0, -1.0], [1.0, 0.2, 1]),
+}
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_a_free_body_holds_every_shape_of_its_box(kind):
+    """Wherever it is put and however large, along 200 directions, by the shape's own extent."""
+    rng, (shape, small, large) = np.random.default_rng(0), FREE[kind]
+    body = body_of(Ends(shape(CENTRES[0], small), shape(CENTRES[1], large)))
+    assert body is not None
+    points, radii = body
+    directions = rng.normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    most = (points @ directions.T + radii[:, None]).max(0)
+    for trial in range(100):
+        ends = rng.integers(2, size=6) if trial < 64 else rng.uniform(size=6)
+        centre = (1 - ends[:3]) * CENTRES[0] + ends[:3] * np.array(CENTRES[1])
+        size = (1 - ends[3:]) * np.asarray(small) + ends[3:] * np.asarray(large)
+        size = size[0] if np.ndim(small) == 0 else size
+        there = surface_points(kind, centre, size, rng)
+        assert np.all((there @ directions.T).max(0) <= most + 1e-9)
+
+
+def surface_points(kind, centre, size, rng):
+    """Points of a shape, its corners among them."""
+    signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+    turn = rng.uniform(0, 2 * np.pi, (400, 1))
+    match kind:
+        case "box":
+            return centre + signs * size
+        case "turned box":
+            return centre + (signs * size) @ TURN
+        case "disc":
+            u, v = np.array([1, 0, -0.3]) / np.sqrt(1.09), np.array([0, 1.0, 0])
+            return centre + size * (np.cos(turn) * u + np.sin(turn) * v)
+        case "ball":
+            off = rng.normal(size=(400, 3))
+            return centre + size * off / np.linalg.norm(off, axis=1)[:, None]
+    other = np.array([0, 1.0, 0.1])
+    return centre + np.stack([0 * size, size, other, size + other])
+
+
+def test_a_direction_that_may_be_any_comes_from_everywhere():
+    """A box about the origin holds all directions, also where its corners' mean is the origin."""
+    lows, highs = ([-1, -1, -1], [1, 1, 1]), ([-0.1, -0.2, 0.0], [0.3, 1.0, 1.0])
+    for low, high in (lows, highs):
+        source = source_of(Ends(*(jv.DirectionalLight(d, [1.0]) for d in (low, high))))
+        assert source.size == np.pi
+
+
+@pytest.mark.parametrize(("away", "over"), [(5000.0, 0.03), (20000.0, 0.1), (100.0, 0.003)])
+def test_shadows_far_from_the_origin(away, over):
+    """A sheet over a floor, both so far away that single precision has few digits for the gap, and
+    the lamp beside it: the strip in its shadow, by similar triangles, is in the picture."""
+    floor = jv.Surface(jv.Quad([-1, -1, away], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
+    sheet = jv.Surface(jv.Quad([0, -1, away + over], [1, 0, 0], [0, 2, 0]), jv.Lambert([0.0]))
+    lamp = jv.PointLight([5.0, 0, away + 5.0], [100.0])
+    scene = jv.Scene([floor, sheet], [lamp])
+    scene32 = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), scene)
+    low, high = (float(surface.shape.corner[2]) for surface in scene32.surfaces)
+    over = high - low
+    strip = 5.0 * over / (5.0 - over)  # m of the floor, beside the sheet
+    down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+    view = jv.Orthographic([0, 0, away + 3], down, strip / 4, resolution=(4, 8))
+    row = {e.name: e for e in effects.inspect(scene32, view)}["shadows[0]"]
+    assert row.bound >= 0.3 * 100 * 5 / 50**1.5 * 0.99
+
+
+CUBE = np.stack(np.meshgrid(*[[0.0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+SIDES = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+SIDES += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "closed"),
+    [
+        (CUBE, SIDES, True),
+        (CUBE[np.ravel(SIDES)], np.arange(36).reshape(12, 3), True),  # each corner many times
+        (CUBE, SIDES[1:], False),
+        (CUBE, [face[::-1] for face in SIDES], False),  # inside out
+        (CUBE, [SIDES[0][::-1], *SIDES[1:]], False),
+        (np.concatenate([CUBE, CUBE + 2]), [*SIDES, *(np.array(SIDES) + 8)], True),
+        (np.concatenate([CUBE, CUBE / 2 + 2]), [*SIDES, *(np.array(SIDES)[:, ::-1] + 8)], False),
+    ],
+)
+def test_which_meshes_bound_a_body(vertices, faces, closed):
+    assert is_closed(twice(jv.TriangleMesh(vertices, faces))) is closed
+    assert not is_closed(twice(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0])))

@@ -173,3 +173,28 @@ def test_a_picture_without_a_finite_pixel_is_named_as_such():
     scene = jv.Scene(FLOOR, replace(POINT, intensity=[np.nan]))
     with pytest.raises(jv.InputError, match="no pixel of the picture is finite and lit"):
         effects.prune(scene, VIEW, "1%")
+
+
+@pytest.mark.parametrize("text", ["0%", "0DN", "0sigma", "0"])
+def test_a_tolerance_of_zero_moves_nothing(text):
+    found = effects.parse(text)
+    assert (found.value, found.place, found.rare) == (0, 0, 0)
+    assert effects.Tolerance(0.0) == effects.parse("0")
+    given = effects.parse(text, place=0.2, rare=0.5)
+    assert (given.place, given.rare) == (0.2, 0.5)
+    assert (effects.parse("1%").place, effects.Tolerance(0.1).rare) == (0.1, 0.01)
+
+
+def test_a_blur_below_a_tenth_of_a_pixel_stays_at_a_tolerance_of_zero():
+    """By the lens equation: r z_i |1 / z - 1 / z_f| over the pitch."""
+    view = jv.ThinLens(
+        np.zeros(3), np.eye(3), 0.05, 1e-4, f_number=4.0, focus_distance=1.0, resolution=(4, 4)
+    )
+    card = jv.Quad([-0.01, -0.01, 1.02], [0, 0.02, 0], [0.02, 0, 0])
+    scene = jv.Scene([jv.Surface(card, jv.Lambert([0.3]), [1.0])], [])
+    pixels = 0.05 / 8 / (1 / 0.05 - 1) * (1 - 1 / 1.02) / 1e-4
+    samples = jv.PixelSamples(jax.random.key(0), 4)
+    for tolerance, kind in (("0%", jv.ThinLens), ("1%", jv.Pinhole)):
+        left = effects.prune(scene, view, tolerance, level=1.0, samples=samples)
+        assert type(left.camera) is kind
+    assert left.certificate.place == pytest.approx(pixels, rel=1e-6)

@@ -24,7 +24,7 @@ def lens(**parts):
 
 
 def rows_of(view, radiance=(1.0,), near=1.0, far=math.inf, samples=None, oversampling=1):
-    arriving = Arriving(np.asarray(radiance, float), near, far)
+    arriving = Arriving(np.asarray(radiance, float), near, far, np.zeros(1))
     rows, on_sensor = optics_stage(
         Ends(view, view), arriving, samples=samples, oversampling=oversampling
     )

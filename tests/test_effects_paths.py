@@ -237,3 +237,49 @@ def test_random_scenes_by_paths():
                 tolerance,
             )
     assert changed > 20, changed
+
+
+SHEETS = [
+    jv.Quad([-50, -50, 0], [100, 0, 0], [0, 100, 0]),
+    jv.Disc([0, 0, 0], [0, 0, 1], 50.0),
+    jv.TriangleMesh(
+        [[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0.0]], [[0, 1, 2], [0, 2, 3]]
+    ),
+]
+
+
+@pytest.mark.parametrize("sheet", SHEETS, ids=lambda sheet: type(sheet).__name__)
+def test_an_open_sheet_of_glass_that_is_met_from_behind(sheet):
+    """Radiance over the square of the index is kept: an emitter before it is seen from behind n^2
+    times as bright, less the share that Fresnel's equations mirror; and all light that comes
+    through has gone through glass all the way, however thin the sheet."""
+    n, a, way = 1.33, 0.3, 5.0
+    seen = n**2 * (1 - ((n - 1) / (n + 1)) ** 2)
+    wall = jv.Surface(
+        jv.Quad([-200, -200, way], [0, 400, 0], [400, 0, 0]), jv.Lambert([0.0]), emission=[1.0]
+    )
+    view = view_from([0, 0, -2.0], np.eye(3))
+    found = bounds([jv.Surface(sheet, jv.Glass(n)), wall], [], view, 2)
+    assert seen <= found["surfaces[1].emission"] <= 1.05 * seen
+    small = hundredth(sheet)
+    found = bounds([jv.Surface(small, jv.Glass(n, absorption=[a])), wall], [], view, 2)
+    assert found["surfaces[0].material.absorption"] >= seen * (1 - np.exp(-a * 2.0))
+
+
+def hundredth(sheet):
+    """A hundredth of a shape."""
+    match sheet:
+        case jv.Quad():
+            return jv.Quad(
+                *(0.01 * np.asarray(x) for x in (sheet.corner, sheet.edge_u, sheet.edge_v))
+            )
+        case jv.Disc():
+            return replace(sheet, radius=0.5)
+    return replace(sheet, vertices=0.01 * np.asarray(sheet.vertices))
+
+
+def test_a_ball_of_glass_adds_no_light():
+    wall = jv.Surface(jv.Quad([-9, -9, 5], [0, 18, 0], [18, 0, 0]), jv.Lambert([0.0]), [1.0])
+    ball = jv.Surface(jv.Sphere([0, 0, 2.0], 0.5), jv.Glass(1.5))
+    found = bounds([ball, wall], [], view_from([0, 0, -2.0], np.eye(3)), 3)
+    assert 1 <= found["surfaces[1].emission"] <= 2 + 1e-9  # at most once by each further piece

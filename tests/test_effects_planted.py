@@ -45,7 +45,7 @@ def test_of_bounces_in_a_closed_sphere():
 def test_of_diffraction_on_a_lit_pixel():
     bare = s.ThinLens(np.zeros(3), np.eye(3), 0.05, 4e-6, resolution=(7, 7), f_number=8.0)
     view = replace(bare, diffraction=s.Diffraction(6e-7, size=5))
-    rows, _ = optics_stage(Ends(view, view), Arriving(np.array([2.0]), 1.0, np.inf))
+    rows, _ = optics_stage(Ends(view, view), Arriving(np.array([2.0]), 1.0, np.inf, np.zeros(1)))
     spot = jnp.zeros((7, 7, 1)).at[3, 3].set(2.0)
     change = np.abs(sensor_irradiance(view, spot) - sensor_irradiance(bare, spot)).max()
     (bound,) = (row.effect.bound for row in rows if row.effect.name == "view.diffraction")

@@ -90,3 +90,59 @@ def test_skies_add_where_they_are_seen():
     behind = jv.Scene([ball], [*skies, lamp])
     hidden = next(e for e in effects.inspect(behind, view) if e.name == "lights[2]")
     assert hidden.bound >= 4
+
+
+@pytest.mark.parametrize("family", [jv.Phong, jv.PhongBRDF, jv.NormalisedPhong])
+@pytest.mark.parametrize(
+    "exponents", [(0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.1, 2.0), (1.0, 1.5), (1.5, 2.5)]
+)
+def test_the_slope_of_a_power_of_a_cosine(family, exponents):
+    """Differences of cos^n over 2e5 angles, for exponents between the ends: below 1 no slope."""
+    slope = reflection_of(Ends(*(family([0.0], [1.0], n) for n in exponents))).lobe.slope
+    theta = np.linspace(0, np.pi / 2, 200_001)
+    with np.errstate(invalid="ignore"):
+        steepest = [
+            np.abs(np.diff(np.cos(theta) ** n)).max() / theta[1] for n in np.linspace(*exponents, 5)
+        ]
+    scale = (exponents[1] + 2) / (2 * np.pi) if family is jv.NormalisedPhong else 1.0
+    if exponents[0] < 1:
+        assert slope == np.inf
+    else:
+        assert scale * max(steepest) * (1 - 1e-6) <= slope <= scale * (max(steepest) + 1.01)
+
+
+def test_a_broad_lobe_that_ends_across_a_lamp():
+    """cos^n of the mirror angle with n = 0.1, half of the lamp beyond its end: E L sum over a grid
+    against the value at the middle, in NumPy."""
+    n, side, far = 0.1, 2.0, 100.0
+    polar = np.radians(60)
+    to_lamp, tilt = (
+        np.array([np.sin(polar), 0, np.cos(polar)]),
+        np.array([np.cos(polar), 0, -np.sin(polar)]),
+    )
+    u, v = side * tilt, side * np.array([0, 1.0, 0])
+    u, v = (u, v) if np.cross(u, v) @ to_lamp < 0 else (v, u)
+    eye = np.array([np.sin(np.radians(30)), 0, np.cos(np.radians(30))])
+
+    def radiance(place, weight):
+        r2 = (place**2).sum(-1)
+        wi = place / np.sqrt(r2)[:, None]
+        cos_l = (place @ -np.cross(u, v)) / np.linalg.norm(np.cross(u, v)) / np.sqrt(r2)
+        cosine = np.maximum((wi * [-1, -1, 1]) @ eye, 0)
+        return (np.where(cosine > 0, cosine**n, 0) * wi[:, 2] * cos_l / r2 * weight).sum()
+
+    t = (np.arange(400) + 0.5) / 400 - 0.5
+    s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
+    middle = far * to_lamp
+    many = radiance(middle + s * u + t * v, 1e4 * side**2 / len(s))
+    once = radiance(middle[None], 1e4 * side**2)
+    floor = jv.Quad([-0.01, -0.01, 0], [0.02, 0, 0], [0, 0.02, 0])
+    light = jv.RectangleLight(middle - (u + v) / 2, u, v, [1e4])
+    scene = jv.Scene([jv.Surface(floor, jv.PhongBRDF([0.0], [1.0], n))], [light])
+    right = np.array([0, 1.0, 0])
+    view = jv.Orthographic(
+        2 * eye, np.stack([right, np.cross(-eye, right), -eye]), 1e-3, resolution=(4, 4)
+    )
+    rows = {row.name: row for row in effects.inspect(scene, view)}
+    assert abs(many - once) > 0.5 * many
+    assert rows["lights[0].extent"].bound >= abs(many - once)

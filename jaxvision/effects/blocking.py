@@ -4,8 +4,8 @@ A one-sided convex surface does not shade itself. Nothing is blocked where lamp,
 occluder are parted by the plane of one of them: both of the others on one closed side of a flat
 occluder, the lamp or the occluder behind a flat receiver, the receiver or the occluder behind the
 lamp. Elsewhere the hull of lamp and receiver and the occluder must be apart (`bodies.gap`). What
-touches a plane but for the rounding of its own coordinates, as `geometry.offset_length` has it,
-counts as in it. Lengths in m.
+touches a plane but for a few roundings of its own coordinates counts as in it: far fewer than
+`geometry.offset_length`, within which no ray meets it either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,8 @@ from .cells import plane_between
 from .illumination import Source
 from .stages import Ends
 
-_ROUNDINGS = 32.0  # of a coordinate, by which what touches a plane may miss it
+_ROUNDINGS = 4.0  # of a coordinate, by which what touches a plane may miss it
+_SAFELY = 32.0  # roundings in float64 of what must be apart
 _BEYOND = 4  # times the reach, where a light that is infinitely far away is taken to be
 _AT_ONCE = 1 << 15
 
@@ -44,7 +45,7 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 
 def certain(reach: float) -> float:
     """m, by which sums of coordinates so large may be off in float64."""
-    return _ROUNDINGS * float(np.finfo(np.float64).eps) * reach
+    return _SAFELY * float(np.finfo(np.float64).eps) * reach
 
 
 def slack_over(

@@ -105,8 +105,43 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     turned = [name for name in ("rotation", "normal") if _differ(low, high, name)]
     if turned:
         return None
-    points = box_about(*(_POINTS[type(end)](end) for end in shape))
+    if isinstance(low, Box | Disc) and isinstance(
+        high, Box | Disc
+    ):  # the largest, about each place where its middle may be
+        middles = box_about(numbers(low.centre), numbers(high.centre))
+        about = _POINTS[type(high)](high) - numbers(high.centre)
+        points = (middles[:, None] + about).reshape(-1, 3)
+    else:  # corners are sums of fields, each least and largest with all of them
+        points = box_about(*(_POINTS[type(end)](end) for end in shape))
     return points, np.zeros(len(points))
+
+
+@once
+def is_closed(shape: Ends[Shape]) -> bool:
+    """Whether a shape bounds a body with outward normals: balls, boxes, and a mesh that stays as it
+    is, of which each edge runs once each way and each part has a volume above 0. Such a mesh is
+    taken not to cut through itself."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    low, high = shape
+    if isinstance(low, Sphere | Box):
+        return True
+    if not isinstance(low, TriangleMesh) or low is not high:
+        return False
+    places, same = np.unique(numbers(low.vertices), axis=0, return_inverse=True)
+    faces = same.reshape(-1)[np.asarray(low.faces)]
+    faces = faces[[len(set(face)) == 3 for face in faces.tolist()]]
+    sides = np.concatenate([np.roll(faces, -k, axis=1)[:, :2] for k in range(3)])
+    count = len(places)
+    there, back = (np.unique(sides @ np.array(way)) for way in ([count, 1], [1, count]))
+    if len(there) < len(sides) or not np.array_equal(there, back):
+        return False
+    graph = coo_array((np.ones(len(sides)), sides.T), shape=(count, count))
+    part = connected_components(graph, directed=False)[1][faces[:, 0]]
+    a, b, c = ((places - places.mean(0))[corner] for corner in faces.T)
+    volumes = np.bincount(part, np.einsum("fk,fk->f", a, np.cross(b, c)))
+    return bool((volumes[np.unique(part)] > 0).all())
 
 
 def _differ(low: Shape, high: Shape, name: str) -> bool:

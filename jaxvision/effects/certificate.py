@@ -41,8 +41,9 @@ class Tolerance:
         value: of the distance named at the top of `effects.certificate`, >= 0, in `unit`.
         unit: "relative": of radiance, to the level of the certificate; "DN"; "sigma": of the
             sensor's own noise in the dark, where it is smallest.
-        place: pixels by which anything may move.
-        rare: expected number of pixels that may differ by any amount, such as dead ones.
+        place: pixels by which anything may move; None: 0.1, of a value of 0 none.
+        rare: expected number of pixels that may differ by any amount, such as dead ones; None:
+            0.01, of a value of 0 none.
 
     Raises:
         InputError: for a number below 0 or NaN, an infinite value, or an unknown unit.
@@ -50,10 +51,13 @@ class Tolerance:
 
     value: float
     unit: Unit = "relative"
-    place: float = 0.1
-    rare: float = 0.01
+    place: float = None  # pyright: ignore[reportAssignmentType]
+    rare: float = None  # pyright: ignore[reportAssignmentType]
 
     def __post_init__(self) -> None:
+        for name, usual in (("place", 0.1), ("rare", 0.01)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, usual if self.value > 0 else 0.0)
         for name in ("value", "place", "rare"):
             number = getattr(self, name)
             if not number >= 0:
@@ -65,13 +69,14 @@ class Tolerance:
             raise InputError(f"Tolerance.unit must be one of {words}, got {self.unit!r}.")
 
 
-def parse(text: str, *, place: float = 0.1, rare: float = 0.01) -> Tolerance:
+def parse(text: str, *, place: float | None = None, rare: float | None = None) -> Tolerance:
     """A tolerance as it is written on a command line.
 
     Args:
         text: a number and its unit: "1%" or "0.01" of the level of radiance, "0.5DN", "0.1sigma".
-        place: pixels by which anything may move.
-        rare: expected number of pixels that may differ by any amount.
+        place: pixels by which anything may move; None: 0.1, of a tolerance of 0 none.
+        rare: expected number of pixels that may differ by any amount; None: 0.01, of a tolerance of
+            0 none.
 
     Returns:
         The tolerance.

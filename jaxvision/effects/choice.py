@@ -4,18 +4,22 @@ Those of bound 0 go first. Bounds add, for the distance obeys the triangle inequ
 every picture on the way from the full to the pruned one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
 import jax
 import numpy as np
 
-from ..scene import Camera, Scene, View
+from ..brdf.glass import Glass
+from ..lights import DirectionalLight, PointLight, SmallLight
+from ..scene import Camera, Scene, TriangleMesh, View
 from .boxes import keeps
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
+
+_OF_NO_SIZE = PointLight, DirectionalLight, SmallLight
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,7 @@ class Choice:
                     told = replace(told, why=f"{told.why}; {self.all_bands}")
                 kept.append(told)
         assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)
+        assumed |= dict.fromkeys(_assumed_of(self.records[0]))
         return Certificate(
             tuple(kept),
             tuple(dropped),
@@ -220,6 +225,18 @@ class Choice:
     def _told(self, row: Row, bound: float, unit: str) -> Effect:
         free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
         return replace(row.effect, bound=bound, unit=unit, saves=row.saves, free=free)
+
+
+def _assumed_of(scene: Scene) -> Iterator[str]:
+    """What bounds of a scene rest on, a sentence each."""
+    if not all(isinstance(light, _OF_NO_SIZE) for light in scene.lights):
+        yield (
+            "bounds are of the exact integrals over lamps and skies; a rule with too few nodes for "
+            "a narrow lobe or a near lamp may show more than these."
+        )
+    of_glass = (s.shape for s in scene.surfaces if isinstance(s.material, Glass))
+    if any(isinstance(shape, TriangleMesh) for shape in of_glass):
+        yield "closed meshes of glass do not cut through themselves."
 
 
 def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:

@@ -78,11 +78,12 @@ def _at_one_place(light: Ends[Any]) -> Source:
 
 
 def _from_far(light: Ends[DirectionalLight]) -> Source:
-    points = unit(box_about(numbers(light.low.direction), numbers(light.high.direction)))
+    low, high = numbers(light.low.direction), numbers(light.high.direction)
+    points = unit(box_about(low, high))
     middle = unit(points.mean(0))
     width = angle(points, middle).max() if len(points) > 1 else 0.0
     own = np.array([1.0])
-    if width >= np.pi / 2:
+    if width >= np.pi / 2 or (len(points) > 1 and np.all(low * high <= 0)):
         width = np.pi
     return Source(
         _peak(light, "irradiance"), middle[None], own * width, own, None, None, "direction"

@@ -61,7 +61,8 @@ def scene_rows(
     seen = [arriving, *(own for _, own in found)]
     brightest = np.max([own.radiance for own in seen], axis=0)
     near, far = min(own.near for own in seen), max(own.far for own in seen)
-    return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far)
+    turning = np.max([own.turning for own in seen], axis=0)
+    return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far, turning)
 
 
 def _uncut(row: Row) -> Row:

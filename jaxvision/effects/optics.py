@@ -4,7 +4,8 @@ Radiance becomes irradiance by a gain for each pixel, the picture of a scene of 
 `brightness`. Parts that change this gain (rim, distortion) are bounded by the change of the
 brightness over the whole grid of pixels, times the largest radiance. Parts that move light
 (distortion, defocus, sampling inside a pixel) are bounded by the largest displacement in pixels:
-the irradiance of a pixel is then a mean of what stands within it.
+the irradiance of a pixel is then a mean of what stands within it; defocus also by how far what is
+seen looks different from the parts of the lens.
 """
 
 import math
@@ -292,7 +293,8 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
 
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
-    """A pinhole at the lens, with the sensor at its distance and as bright a picture."""
+    """A pinhole at the lens, with the sensor at its distance and as bright a picture. What is out
+    of focus moves; what shines differently to the parts of the lens changes its brightness."""
     lens = view.high
     assert isinstance(lens, ThinLens)
     wider = 1.0
@@ -304,10 +306,16 @@ def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: 
     if math.isinf(moved):
         why = "things may touch the lens: their blur is not bounded"
     parts = frozenset(f"view.{part}" for part in ("rim", "diffraction") if grids.has(part))
-    rank = "exact" if moved == 0 else "bound"
-    effect = Effect("view.defocus", True, why, 0.0, moved, IRRADIANCE, rank)
-    drop = None if math.isinf(moved) or opening_of(lens) == 0 else _to_pinhole
-    return Row(effect, np.zeros_like(radiance), drop, saves=0.1, needs=parts)
+    amount = times(arriving.turning, grids.opening) + np.zeros_like(radiance)
+    bound = clean(np.max(amount))
+    if math.isinf(bound):
+        why += "; a mirror, glass or a material without a bound shows other things to each part"
+    elif bound > 0:
+        why += "; gloss looks different from each part of the lens"
+    rank = "exact" if moved == 0 and bound == 0 else "bound"
+    effect = Effect("view.defocus", True, why, bound, moved, IRRADIANCE, rank)
+    drop = None if math.isinf(moved + bound) or opening_of(lens) == 0 else _to_pinhole
+    return Row(effect, amount, drop, saves=0.1, needs=parts)
 
 
 def _to_pinhole(draft: Draft) -> Draft:

@@ -16,10 +16,11 @@ from ..brdf.lambert import Lambert
 from ..brdf.oren_nayar import OrenNayar
 from ..brdf.torrance_sparrow import TorranceSparrow
 from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
-from .bodies import body_of, heights, numbers, stacked
+from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
 from .cells import anywhere, eye_of, in_view, part_of
 from .certificate import RADIANCE, Effect
+from .directions import over_lens
 from .extent import extent_change
 from .illumination import times
 from .reflection import Lobe, fresnel_least, reflection_of
@@ -62,7 +63,8 @@ def scene_stage(
         *(row for i in range(len(sums.surfaces)) for row in _of_surface(sums, onward, i)),
         ambient(scene, sums, onward),
     ]
-    return tuple(rows), Arriving(top(sums, onward), *depths(sums)), sums
+    found = Arriving(top(sums, onward), *depths(sums), over_lens(sums, onward))
+    return tuple(rows), found, sums
 
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
@@ -346,8 +348,8 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
-    """1 - exp(-a x) of all that glass passes, x at most its diameter for each crossing; in direct
-    light glass is black, and nothing passes."""
+    """1 - exp(-a x) of all that glass passes, x at most its diameter for each crossing, and without
+    bound behind what is not closed; in direct light glass is black, and nothing passes."""
     material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
     a = np.max([numbers(end.absorption).max() for end in material])
     body = body_of(shape)
@@ -355,7 +357,7 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
         amount, why = np.zeros(sums.own.shape[1]), "direct light does not pass glass"
     elif body is None or a > 0:
         length = np.inf
-        if body is not None:
+        if body is not None and is_closed(shape):
             points, radii = body
             middle = points.mean(0)
             length = 2 * (np.linalg.norm(points - middle, axis=1) + radii).max() * onward.depth

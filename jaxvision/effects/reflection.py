@@ -105,7 +105,10 @@ def _cos_mirror(angles: Angles) -> np.ndarray:
 
 
 def _power_slope(n: float) -> float:
-    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2), 1 below n = 1."""
+    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2) = n cos^(n-1) sin at its largest; 1 at
+    n = 1. Below, it is steeper than any slope at a right angle, and 0 a step."""
+    if n < 1:
+        return np.inf
     return float(np.sqrt(n) * (1 - 1 / n) ** ((n - 1) / 2)) if n > 1 else 1.0
 
 
@@ -118,7 +121,8 @@ def _phong(x: Ends[Any]) -> Reflection:
     def most(a: Angles) -> np.ndarray:
         return scale * _power(_cos_mirror(a), n) * (a.cos_i if cosine else 1)
 
-    slope = scale * (_power_slope(top) + cosine)  # of the power, and of the cosine
+    # of the power, which is least between n = 1 and 2, and of the cosine
+    slope = scale * (max(_power_slope(n), _power_slope(top)) + cosine)
     size = scale * 2 * np.pi / (n + 1)
     lobe = Lobe(_peak(x, "specular"), most, size, slope, True, not cosine)
     return Reflection(_peak(x, "diffuse"), lobe)

@@ -141,11 +141,13 @@ class Row:
 class Arriving(NamedTuple):
     """What the scene sends to the camera: `radiance`, (bands,) W m^-2 sr^-1, its supremum in the
     picture (inf: none known); `near`, `far`: m along the axis, the depths of all that may be in
-    view (far: inf with a sky or an endless plane)."""
+    view (far: inf with a sky or an endless plane); `turning`, (bands,) W m^-2 sr^-1: the most by
+    which the radiance of a point differs between two points of the lens."""
 
     radiance: np.ndarray
     near: float
     far: float
+    turning: np.ndarray
 
 
 class OnSensor(NamedTuple):

@@ -18,7 +18,7 @@ from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen
 from .blocking import may_block
-from .bodies import body_of, gap, numbers, stacked, taken
+from .bodies import body_of, gap, is_closed, numbers, stacked, taken
 from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view
 from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, reflection_of
@@ -165,14 +165,15 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
 def _growth(surface: Ends[Surface], eye: Eye) -> float:
     """By how much radiance may grow at a mirror or an interface of glass, no unit. Radiance over
     the square of the index is kept, so that what enters a body of an index above 1 and leaves it
-    again has gained nothing; within one where the eye may be, or that of a lower index, it has."""
+    again has gained nothing; within one where the eye may be, or that of a lower index, it has, and
+    so it has wherever a surface bounds no body and is met from behind only."""
     material, body = surface.of("material"), body_of(surface.of("shape"))
     if not isinstance(material.low, Glass):
         return 1.0
     least, most = (float(numbers(end.index)) for end in material)
     least, most = min(least, most), max(least, most)
     viewer = eye.place[None], np.array([eye.size])
-    if least < 1 or body is None or eye.parallel:
+    if least < 1 or body is None or eye.parallel or not is_closed(surface.of("shape")):
         return max(most, 1 / least) ** 2
     outside = gap(stacked([body]), stacked([viewer]))[0] > 0
     return 1.0 if outside else most**2

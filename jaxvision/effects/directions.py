@@ -1,0 +1,93 @@
+"""How far the radiance of one point may differ between two points of a lens.
+
+What a matt surface, an emitter or a lamp of even radiance sends is the same in all directions, so
+that a point in focus looks the same through every part of a lens. A lobe changes by its slope times
+the angle under which the lens is seen, and never by more than its largest value; a body that is no
+Lambertian's by twice its difference from one, and never by more than all of it. What a mirror or
+glass shows through each part of a lens is another thing: there is no bound. W m^-2 sr^-1.
+"""
+
+import numpy as np
+
+from ..lights import EnvironmentMap, RectangleLight
+from ..scene import TriangleMesh
+from ..scene.shapes import Shape
+from .angles import cos_seen
+from .bounces import Onward
+from .illumination import times
+from .reflection import Reflection
+from .sums import Sums, lobe_sent, pictured
+
+_EVEN = EnvironmentMap, RectangleLight  # what sends the same radiance to all sides
+
+
+def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
+    """The most by which the radiance of any point in the picture differs between two points of the
+    lens.
+
+    Args:
+        sums: of the scene, as the lens sees it.
+        onward: what light does after its first reflection.
+
+    Returns:
+        (bands,) W m^-2 sr^-1; 0 of a pinhole, inf where a mirror or glass is in view.
+    """
+    eye, cells, of_cell = sums.eye, sums.cells, sums.cells.surface
+    radius = eye.size - eye.moves
+    if radius <= 0:
+        return np.zeros(sums.spectrum.shape[1])
+    apart = np.linalg.norm(cells.centre - eye.place, axis=1) - cells.radius - eye.size
+    near = apart <= radius / 2
+    turn = np.where(near, np.pi, 2 * np.arcsin(radius / 2 / np.where(near, radius, apart)))
+    steep, grazing = (
+        np.array(own)[of_cell]
+        for own in ([_slope(x) for x in sums.reflections], [x.grazing for x in sums.reflections])
+    )
+    smooth = np.array([_is_smooth(surface.low.shape) for surface in sums.surfaces])
+    bent = (smooth[of_cell] & (cos_seen(cells, eye)[0] <= 0))[:, None]
+    plain = _plain(sums)
+    total = _of_others(sums, onward, plain, smooth)[of_cell]
+    for k, spectrum in enumerate(sums.spectrum):
+        even, facing = sums.body[k][:, None], sums.facing[k][:, None]
+        of_body = times(sums.k_body, spectrum)[of_cell]
+        lobe, body = lobe_sent(sums, k), times(even, of_body)
+        along = times(facing, times(steep, turn)[:, None])
+        turned = np.minimum(times(along, times(sums.k_lobe, spectrum)[of_cell]), lobe)
+        uneven = times(even, times(plain, spectrum)[of_cell])
+        uneven = uneven + times(facing, times(grazing[:, None], of_body))
+        total = total + np.where(bent, lobe + body, turned + np.minimum(2 * uneven, body))
+    total = np.where(sums.k_mirror.max(1)[of_cell, None] > 0, np.inf, total)
+    lamps = [not isinstance(light.low, _EVEN) for light in sums.lights]
+    return np.maximum(pictured(sums, total), sums.shown[lamps].max(0, initial=0))
+
+
+def _slope(own: Reflection) -> float:
+    """sr^-1 rad^-1, of a lobe with the direction of view: that with the direction of light."""
+    if own.lobe is None:
+        return 0.0
+    return np.inf if own.lobe.slope is None else own.lobe.slope
+
+
+def _plain(sums: Sums) -> np.ndarray:
+    """(n, bands) sr^-1, `Reflection.plain` of each surface."""
+    bands = sums.spectrum.shape[1]
+    return np.array([np.broadcast_to(own.plain, bands) for own in sums.reflections])
+
+
+def _is_smooth(shape: Shape) -> bool:
+    """Whether a shape's shading normals may turn away from a part of the lens."""
+    return isinstance(shape, TriangleMesh) and shape.normals is not None
+
+
+def _of_others(sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """(n, bands) the same of what surfaces send to each other."""
+    found = np.zeros_like(sums.own)
+    if onward.depth is None:
+        return found
+    for i, own in enumerate(sums.reflections):
+        whole = np.pi * (1 + own.grazing) * sums.k_body[i]
+        uneven = 2 * np.pi * (plain[i] + times(sums.k_body[i], 2 * own.grazing))
+        found[i] = times(whole if smooth[i] else np.minimum(uneven, whole), onward.of_body(i))
+        if own.lobe is not None:
+            found[i] += times(own.lobe.size * sums.k_lobe[i], onward.of_lobe(i))
+    return found
