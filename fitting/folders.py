@@ -190,6 +190,8 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     with step("reading images"):
         measurement = read_joint_measurement(rig)
     with step("fitting surface, response and sensor") as progress:
-        calibration = calibrate(measurement, **settings, **draws("joint", progress))
+        drawn = draws("joint", progress)
+        by_channel = progress if drawn["sampling"] is None else None  # a chain shows its own
+        calibration = calibrate(measurement, **settings, **drawn, progress=by_channel)
     free = settings.get("fit_gamma", False)
     return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}

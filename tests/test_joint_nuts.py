@@ -22,7 +22,7 @@ def of_all(vector, data):
     theta, errors = jnp.split(vector, [len(data.space)])
     values, cells = values_at(theta, data), data.cells
     model = predicted(values, data, cells)
-    weight = weights(values, cells, model)
+    weight = weights(cells, model)
     assert model.image_errors is not None
     sizes = errors / values["light_scatter"]
     left = cells.mean - model.mean - sizes[:, None] * model.image_errors[:, 0]
@@ -37,7 +37,7 @@ def light_errors(vector, data):
     """Means and standard deviations of the lights' relative errors given all else."""
     values = values_at(vector, data)
     model = predicted(values, data, data.cells)
-    weight = weights(values, data.cells, model)
+    weight = weights(data.cells, model)
     assert model.image_errors is not None
     found = marginal.image_error_means(data.cells.mean - model.mean, weight, model.image_errors)
     return tuple(values["light_scatter"] * x[:, 0] for x in found)

@@ -11,6 +11,7 @@ from ..inference.posterior import Posterior, sample
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
+from ..report.progress import Progress
 from .fit import JointFit, fit_channel
 from .freedom import degrees_of_freedom, laplace_miss
 from .model import Form, log_posterior
@@ -42,6 +43,7 @@ def calibrate(
     fit_gamma: bool = False,
     sampling: SamplingOptions | None = None,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> JointCalibration:
     """Reflectance, encoding, gain and noise from images of a known shape under known lights.
 
@@ -52,6 +54,7 @@ def calibrate(
         fit_gamma: free the encoding exponent, whatever the rig says of it.
         sampling: how to draw the posterior by emcee; None for Laplace.
         seed: of every draw.
+        progress: called with how many channels are done, and of how many.
 
     Returns:
         The calibration.
@@ -61,14 +64,16 @@ def calibrate(
     """
     check_index(index)
     form = Form(model, index)
-    fits = tuple(
-        fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
-        for channel in range(len(measurement.observation.channels))
-    )
-    posteriors = {
-        fit.channel: _posterior(fit, sampling, seed) for fit in fits if is_determined(fit)
-    }
-    return JointCalibration(measurement, model, fits, posteriors)
+    channels = len(measurement.observation.channels)
+    fits, posteriors = [], {}
+    for channel in range(channels):
+        if progress is not None:
+            progress(channel, channels)
+        fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
+        fits.append(fit)
+        if is_determined(fit):
+            posteriors[fit.channel] = _posterior(fit, sampling, seed)
+    return JointCalibration(measurement, model, tuple(fits), posteriors)
 
 
 def is_determined(fit: JointFit) -> bool:

@@ -1,13 +1,16 @@
-"""Images of an object as cells of pixels of like normals, the same cells in every image.
+"""Images of an object as cells of pixels of like normals.
 
 A cell of n pixels is its count, its mean and the scatter about it: all that the likelihood of its
 pixels needs if their signals were equal. They are not quite, so a reference model, near the best
 one, is taken off first: the mean of its pixels less its value at their mean geometry is added to
 what a model predicts of the cell, and the scatter is that of the pixels about it. At the reference
-cells and pixels agree; away from it they differ by how the model curves within a cell.
+cells and pixels agree; away from it they differ by how the model curves within a cell. Cells are
+therefore wide where an image is smooth, and quartered where its highlight is, or an end of the
+scale.
 
-A cell counts in an image where all of its pixels are lit, and by the reference clear of both ends
-of the scale: by the reference and not by the measured numbers, whose noise would choose.
+A cell counts in an image where all of its pixels are lit and clear of both ends of the scale: by
+the reference, since the noise of measured numbers would choose, or by measured numbers so clear of
+them that no noise did, since else a reference that is wrong would hide what contradicts it.
 """
 
 from dataclasses import dataclass, replace
@@ -22,12 +25,15 @@ from jaxvision import Vec, as_array, as_vec
 from jaxvision.hemisphere import local_frame, to_local
 
 from ..reflectance.from_images.read import VIEW, ReflectanceObservation
-from ..reflectance.models import has_lobe, unit_shading
+from ..reflectance.models import has_lobe, shape_of, unit_shading
 from .model import Cells, Form, Geometry, Values, signal, stored
 
 WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
-FINE = 0.5  # width of a cell over that of the lobe, as the normal turns
+FINE = 0.5  # width of the finest cells over that of the lobe, as the normal turns
+FLAT = 0.05  # of the lobe's peak, by which it may vary within a cell that is not divided
+SIZES = 8  # of the number of cells, to each factor of two: few, so that channels share programs
 CLEAR = 5.0  # deviations from either end of the scale
+DARKEST = 1e-6  # of full scale: the least of a level
 SMALLEST_COSINE = 0.02  # of incidence: below, the outline's half-lit pixels
 
 
@@ -36,22 +42,24 @@ class Grid:
     """Which pixels share a cell, and how light falls on it.
 
     Attributes:
-        cell: (pixels,) its index for each.
-        count: (cells,) pixels.
+        cell: (images, pixels) its index for each.
+        count: (images, cells) pixels; 0 for what only fills the table up.
         lights: indices of the images in the fit.
         geometry: of the cells.
+        patch: pixels of the widest cells.
         turns: whether the directions of the lights are uncertain.
     """
 
-    cell: Int[np.ndarray, " pixels"]
-    count: Float[np.ndarray, " cells"]
+    cell: Int[np.ndarray, "images pixels"]
+    count: Float[np.ndarray, "images cells"]
     lights: Int[np.ndarray, " images"]
     geometry: Geometry
+    patch: float
     turns: bool
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """The widest cell that resolves a lobe.
+    """The widest cells that resolve a lobe.
 
     Args:
         form: of the fit.
@@ -77,35 +85,101 @@ def _lobe(form: Form, shape: Array, wi: Vec, wo: Vec) -> Array:
 
 
 def make_grid(
-    observation: ReflectanceObservation, channel: int, *, width: float, turns: bool
+    observation: ReflectanceObservation,
+    channel: int,
+    reference: Values,
+    form: Form,
+    *,
+    width: float,
+    turns: bool,
+    shared: bool,
 ) -> Grid:
     """Groups the pixels of an object by their normals, for the lights that are not held out.
 
     Args:
         observation: of the object.
         channel: index.
-        width: of a cell, rad of the normal.
+        reference: natural values by name, of a model near the best one.
+        form: of the fit.
+        width: of the finest cells, rad of the normal.
         turns: whether to tell how cells change as lights turn.
+        shared: whether all images have the same cells, as what their pixels share needs.
 
     Returns:
         The grid.
     """
-    x, y, z = observation.normals.T
+    lights = np.flatnonzero(~observation.held_out)
+    levels = _levels(observation.normals, width)
+    split = np.zeros((len(lights), len(levels) - 1, len(observation.normals)), bool)
+    for i, light in enumerate(lights if len(levels) > 1 else ()):
+        _, usable = _usable_at(observation, channel, int(light), reference, form)
+        shading = _lobe_at(observation, int(light), reference, form)
+        split[i] = [_uneven(level, usable, shading) for level in levels[:-1]]
+    if shared:
+        split[:] = split.any(axis=0)
+    cell = np.stack([_divided(levels, of_image) for of_image in split])
+    most = _few_sizes(int(cell.max()) + 1)
+    count = np.stack([np.bincount(of_image, minlength=most) for of_image in cell]).astype(float)
+    normals, wi, irradiance = [], [], []
+    for of_image, pixels, light in zip(cell, count, lights, strict=True):
+        normals.append(_unit(_means(observation.normals, of_image, pixels)))
+        wi.append(_unit(_means(observation.wi[light], of_image, pixels)))
+        falloff = _means(observation.falloff[light], of_image, pixels)
+        irradiance.append(observation.intensity[channel, light] * falloff)
+    geometry = local_geometry(*(np.stack(a) for a in (normals, wi, irradiance)), turns=turns)
+    return Grid(cell, count, lights, geometry, float(np.median(np.bincount(levels[0]))), turns)
+
+
+def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
+    """(pixels,) cells of each width from the widest down to `width`, each four of the next."""
+    x, y, z = normals.T
     plane = np.sqrt(2 / (1 + z))  # Lambert's: equal areas for equal solid angles
     row, column = (np.floor(c * plane / width).astype(np.int64) for c in (x, y))
-    row, column = row - row.min(), column - column.min()
-    _, cell = np.unique(row * (column.max() + 1) + column, return_inverse=True)
-    count = np.bincount(cell).astype(float)
-    lights = np.flatnonzero(~observation.held_out)
-    normals = _unit(_means(observation.normals, cell, count))
-    wi = np.stack([_unit(_means(observation.wi[j], cell, count)) for j in lights])
-    irradiance = np.stack([_means(observation.falloff[j], cell, count) for j in lights])
-    irradiance = irradiance * observation.intensity[channel, lights][:, None]
-    return Grid(cell, count, lights, local_geometry(normals, wi, irradiance, turns=turns), turns)
+    found = []
+    for level in range(1 + max(0, int(np.log2(1.001 * WIDEST / width)))):
+        r, c = row >> level, column >> level
+        index = (r - r.min()) * (np.ptp(c) + 1) + c - c.min()
+        found.insert(0, np.unique(index, return_inverse=True)[1])
+    return found
+
+
+def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
+    """(pixels,) whether the cell of each is used in part, or crossed by a highlight."""
+    count = np.bincount(cell)
+    part = np.bincount(cell, usable)
+    low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
+    np.minimum.at(low, cell, shading)
+    np.maximum.at(high, cell, shading)
+    return ((part > 0) & ((part < count) | (high - low > FLAT * shading.max())))[cell]
+
+
+def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
+    """(pixels,) of one image, the cells of the first level that need not be divided."""
+    level = np.cumprod(split, axis=0).sum(axis=0)
+    own = np.choose(level, levels)
+    _, cell = np.unique(own * len(levels) + level, return_inverse=True)
+    return cell.astype(np.int32)
+
+
+def _few_sizes(cells: int) -> int:
+    """A number not much larger, and one of few."""
+    step = 2 ** max(0, cells.bit_length() - SIZES.bit_length())
+    return -(-cells // step) * step
+
+
+def _lobe_at(
+    observation: ReflectanceObservation, light: int, reference: Values, form: Form
+) -> Float[np.ndarray, " pixels"]:
+    """The lobe at unit amplitude, of the lit pixels of one image."""
+    wi, blank = observation.wi[light][None], np.ones((1, len(observation.normals)))
+    at = local_geometry(observation.normals[None], wi, blank, turns=False)
+    shape = jnp.asarray(reference[shape_of(form.model).name])
+    of_image = jax.tree.map(lambda a: a[0], (at.wi, at.wo))
+    return np.where(observation.cosine[light] > 0, np.asarray(_lobe(form, shape, *of_image)), 0)
 
 
 def local_geometry(
-    normals: Float[np.ndarray, "cells 3"],
+    normals: Float[np.ndarray, "images cells 3"],
     wi: Float[np.ndarray, "images cells 3"],
     irradiance: Float[np.ndarray, "images cells"],
     *,
@@ -114,7 +188,7 @@ def local_geometry(
     """Directions in the frames of normals.
 
     Args:
-        normals: (cells, 3) unit.
+        normals: (images, cells, 3) unit.
         wi: (images, cells, 3) unit, toward the light.
         irradiance: (images, cells) E on a facing surface.
         turns: whether to tell how `wi` changes as the light turns.
@@ -130,7 +204,7 @@ def _local_geometry(normals: Array, wi: Array, irradiance: Array, turns: bool) -
     frame = local_frame(as_vec(normals))
 
     def seen(directions: Array) -> Vec:
-        return jax.vmap(lambda w: as_vec(to_local(frame, as_vec(w))))(directions)
+        return as_vec(to_local(frame, as_vec(directions)))
 
     turned = None
     if turns:
@@ -154,6 +228,7 @@ def reduce_images(
     form: Form,
     *,
     products: bool,
+    within: Float[np.ndarray, "images cells"] | None = None,
 ) -> Cells:
     """The cells of one channel about a reference model.
 
@@ -164,29 +239,39 @@ def reduce_images(
         reference: natural values by name, gain and read noise among them.
         form: of the fit.
         products: whether to keep how the images of a cell scatter together.
+        within: count of the cells that may be used; None for all.
 
     Returns:
         The cells.
     """
-    shape = (len(grid.lights), len(grid.count))
-    count, mean, scatter, offset = np.zeros((4, *shape))
-    left = np.zeros((len(grid.lights), len(grid.cell)))
+    count, mean, scatter, offset = np.zeros((4, *grid.count.shape))
+    left = np.zeros(grid.cell.shape)
     at_cells = np.asarray(_mean_dn(reference, form, grid.geometry, jnp.asarray(observation.white)))
-    for i, light in enumerate(grid.lights):
-        expected, usable = pixels_at(observation, channel, int(light), reference, form)
-        usable = usable & (observation.cosine[light] > SMALLEST_COSINE)
-        whole = np.bincount(grid.cell, usable) == grid.count
-        count[i] = np.where(whole, grid.count, 0)
-        deviation = np.where(whole[grid.cell], observation.dn[channel, light] - expected, 0)
-        of_cell = _means(deviation, grid.cell, grid.count)
-        left[i] = np.where(whole[grid.cell], deviation - of_cell[grid.cell], 0)
-        of_model = _means(np.where(whole[grid.cell], expected, 0), grid.cell, grid.count)
+    for i, (light, cell, pixels) in enumerate(zip(grid.lights, grid.cell, grid.count, strict=True)):
+        expected, usable = _usable_at(observation, channel, int(light), reference, form)
+        allowed = pixels if within is None else within[i]
+        whole = (np.bincount(cell, usable, len(pixels)) == pixels) & (allowed > 0)
+        count[i] = np.where(whole, pixels, 0)
+        deviation = np.where(whole[cell], observation.dn[channel, light] - expected, 0)
+        of_cell = _means(deviation, cell, pixels)
+        left[i] = np.where(whole[cell], deviation - of_cell[cell], 0)
+        of_model = _means(np.where(whole[cell], expected, 0), cell, pixels)
         mean[i] = of_cell + of_model
         offset[i] = np.where(whole, of_model - at_cells[i], 0)
-        scatter[i] = np.bincount(grid.cell, left[i] ** 2)
-    arrays = (jnp.asarray(a) for a in (count, mean, scatter, offset))
+        scatter[i] = np.bincount(cell, left[i] ** 2, len(pixels))
+    above = (at_cells + offset - float(reference["black_level"])) / observation.white
+    level = np.maximum(above, DARKEST) * grid.patch / np.maximum(grid.count, 1)
+    arrays = (jnp.asarray(a) for a in (count, mean, scatter, offset, level))
     cells = Cells(grid.geometry, *arrays)
     return replace(cells, products=_products(left, grid)) if products else cells
+
+
+def _usable_at(
+    observation: ReflectanceObservation, channel: int, light: int, reference: Values, form: Form
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `pixels_at`, without the outline's half-lit pixels."""
+    expected, usable = pixels_at(observation, channel, light, reference, form)
+    return expected, usable & (observation.cosine[light] > SMALLEST_COSINE)
 
 
 def pixels_at(
@@ -202,18 +287,33 @@ def pixels_at(
         form: of the fit.
 
     Returns:
-        (pixels,) expected DN, and which lie clear of both ends of the scale.
+        (pixels,) expected DN, and which lie clear of both ends of the scale, by what is expected or
+        beyond doubt by what was measured.
     """
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     wi = observation.wi[light]
-    geometry = local_geometry(observation.normals, wi[None], irradiance[None], turns=False)
+    geometry = local_geometry(observation.normals[None], wi[None], irradiance[None], turns=False)
     expected, x, variance, noise = (
         np.asarray(a)[0]
         for a in _pixel_moments(values, form, geometry, jnp.asarray(observation.white))
     )
     foot = x if "gamma" in values else x + float(values["black_level"])
     below = expected + CLEAR * np.sqrt(variance) < observation.clip
-    return expected, (foot > CLEAR * noise) & below
+    clear = (foot > CLEAR * noise) & below
+    return expected, clear | _measured_clear(observation, channel, light, values)
+
+
+def _measured_clear(
+    observation: ReflectanceObservation, channel: int, light: int, values: Values
+) -> np.ndarray:
+    """(pixels,) whose numbers are twice as clear of both ends as what is expected need be."""
+    gain, read_noise = float(values["system_gain"]), float(values["read_noise"])
+    gamma, white = float(values.get("gamma", 1.0)), observation.white
+    dn = observation.dn[channel, light]
+    x = white * (np.maximum(dn - float(values["black_level"]), 0) / white) ** gamma
+    noise, at_white = (np.sqrt(gain * level + (gain * read_noise) ** 2) for level in (x, white))
+    below = dn + 2 * CLEAR * at_white / gamma < observation.clip
+    return (x > 2 * CLEAR * noise) & below
 
 
 @eqx.filter_jit
@@ -236,18 +336,22 @@ def _mean_dn(values: Values, form: Form, geometry: Geometry, white: Array) -> Ar
 
 def _products(left: np.ndarray, grid: Grid) -> Array:
     """(cells, images, images) sums of left_i left_j over the pixels of each cell."""
-    images = len(left)
-    sums = np.zeros((len(grid.count), images, images))
+    images, cells = grid.count.shape
+    sums = np.zeros((cells, images, images))
     for i in range(images):
         for j in range(i + 1):
-            sums[:, i, j] = sums[:, j, i] = np.bincount(grid.cell, left[i] * left[j])
+            of_cells = np.bincount(grid.cell[0], left[i] * left[j], cells)
+            sums[:, i, j] = sums[:, j, i] = of_cells
     return jnp.asarray(sums)
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:
-    if values.ndim == 1:
-        return np.bincount(cell, values) / count
-    return np.stack([np.bincount(cell, column) / count for column in values.T], axis=1)
+    """By cell; where there is none, the first cell's."""
+    columns = values.reshape(len(values), -1).T
+    sums = np.stack([np.bincount(cell, column, len(count)) for column in columns], axis=1)
+    means = sums / np.maximum(count, 1)[:, None]
+    means[count == 0] = means[0]
+    return means.reshape(len(count), *values.shape[1:])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -56,9 +56,10 @@ def noise_figure(calibration: JointCalibration) -> Figure:
             assert model.image_errors is not None
             residual = residual - np.einsum("jk,jkc->jc", found[0], model.image_errors)
         variance = model.variance
-        for name in ("prnu", "misfit"):
-            if name in values:
-                variance = variance + (values[name] * model.relative) ** 2
+        if "prnu" in values:
+            variance = variance + (values["prnu"] * model.relative) ** 2
+        if model.misfit is not None:
+            variance = variance + model.misfit**2
         squares = cells.scatter + cells.count * residual**2
         count, squares, mean, variance = (
             np.asarray(a).ravel() for a in (cells.count, squares, cells.mean, variance)

@@ -1,5 +1,6 @@
 """What a reader of a joint calibration must be told, in sentences and as tables."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..inference.diagnostics import listed
@@ -9,6 +10,7 @@ from ..reflectance.from_images.shading_check import contradictions
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
+from .model import MISFIT_AT
 from .prediction import Score
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
@@ -36,8 +38,8 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
     if fit.unexplained is not None:
         found.append(
             f"The cells scatter more than noise and the errors that the rig names allow "
-            f"(chi-square per cell {fit.unexplained:.2f}); a relative misfit of "
-            f"{float(fit.values['misfit']):.2%} explains them: a surface that is not the model's, "
+            f"(chi-square per cell {fit.unexplained:.2f}); a misfit of {_misfit_in_words(fit)} "
+            "explains them: a surface that is not the model's, "
             "or an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give."
         )
     if "system_gain" not in fit.data.known and fit.data.levels is None:
@@ -54,6 +56,17 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
+
+
+def _misfit_in_words(fit: JointFit) -> str:
+    """How large it is beside the signal, in dark pixels and in bright ones."""
+    cells, white = fit.data.cells, float(fit.data.white)
+    digital = np.asarray(cells.mean)[np.asarray(cells.count) > 0] - float(fit.values["black_level"])
+    dark, bright = (
+        float(fit.values["misfit"]) * np.sqrt(MISFIT_AT * white / level)
+        for level in np.quantile(digital, (0.1, 0.9))
+    )
+    return f"{dark:.1%} of the signal where it is dark and {bright:.1%} where it is bright"
 
 
 def _prior_alone(posterior: Posterior) -> list[str]:
@@ -94,19 +107,23 @@ def score_table(scores: tuple[Score, ...]) -> Table:
             "channel",
             "error, fitted lights [%]",
             "error, unseen lights [%]",
-            "within 95 % band, fitted [%]",
-            "within 95 % band, unseen [%]",
+            "95 % band [deviations]",
+            "within it, fitted [%]",
+            "within it, unseen [%]",
         ),
         rows=tuple(
             (
                 s.channel,
                 *(_percent(x) for x in (s.fitted_error, s.unseen_error)),
+                s.band,
                 *(_percent(x) for x in (s.fitted_share, s.unseen_share)),
             )
             for s in scores
         ),
         caption="RMS of predicted less measured over the RMS of the signal above black. The band "
-        "is that of one pixel: noise, parameters and the errors that lights share.",
+        "is that of one pixel: noise, parameters, misfit and the errors that lights share. It is "
+        "1.96 standard deviations, or with a misfit, which is not Gaussian, as many as hold 95 % "
+        "of the pixels under the lights of the fit.",
     )
 
 
@@ -118,17 +135,17 @@ def misfit_table(calibration: JointCalibration) -> Table:
     """Chi-square of the cells, by channel."""
     return Table(
         title="Fit",
-        columns=("channel", "χ² per cell", "cells", "patches of the object", "misfit"),
+        columns=("channel", "χ² per cell", "cells", "pixels in them", "misfit"),
         rows=tuple(
             (
                 fit.channel,
                 fit.chi_square,
                 fit.cells,
-                len(fit.grid.count),
+                int(jnp.sum(fit.data.cells.count)),
                 float(fit.values["misfit"]) if "misfit" in fit.values else None,
             )
             for fit in calibration.fits
         ),
-        caption="A patch is a set of pixels of like normals, a cell a patch in one image. A dash "
-        "stands for what is not needed.",
+        caption="A cell is a set of pixels of like normals in one image. A dash stands for what is "
+        "not needed.",
     )

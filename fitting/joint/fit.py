@@ -1,6 +1,6 @@
 """The fit of one channel: a start by variable projection, then Newton's method on the marginal
 posterior, about a reference that is moved to the best model once. Where the cells scatter more than
-noise and the errors that the rig names allow, a relative misfit is added, and said.
+noise and the errors that the rig names allow, a misfit is added, and said.
 """
 
 from dataclasses import dataclass, replace
@@ -35,14 +35,23 @@ from .model import (
     weights,
 )
 from .read import JointMeasurement, UniformLevels
-from .start import SCATTERS, first_noise, first_reflectance, parameters, scatter_scales
+from .start import (
+    GAIN,
+    READ_NOISE,
+    SCATTERS,
+    first_noise,
+    first_reflectance,
+    parameters,
+    scatter_scales,
+)
 
 FEWEST_CELLS = 50
 EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
-FIRST_MISFIT = 0.01
 MOST_ROUNDS = 8
+FREE_ROUNDS = 2  # after which no cell is taken in again: one at an end of the scale may come and go
 AT_REST = 0.05  # standard deviations by which the reference may miss the best model
-MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0)
+MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0, upper=1.0)
+MOST_AT_FIRST = 0.5
 
 
 @dataclass(frozen=True)
@@ -102,20 +111,18 @@ def fit_channel(
     Raises:
         InputError: where too little is left to fit.
     """
-    grid, data, vector = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
+    grid, data, start = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
     gone = ()
     if not set(SCATTERS).isdisjoint(names(data.space)):
-        gone = small(data, *_predicted(widest(vector, data.space), data))
-    data, vector = without(data, vector, gone)
-    data, solution = _rounds(measurement, channel, grid, data, vector)
+        gone = small(data, *_predicted(widest(start, data.space), data))
+    data, start = without(data, start, gone)
+    data, solution = _rounds(measurement, channel, grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        space = (*data.space, MISFIT)
-        first = to_unconstrained((MISFIT,), jnp.asarray([FIRST_MISFIT]))
-        vector = jnp.concatenate([solution.vector, first])
-        data, solution = _rounds(measurement, channel, grid, replace(data, space=space), vector)
+        data, vector = _with_misfit(data, solution.vector, start)
+        data, solution = _rounds(measurement, channel, grid, data, vector)
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = _prior_information(solution.vector, data.space)
     by_data = np.asarray(solution.information - of_prior, np.float64)
@@ -144,13 +151,16 @@ def _prepared(
     shape = None if form.model == "lambert" else start[shape_of(form.model).name]
     observation = measurement.observation
     scales = scatter_scales(measurement)
+    natural = {name: start[name] for name in names(space)} | known
     grid = make_grid(
         observation,
         channel,
+        {name: jnp.asarray(value) for name, value in natural.items()},
+        form,
         width=cell_width(form, shape),
         turns="direction_scatter" in scales,
+        shared="prnu" in scales,
     )
-    natural = {name: start[name] for name in names(space)} | known
     data = JointData(
         space=space,
         form=form,
@@ -169,17 +179,38 @@ def _prepared(
     return grid, data, vector
 
 
+def _with_misfit(data: JointData, vector: Array, start: Array) -> tuple[JointData, Array]:
+    """The data and a model with a misfit, as large as the cells' residuals say, and with the noise
+    of the start: without a misfit, gain and read noise stand for it, as far as they can."""
+    noise = np.isin(names(data.space), (GAIN.name, READ_NOISE.name))
+    vector = jnp.where(noise, start, vector)
+    data = replace(data, space=(*data.space, MISFIT))
+
+    def starting(size: float) -> Array:
+        return jnp.concatenate([vector, to_unconstrained((MISFIT,), jnp.asarray([size]))])
+
+    model, weight, _ = _predicted(starting(MOST_AT_FIRST), data)
+    unit = np.asarray(model.misfit) / MOST_AT_FIRST
+    seen = np.asarray(weight) > 0
+    squares = np.asarray(data.cells.mean - model.mean)[seen] ** 2
+    size = float(np.sqrt(squares.mean() / np.mean(unit[seen] ** 2)))
+    return data, starting(min(size, MOST_AT_FIRST))
+
+
 def _rounds(
     measurement: JointMeasurement, channel: int, grid: Grid, data: JointData, vector: Array
 ) -> tuple[JointData, NewtonSolution]:
     """The optimum, with cells about it: the reference follows until it has come to rest."""
     solution = minimise(cost, vector, data)
-    for _ in range(MOST_ROUNDS):
+    for number in range(MOST_ROUNDS):
         reference = solution.vector
         natural = {k: float(v) for k, v in values_at(reference, data).items()}
-        cells = _reduced(measurement, channel, grid, natural, data.form)
+        within = None if number < FREE_ROUNDS else np.asarray(data.cells.count)
+        cells = _reduced(measurement, channel, grid, natural, data.form, within=within)
         data = eqx.tree_at(lambda d: d.cells, data, cells)
         solution = minimise(cost, reference, data)
+        if not solution.converged:
+            break
         moved = np.asarray(solution.vector - reference)
         if moved @ np.asarray(solution.information) @ moved < AT_REST**2:
             break
@@ -187,11 +218,17 @@ def _rounds(
 
 
 def _reduced(
-    measurement: JointMeasurement, channel: int, grid: Grid, natural: dict[str, float], form: Form
+    measurement: JointMeasurement,
+    channel: int,
+    grid: Grid,
+    natural: dict[str, float],
+    form: Form,
+    *,
+    within: np.ndarray | None = None,
 ) -> Cells:
     reference = {name: jnp.asarray(value) for name, value in natural.items()}
-    products = "prnu" in natural
-    return reduce_images(measurement.observation, channel, grid, reference, form, products=products)
+    kept = {"products": "prnu" in natural, "within": within}
+    return reduce_images(measurement.observation, channel, grid, reference, form, **kept)
 
 
 def _levels(measurement: JointMeasurement, channel: int) -> Levels | None:
@@ -215,7 +252,7 @@ def _refuse_too_little(measurement: JointMeasurement, data: JointData) -> None:
 def _predicted(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
     values = values_at(vector, data)
     model = predicted(values, data, data.cells)
-    return model, weights(values, data.cells, model), cell_errors(values, data.cells, model)
+    return model, weights(data.cells, model), cell_errors(values, data.cells, model)
 
 
 def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:

@@ -20,7 +20,13 @@ linear in its size and integrated out (`marginal`); only its scale is a paramete
     direction_scatter  X + s (u_1 dX/dt_1 + u_2 dX/dt_2)  direction of the light, t across it
     stray_scatter      X + s E u                        light that comes another way
     prnu               X (1 + s g)                      gain of a pixel
-    misfit             a relative error of each cell in each image, of its own
+    misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
+
+The last stands for a surface that is not the model's. It grows as the noise of photons does, so
+that neither shadows nor highlights carry all of the weight; n is the number of pixels of the cell
+and P that of the widest cells, so that a patch says as much whole as divided; W_0 is a tenth of
+full scale, and D the digital number above black that the reference model of the cells expects: a
+model's own would let it predict what it likes where it calls itself uncertain.
 
 A number that is known exactly is no parameter, and an error that the rig does not name is not
 traced.
@@ -43,6 +49,7 @@ from . import marginal
 
 Values = dict[str, Array]
 Table = Float[Array, "images cells"]
+MISFIT_AT = 0.1  # of full scale: W_0 / W
 BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
 
 
@@ -51,7 +58,7 @@ class Geometry(eqx.Module):
 
     Attributes:
         wi: components (images, cells) toward the light.
-        wo: components (cells,) toward the viewer.
+        wo: components (images, cells) toward the viewer.
         irradiance: (images, cells) E on a facing surface.
         turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
             exact.
@@ -74,6 +81,7 @@ class Cells(eqx.Module):
             model varies by within the cell, DN^2.
         offset: (images, cells) DN by which the mean over the pixels of the reference model differs
             from its value at their mean geometry.
+        level: (images, cells) D P / (n W), positive.
         products: (cells, images, images) as `scatter`, of two images; None where pixels are alike.
     """
 
@@ -82,6 +90,7 @@ class Cells(eqx.Module):
     mean: Table
     scatter: Table
     offset: Table
+    level: Table
     products: Float[Array, "cells images images"] | None = None
 
 
@@ -156,7 +165,7 @@ def signal(values: Values, form: Form, wi: Vec, wo: Vec, irradiance: Table) -> T
         values: natural, by name.
         form: of the fit.
         wi: components (images, cells), local, toward the light.
-        wo: components (cells,), local, toward the viewer.
+        wo: components (images, cells), local, toward the viewer.
         irradiance: (images, cells) E.
 
     Returns:
@@ -166,7 +175,7 @@ def signal(values: Values, form: Form, wi: Vec, wo: Vec, irradiance: Table) -> T
     if form.model == "lambert":
         return irradiance * values["diffuse"] * jnp.where(lit, wi.z, 0)
     shape = values[shape_of(form.model).name]
-    unit = jax.vmap(lambda w: unit_shading(form.model, shape, w, wo, form.index))(wi)
+    unit = jax.vmap(lambda i, o: unit_shading(form.model, shape, i, o, form.index))(wi, wo)
     unit = jnp.where(lit, unit, 0)
     if not has_lobe(form.model):
         return irradiance * values["diffuse"] * unit
@@ -208,12 +217,15 @@ class Prediction(eqx.Module):
         relative: (images, cells) DN by which a relative change of the signal changes it.
         image_errors: (images, errors, cells) DN for errors of one standard deviation; None if
             there are none.
+        misfit: (images, cells) DN, standard deviation of what the model misses; None where nothing
+            is.
     """
 
     mean: Table
     variance: Table
     relative: Table
     image_errors: Float[Array, "images errors cells"] | None
+    misfit: Table | None
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
@@ -249,19 +261,22 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
             add("direction_scatter", jax.jvp(signal_of, (geometry.wi,), (turn,))[1])
     if "stray_scatter" in values:
         add("stray_scatter", geometry.irradiance)
+    misfit = None
+    if "misfit" in values:
+        misfit = values["misfit"] * data.white * jnp.sqrt(MISFIT_AT * cells.level)
     return Prediction(
         mean=mean + cells.offset,
         variance=variance,
         relative=slope * x,
         image_errors=jnp.stack(errors, axis=1) if errors else None,
+        misfit=misfit,
     )
 
 
-def weights(values: Values, cells: Cells, model: Prediction) -> Table:
+def weights(cells: Cells, model: Prediction) -> Table:
     """Inverse variance of each cell's mean about what is shared.
 
     Args:
-        values: natural, by name.
         cells: of the images.
         model: their prediction.
 
@@ -270,8 +285,8 @@ def weights(values: Values, cells: Cells, model: Prediction) -> Table:
     """
     seen = cells.count > 0
     variance = model.variance / jnp.where(seen, cells.count, 1)
-    if "misfit" in values:
-        variance = variance + (values["misfit"] * model.relative) ** 2
+    if model.misfit is not None:
+        variance = variance + model.misfit**2
     return jnp.where(seen, 1 / variance, 0)
 
 
@@ -308,7 +323,7 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
     model = predicted(values, data, cells)
     total = marginal.log_density(
         cells.mean - model.mean,
-        weights(values, cells, model),
+        weights(cells, model),
         image_errors=model.image_errors,
         cell_errors=cell_errors(values, cells, model),
     )

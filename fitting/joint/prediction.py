@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..reflectance.from_images.read import ReflectanceObservation
-from .cells import SMALLEST_COSINE, local_geometry, pixels_at
+from .cells import DARKEST, SMALLEST_COSINE, local_geometry, pixels_at
 from .fit import JointFit
 from .model import BY_IMAGE, Cells, JointData, predicted, values_at
 from .read import JointMeasurement
 from .start import scatter_scales
+
+GAUSSIAN_BAND = 1.96  # standard deviations, of 95 %
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,13 @@ def predict(
     """
     observation = measurement.observation
     channel = observation.channels.index(fit.channel)
-    _, usable = pixels_at(observation, channel, light, fit.values, fit.data.form)
+    expected, usable = pixels_at(observation, channel, light, fit.values, fit.data.form)
     usable = usable & (observation.cosine[light] > SMALLEST_COSINE)
     data = eqx.tree_at(
         lambda d: (d.cells, d.relative),
         fit.data,
         (
-            _as_cells(observation, channel, light, usable, fit),
+            _as_cells(observation, channel, light, expected, usable, fit),
             {
                 name: jnp.asarray(size[[light]])
                 for name, (_, size) in scatter_scales(measurement).items()
@@ -72,18 +74,25 @@ def predict(
 
 
 def _as_cells(
-    observation: ReflectanceObservation, channel: int, light: int, usable: np.ndarray, fit: JointFit
+    observation: ReflectanceObservation,
+    channel: int,
+    light: int,
+    expected: np.ndarray,
+    usable: np.ndarray,
+    fit: JointFit,
 ) -> Cells:
     """Each pixel as a cell of its own."""
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     geometry = local_geometry(
-        observation.normals,
+        observation.normals[None],
         observation.wi[light][None],
         irradiance[None],
         turns=fit.grid.turns,
     )
     zero = jnp.zeros((1, len(usable)))
-    return Cells(geometry, jnp.asarray(usable[None], zero.dtype), zero, zero, zero)
+    above = (expected - float(fit.values["black_level"])) / observation.white
+    level = jnp.asarray(np.maximum(above, DARKEST)[None])
+    return Cells(geometry, jnp.asarray(usable[None], zero.dtype), zero, zero, zero, level)
 
 
 @eqx.filter_jit
@@ -99,9 +108,10 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
     variance = model.variance[0] + jnp.sum((slopes @ covariance) * slopes, axis=1)
     if model.image_errors is not None:
         variance = variance + jnp.sum(model.image_errors[0] ** 2, axis=0)
-    for name in ("prnu", "misfit"):
-        if name in values:
-            variance = variance + (values[name] * model.relative[0]) ** 2
+    if "prnu" in values:
+        variance = variance + (values["prnu"] * model.relative[0]) ** 2
+    if model.misfit is not None:
+        variance = variance + model.misfit[0] ** 2
     return model.mean[0], variance
 
 
@@ -113,6 +123,7 @@ class Score:
         channel: name.
         fitted_error: RMS of predicted less measured over the RMS signal, on the lights of the fit.
         unseen_error: on the held-out ones; None without any.
+        band: half its width, in predicted deviations of a pixel.
         fitted_share: of pixels within the predicted 95 % band, on the lights of the fit.
         unseen_share: on the held-out ones; None without any.
     """
@@ -120,6 +131,7 @@ class Score:
     channel: str
     fitted_error: float
     unseen_error: float | None
+    band: float
     fitted_share: float
     unseen_share: float | None
 
@@ -141,21 +153,24 @@ def score(
     """
     observation = measurement.observation
     channel = observation.channels.index(fit.channel)
-    sums = np.zeros((2, 4))  # squared errors, squared signals, within the band, pixels
+    sums = np.zeros((2, 2))  # squared errors, squared signals
+    distances: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # in deviations
     for light, held_out in enumerate(observation.held_out):
         made = predict(measurement, fit, covariance, light)
         dn = observation.dn[channel, light][made.usable]
         miss = dn - made.mean[made.usable]
-        inside = np.abs(miss) < 1.96 * made.deviation[made.usable]
         signal = dn - observation.black
-        sums[int(held_out)] += (miss @ miss, signal @ signal, inside.sum(), len(dn))
+        sums[int(held_out)] += (miss @ miss, signal @ signal)
+        distances[int(held_out)].append(np.abs(miss) / made.deviation[made.usable])
     error = np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1))
-    share = sums[:, 2] / np.maximum(sums[:, 3], 1)
-    tested = bool(sums[1, 3] > 0)
+    fitted, unseen = (np.concatenate(d) if d else np.zeros(0) for d in distances)
+    band = GAUSSIAN_BAND if fit.unexplained is None else float(np.quantile(fitted, 0.95))
+    tested = unseen.size > 0
     return Score(
         channel=fit.channel,
         fitted_error=float(error[0]),
         unseen_error=float(error[1]) if tested else None,
-        fitted_share=float(share[0]),
-        unseen_share=float(share[1]) if tested else None,
+        band=band,
+        fitted_share=float(np.mean(fitted < band)),
+        unseen_share=float(np.mean(unseen < band)) if tested else None,
     )
