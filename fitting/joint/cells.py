@@ -244,7 +244,7 @@ def reduce_images(
     Returns:
         The cells.
     """
-    count, mean, scatter, offset = np.zeros((4, *grid.count.shape))
+    count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     left = np.zeros(grid.cell.shape)
     at_cells = np.asarray(_mean_dn(reference, form, grid.geometry, jnp.asarray(observation.white)))
     for i, (light, cell, pixels) in enumerate(zip(grid.lights, grid.cell, grid.count, strict=True)):
