@@ -20,7 +20,7 @@ from .several import Combination, combined
 from .spread import next_error
 
 FRESH = 3  # seeds of the check
-FINER = (4, 2)  # times a random setting, for the draws of a reference of the check
+FINER = (4, 2)  # times a random setting, for each of the draws of a reference; in a hurry fewer
 ROUNDS = 3  # of tightening after a check that failed
 MARGIN = 0.9
 
@@ -99,7 +99,7 @@ def checked_error(
     until = now() + seconds
     turned = {**problem.settings, **best.settings}
     random = any(one.knob.random for one in curves)
-    for finer in (None, *FINER) if random else (None,):
+    for finer in FINER if random else (1,):
         finest, each = _finer(problem, curves, best, finer)
         compiling = sum(
             problem.compiling
@@ -116,10 +116,10 @@ def checked_error(
 
 
 def _finer(
-    problem: Problem, curves: Sequence[Curve], best: Combination, finer: int | None
+    problem: Problem, curves: Sequence[Curve], best: Combination, finer: int
 ) -> tuple[dict[str, Any], float]:
-    """Settings for a reference, and s of a call: of each knob those of its own reference; of random
-    ones at least four times the chosen number, or so many times where that takes too long."""
+    """Settings for a reference, and s of a call: of each knob those of its own reference, of random
+    ones so many times the chosen number."""
     measured = [one for one in curves if one.knob.name not in best.unknown]
     fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
     each = part_seconds(problem, best.seconds)
@@ -129,9 +129,8 @@ def _finer(
         if not isinstance(setting, int | float):
             continue
         if one.knob.random:
-            chosen = best.settings[name]
-            fine[name] = max(setting, FINER[0] * chosen) if finer is None else finer * chosen
-            each *= fine[name] / chosen
+            fine[name] = finer * best.settings[name]
+            each *= finer
         else:
             known = {trial.setting: trial.seconds for trial in one.trials}
             ends = known.get(best.settings[name], one.trials[0].seconds)

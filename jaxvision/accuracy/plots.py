@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
+BELOW = 0.03  # of the least error, as far as is drawn
 _UNKNOWN = "no error is known: allow more time"
 
 
 def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     """Draws a curve: filled points with their spread, hollow ones near the reference's own error
-    (dashed), the Pareto front as a line.
+    (dashed, unless it is far below), the Pareto front as a line.
 
     Args:
         curve: from `curve`.
@@ -52,6 +53,8 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
     exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
     _scaled(axes, [t.error for t in shown], "no error was found" if exact else _UNKNOWN)
+    if shown:  # a reference far better than all settings, or a bar to zero, would flatten them
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], BELOW * 100 * min(t.error for t in shown)))
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     falls = "error" if curve.knob.law == "geometric" else "order"
