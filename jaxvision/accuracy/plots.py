@@ -33,9 +33,11 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
         axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
     floor = curve.reference.error
     shown = [t for t in curve.trials if np.isfinite(t.error) and t.error > 0]
+    # a reference far better than all settings, or a bar to zero, would flatten them
+    bottom = BELOW * min((t.error for t in shown), default=0.0)
     for trial in shown:
         error = 100 * trial.error
-        low, high = (100 * abs(x) for x in (trial.error_low, trial.error_high))
+        low, high = (100 * max(x, bottom) for x in (trial.error_low, trial.error_high))
         axes.errorbar(
             trial.seconds,
             error,
@@ -49,12 +51,10 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
         )
     front = [curve.trials[i] for i in curve.pareto if curve.trials[i] in shown]
     axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
-    if shown and np.isfinite(floor) and floor > 0:
+    if shown and np.isfinite(floor) and floor > bottom:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
     exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
     _scaled(axes, [t.error for t in shown], "no error was found" if exact else _UNKNOWN)
-    if shown:  # a reference far better than all settings, or a bar to zero, would flatten them
-        axes.set_ylim(bottom=max(axes.get_ylim()[0], BELOW * 100 * min(t.error for t in shown)))
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     falls = "error" if curve.knob.law == "geometric" else "order"
@@ -154,6 +154,6 @@ def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:
         low, high = axis.get_view_interval()
         if high > 50 * low:
             return ""
-        return f"{value:.3g}" if high < 3 * low or f"{value:e}"[0] in "25" else ""
+        return f"{value:.4g}" if high < 3 * low or f"{value:e}"[0] in "25" else ""
 
     return text
