@@ -57,12 +57,12 @@ def scene_rows(
         return rows, arriving
     times = moments_of(sensor, view.high.resolution[0], moments)
     found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
-    everywhere = zip(rows, *(own for own, _ in found), strict=True)
+    everywhere = _by_name([rows, *(own for own, _ in found)])
     seen = [arriving, *(own for _, own in found)]
     brightest = np.max([own.radiance for own in seen], axis=0)
     near, far = min(own.near for own in seen), max(own.far for own in seen)
     turning = np.max([own.turning for own in seen], axis=0)
-    return tuple(_most(own) for own in everywhere), Arriving(brightest, near, far, turning)
+    return tuple(everywhere), Arriving(brightest, near, far, turning)
 
 
 def _uncut(row: Row) -> Row:
@@ -87,6 +87,20 @@ def _moved(
         low = motion(scene.low, view.low, at)
         high = low if one else motion(scene.high, view.high, at)
         yield Ends(low[0], high[0]), Ends(low[1], high[1])
+
+
+def _by_name(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
+    """The rows of all moments, each once; what a motion brings or takes away stays."""
+    found: dict[str, list[Row]] = {}
+    for rows in moments:
+        for row in rows:
+            found.setdefault(row.effect.name, []).append(row)
+    for own in found.values():
+        most = _most(own)
+        if len(own) < len(moments):
+            why = f"{most.effect.why}; at some moments only"
+            most = replace(most, drop=None, effect=replace(most.effect, why=why))
+        yield most
 
 
 def _most(rows: Sequence[Row]) -> Row:

@@ -70,7 +70,7 @@ def motion_stage(
     if motion is None:
         why = "nothing moves: all rows see the same"
         return () if shutter is None else (_shutter_row(0.0, why, True),)
-    ends_agree = all(_same(end.low, end.high) for end in (scene, view, sensor))
+    ends_agree = all(same(end.low, end.high) for end in (scene, view, sensor))
     if not ends_agree or sensor.high.exposure_time is None:
         rolling = global_ = INF
         still, why = False, "what may change may move otherwise"
@@ -124,7 +124,7 @@ def moved(
     dtype = view.pixel_pitch.dtype
     for time in times:
         now, seen = motion(scene, view, jnp.asarray(time, dtype))
-        if _same((scene, view), (now, seen)):
+        if same((scene, view), (now, seen)):
             continue
         still = False
         pixels, why = _between(scene, view, now, seen)
@@ -140,9 +140,9 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
     """Pixels between a scene at rest and at one moment."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
-    if not _same(_without_places(scene, view), _without_places(now, seen)):
+    if not same(_without_places(scene, view), _without_places(now, seen)):
         return INF, "the motion changes light or materials, not only places"
-    turned = not _same(view, seen)
+    turned = not same(view, seen)
     bodies: list[tuple[Any, Any]] = [
         (a.shape, b.shape) for a, b in zip(scene.surfaces, now.surfaces, strict=True)
     ]
@@ -154,7 +154,7 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
                 return INF, "a sky or a light field turns about a moving camera"
     farthest = 0.0
     for rest, moment in bodies:
-        if not turned and _same(rest, moment):
+        if not turned and same(rest, moment):
             continue
         points, others = _points(rest), _points(moment)
         if points is None or others is None:
@@ -225,7 +225,7 @@ def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
     return scene.lights, scene.ambient, surfaces, optics
 
 
-def _same(a: Any, b: Any) -> bool:
+def same(a: Any, b: Any) -> bool:
     """Whether two trees of records hold the same numbers."""
     leaves, tree = jax.tree.flatten(a)
     others, other = jax.tree.flatten(b)

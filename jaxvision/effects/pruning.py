@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
@@ -13,15 +14,16 @@ from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, View
 from .boxes import Box, ends_of, refuse_tracers, unbounded
 from .certificate import Effect, Pruned, Tolerance, parse
-from .choice import Chain, Choice, concerns
+from .choice import Chain, Choice, concerns, finished
 from .development import development_stage
 from .moments import scene_rows
-from .motion import motion_stage
+from .motion import moments_of, motion_stage, same
 from .optics import optics_stage
 from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
 from .stages import QUICKLY, Draft, Ends, Row
 
+_MOVED = "surfaces[", "shadows[", "ambient", "view."  # effects of what a motion may write
 _PROBE = 16  # pixels along each side of the picture that finds the level
 _probe = jax.jit(render, compiler_options=QUICKLY)
 
@@ -81,6 +83,11 @@ def _chain_of(
         )
     if moments < 1:
         raise InputError(f"moments must be at least 1, got {moments}.")
+    if asked["motion"] is not None and camera.sensor.exposure_time is None:
+        raise InputError(
+            "a motion is bounded at the moments of an exposure; give a Camera whose sensor has an "
+            "exposure_time, or leave the motion out."
+        )
     ends, wrong = ends_of(scene, camera, free), unbounded(scene, camera)
     if not wrong:
         return _chain(*ends, depth=depth, moments=moments, **asked)
@@ -122,7 +129,7 @@ def inspect(
         free: names of fields that a fit may change, each with its least and its largest value, in
             the field's unit; all bounds hold over the whole box.
         samples: as in `capture`; a thin lens defocuses with them.
-        motion: as in `capture`, or None.
+        motion: as in `capture`, or None; it needs a camera whose sensor has an exposure time.
         moments: of a motion, as in `capture`.
         depth: pieces of the longest path that is followed, as `transport.Paths` counts them; None:
             direct light, as `render` shows it.
@@ -141,7 +148,8 @@ def inspect(
 
     Raises:
         ValueError: for records with traced numbers.
-        InputError: for an unknown name in `free`, and numbers of pieces or moments below 1.
+        InputError: for an unknown name in `free`, a motion without an exposure time, and numbers of
+            pieces or moments below 1.
 
     Example:
         >>> from jaxvision import effects
@@ -280,9 +288,13 @@ def prune(
         choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
         choice.decide()
         alone = _of_a_new_kind(scene, choice.draft)
+        why = "without it, its surface would need a program of its own"
+        bare = any(row.effect.name.startswith(_MOVED) for row in choice.gone)
+        if not alone and bare and not _moves_alike(motion, choice, start, scene):
+            alone, why = _MOVED, "the motion changes more than this"
         if not alone:
             return choice.result(scene, camera)
-        chain = replace(chain, rows=tuple(_kept_with(row, alone) for row in chain.rows))
+        chain = replace(chain, rows=tuple(_kept_with(row, alone, why) for row in chain.rows))
 
 
 def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
@@ -299,11 +311,35 @@ def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
     return tuple(f"surfaces[{k}].material" for k in parted or new)
 
 
-def _kept_with(row: Row, materials: tuple[str, ...]) -> Row:
-    """The row, of one of these materials without a way to drop it."""
-    if row.drop is None or not row.effect.name.startswith(materials):
+def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
+    """Whether what is left moves as all of it does: a motion may name what is gone, which raises an
+    error of its own, write it anew, or give it to another surface."""
+    draft = choice.draft
+    if motion is None or draft.motion is None:
+        return True
+    sensor, view = draft.camera.sensor, draft.camera.view
+    at_rest, left = (scene, start.camera.view), (finished(scene, draft), view)
+    for time in moments_of(sensor, view.resolution[0], start.moments or 1):
+        at = jnp.asarray(time, view.pixel_pitch.dtype)
+        moved, seen = motion(*at_rest, at)
+        own = replace(start, surfaces=moved.surfaces, lights=moved.lights, ambient=moved.ambient)
+        own = replace(own, camera=replace(start.camera, view=seen))
+        try:
+            now = motion(*left, at)
+            for row in choice.gone:
+                own = row.drop(own) if row.drop is not None else own
+        except Exception:  # of the caller's own function, for whatever reason
+            return False
+        if not same((finished(moved, own), own.camera.view), now):
+            return False
+    return True
+
+
+def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
+    """The row; of an effect of one of these names without a way to drop it."""
+    if row.drop is None or not row.effect.name.startswith(names):
         return row
-    why = f"{row.effect.why}; without it, its surface would need a program of its own"
+    why = f"{row.effect.why}; {reason}"
     return replace(row, drop=None, effect=replace(row.effect, why=why.removeprefix("; ")))
 
 
