@@ -28,13 +28,16 @@ from jaxvision.errors import InputError
 COUNT = int(os.environ.get("JAXVISION_FUZZ", "200"))
 LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s of CPU, bytes, characters of a message
 NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
-NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy")
+NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba")
+
+
+TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml")
 
 
 def content(name, kind, number):
     rng = np.random.default_rng([zlib.crc32(name.encode()), number])
     seed = kind.seeds[number % len(kind.seeds)]
-    return damaged(seed, rng, text=kind.suffix in (".toml", ".csv", ".brdf", ".obj", ".ply"))
+    return damaged(seed, rng, text=kind.suffix in TEXTS)
 
 
 def infinite(result):
@@ -141,6 +144,7 @@ def ended(app, words):
     return "refused" if good else f"status {status}: {error[-WORDS:]!r}"
 
 
+@pytest.mark.filterwarnings("ignore:.*facets hide each other")
 def test_sound_files_are_read(tmp_path):
     """Else the damage is all that is refused."""
     every = kinds(tmp_path)

@@ -201,6 +201,16 @@ def test_an_old_file_is_read_with_its_names(tmp_path):
             "at most 1",
         ),
         (['<sensor type="perspective"/>', BALL], "needs a fov"),
+        ([SENSOR.replace('value="16"', 'value="0"'), BALL], "at least 1"),
+        ([SENSOR.replace('"fov"', '"fov_"'), BALL], "needs a fov"),
+        (
+            [SENSOR, BALL, '<emitter type="point"><point name="to_world" x="1"/></emitter>'],
+            "to_world is of an unexpected kind",
+        ),
+        (
+            [mitsuba_pictures.camera("perspective", '<string name="focal_length" value="0mm"/>')],
+            "above 0, as in",
+        ),
         (['<integrator type="aov"/>', SENSOR, BALL], "'aov' is not read"),
         (
             [

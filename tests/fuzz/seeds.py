@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from oracles import measured
+from oracles import measured, mitsuba_pictures
 
 import jaxvision
 from fitting.noise.levels_table import read_table
@@ -126,6 +126,9 @@ def kinds(folder: Path) -> dict[str, Kind]:
     scenes = tuple(file.read_bytes() for file in sorted((PACKAGE / "scenes").glob("*.toml")))
     for table in (PACKAGE / "scenes").glob("*.csv"):  # beside the scenes that name them
         (folder / table.name).write_bytes(table.read_bytes())
+    mitsuba_pictures.write_scenes(folder)
+    write_image(folder / "sky.exr", mitsuba_pictures.sky())
+    mitsuba = tuple(text.encode() for text in mitsuba_pictures.SCENES.values())
     merl = measured.merl_bytes(
         lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
     )
@@ -143,6 +146,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     return {
         "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
         "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene, finite=False),
+        "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene, finite=False),
         "material": Kind(".toml", (material,), read_material),
         "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),
         "levels": Kind(".csv", (TABLE.encode(),), lambda file: read_table(file, None)),

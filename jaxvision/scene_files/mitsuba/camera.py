@@ -64,6 +64,8 @@ def _resolution(film: Node | None) -> tuple[int, int]:
         return 576, 768
     film.must_be("hdrfilm", "ldrfilm")
     columns, rows = film.take("width", int, 768), film.take("height", int, 576)
+    if min(rows, columns) < 1:
+        raise InputError(f"{film.label}: width and height must be at least 1; correct them.")
     kernel = film.only("rfilter")
     if kernel is None or kernel.kind != "box":
         warnings.warn(
@@ -85,7 +87,9 @@ def _half_width(node: Node, rows_per_column: float) -> float:
         try:
             millimetres = float(focal_length.removesuffix("mm"))
         except ValueError:
-            raise InputError(f"{node.label}: focal_length must be as in '50mm'.") from None
+            millimetres = 0.0
+        if not 0 < millimetres < np.inf:
+            raise InputError(f"{node.label}: focal_length must be above 0, as in '50mm'.")
         tangent, axis = _DIAGONAL / 2 / millimetres, "diagonal"
     elif degrees is None or not 0 < degrees < 180:
         raise InputError(f"{node.label}: needs a fov in degrees, above 0 and below 180.")

@@ -69,7 +69,8 @@ class Node:
         kinds = kinds if isinstance(kinds, tuple) else (kinds,)
         if float in kinds and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if value is not otherwise and not isinstance(value, kinds):
+        fits = isinstance(value, kinds) and _alike(value, otherwise)
+        if value is not otherwise and not fits:
             raise InputError(f"{self.label}: {name} is of an unexpected kind; correct it.")
         return value
 
@@ -268,6 +269,11 @@ class _Reader:
             return Flat(_numbers(given.get("value", ""), place, (1,))[0])
         found = [_numbers(pair, place, (2,)) for pair in pairs]
         return Table(tuple((nm, value) for nm, value in found))
+
+
+def _alike(value: Any, otherwise: Any) -> bool:
+    """A transform is no point, though both are arrays."""
+    return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
 def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...]:
