@@ -4,6 +4,7 @@ import math
 from dataclasses import fields, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import lenses
@@ -12,6 +13,7 @@ from scipy import ndimage
 from jaxvision import scene as s
 from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, optics_stage
 from jaxvision.effects.stages import Arriving, Draft, Ends
+from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples
 
 SHAPE, PITCH, FOCAL = (12, 16), 2e-3, 0.05
@@ -107,6 +109,24 @@ def test_diffraction_moves_no_pixel_by_more(n):
             worst = max(worst, np.abs(blurred - picture).max() * on_sensor.irradiance[band])
         assert worst <= rows["view.diffraction"].amount[band] * (1 + 1e-3)  # of both quadratures
         assert rows["view.diffraction"].amount[band] <= 1.01 * worst
+
+
+@pytest.mark.parametrize("ends", [(1.8, 5.4), (20.0, 60.0)])
+def test_diffraction_of_an_opening_that_may_change(ends):
+    """Pictures of a lit pixel at 9 openings between the ends: of patterns far below a pixel the
+    middle does not fall with the f-number, and there is no bound."""
+    spot = jnp.zeros((*SHAPE, 1)).at[6, 8].set(1.0)
+    views = [lens(f_number=n, diffraction=s.Diffraction(5.5e-7, size=9)) for n in ends]
+    low, high = (replace(view, pixel_pitch=2e-5, focus_distance=None) for view in views)
+    arriving = Arriving(np.ones(1), 1.0, math.inf, np.zeros(1))
+    row = {r.effect.name: r for r in optics_stage(Ends(high, low), arriving)[0]}["view.diffraction"]
+    worst, picture = 0.0, jax.jit(sensor_irradiance)
+    for n in np.linspace(*ends, 9):
+        blurred = picture(replace(low, f_number=n), spot)
+        sharp = picture(replace(low, f_number=n, diffraction=None), spot)
+        worst = max(worst, float(jnp.abs(blurred - sharp).max()))
+    assert worst <= row.amount[0] * (1 + 1e-4)
+    assert np.isfinite(row.amount[0]) == (ends[0] > 10)
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(100), marks=pytest.mark.slow)])

@@ -27,6 +27,7 @@ from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
 
+_RESOLVED = 0.5  # pixels: lambda N from which on the middle of Airy's kernel falls with it
 # Fields of the views that say where the camera stands and how much light there is: nothing can be
 # left out of them. Those of a lens's opening go with `view.defocus`.
 GEOMETRY = {
@@ -212,15 +213,20 @@ def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, 
 def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
-    """(1 - k_0) sup E: the library's kernel is positive, of sum 1, and keeps k_0 in its middle."""
-    middles = []
-    for lens in corners(view):
+    """(1 - k_0) sup E: the library's kernel is positive, of sum 1, and keeps k_0 in its middle.
+    That falls as the pattern grows, but not while it is so small that the kernel's nodes miss its
+    rings: between two such ends there is no bound."""
+    middles, lenses = [], corners(view)
+    for lens in lenses:
         if not (isinstance(lens, ThinLens) and lens.diffraction is not None):
             continue
         f_number = (
             lens.f_number if math.isfinite(float(lens.f_number)) else jnp.ones_like(lens.f_number)
         )
         working = f_number / (sensor_vergence(lens) * lens.focal_length)
+        rings = np.asarray(lens.diffraction.wavelength * working / lens.pixel_pitch) * oversampling
+        if len(lenses) > 1 and rings.min() < _RESOLVED:
+            return np.full_like(irradiance, INF), 0.0, "the pattern may change"
         kernel = np.asarray(
             airy_kernel(
                 lens.diffraction.wavelength,
