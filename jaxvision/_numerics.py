@@ -349,7 +349,11 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     deficit = dot(chord, chord) / 2
     near, behind = deficit < 0.5, cosine <= 0
     less = jnp.where(near, -deficit, 0)
-    logarithm = _log_of_sum(jnp.where(near, 1 + less, jnp.where(behind, 1, cosine)), less)
+    # XLA may compute a comparison twice and round its sums differently: should the two disagree,
+    # what stands in for a cosine of 0 is as good as 0.
+    least = smallest_divisor(deficit.dtype)
+    ahead = jnp.where(near, 1 - deficit, jnp.where(behind, least, cosine))
+    logarithm = _log_of_sum(ahead, less)
     return jnp.where(behind, log_of_zero(deficit.dtype), logarithm)
 
 

@@ -18,7 +18,7 @@ from jaxvision.brdf.gaussian_lobe import (
     squared_angle_between,
 )
 from jaxvision.brdf.lambert import Lambert, lambert_shading
-from jaxvision.brdf.phong import Phong, phong_lobe, phong_shading
+from jaxvision.brdf.phong import NormalisedPhong, Phong, phong_lobe, phong_shading
 
 RNG = np.random.default_rng(11)
 Z = jnp.asarray([0.0, 0.0, 1.0])
@@ -135,6 +135,26 @@ def test_a_viewer_below_the_surface_sees_nothing(shade):
         jax.jit(reflect)(family(KD, KS, 1.0), Z, wi, wo),
         rtol=1e-14,
     )
+
+
+def test_a_view_across_the_mirror_direction_sees_no_highlight():
+    """The cosine of the lobe is 0 but for rounding, of either sign, and a program may compute it
+    twice: with exponents in a loop around the directions, in two ways."""
+    rng = np.random.default_rng(3)
+    wo, other = rng.normal(size=(2, 500, 3))
+    mirror = np.cross(wo, other)
+    wi = mirror * [-1, -1, 1]
+    wi, wo = (np.sign(v[:, 2:]) * v / np.linalg.norm(v, axis=1)[:, None] for v in (wi, wo))
+
+    def lobes(exponents, wi, wo):
+        def lobe(exponent):
+            material = NormalisedPhong(jnp.zeros(1), jnp.ones(1), exponent)
+            return jax.vmap(evaluate, (None, 0, 0))(material, wi, wo)
+
+        return jax.lax.map(lobe, exponents)
+
+    found = jax.jit(lobes)(jnp.array([5.0, 20.0]), *(jnp.asarray(v) for v in (wi, wo)))
+    np.testing.assert_allclose(found, 0, atol=1e-12)
 
 
 def test_specular_term_has_no_cosine_of_incidence():

@@ -89,8 +89,11 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
         0.348678
     """
     check_range("phong_lobe: log_cos_mirror", log_cos_mirror, -np.inf, 0, finite=False, nan=True)
-    behind = log_cos_mirror <= log_of_zero(log_cos_mirror.dtype)
-    return jnp.exp(jnp.where(behind, -jnp.inf, exponent * jnp.where(behind, 0, log_cos_mirror)))
+    least = log_of_zero(log_cos_mirror.dtype)
+    behind = log_cos_mirror <= least
+    # not 0 in place of -inf: where XLA computes `behind` twice, the two may disagree
+    finite = jnp.where(behind, least, log_cos_mirror)
+    return jnp.exp(jnp.where(behind, -jnp.inf, exponent * finite))
 
 
 @takes_numbers
