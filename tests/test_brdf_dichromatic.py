@@ -88,6 +88,17 @@ def test_the_body_colour_is_found_where_no_highlight_is(red):
     np.testing.assert_allclose(terms(found)[0], body, atol=2e-3 * float(body.max()))
 
 
+def test_dim_pixels_count_little_for_the_body_colour():
+    """Fifty dim pixels without any of the illuminant, and bright ones of the body c = (1, 2, 2) / 3
+    with highlights on most: two percent of the LIGHT lie below the smallest ratio of the latter."""
+    illuminant, across = np.array([1.0, 0, 0]), np.array([0, 1.0, 1.0]) / np.sqrt(2)
+    body = np.array([1.0, 2, 2]) / 3
+    highlights = np.linspace(0, 3, 150).clip(0.5)[:, None] - 0.5
+    pixels = np.concatenate([np.full((50, 1), 1e-3) * across, body + highlights * illuminant])
+    found = body_colour(jnp.asarray(pixels), jnp.asarray(illuminant))
+    np.testing.assert_allclose(found, body, atol=1e-12)
+
+
 def test_least_squares_with_non_negative_factors_against_scipy():
     """Noise that throws pixels out of the wedge on every side."""
     c = np.stack([unit([0.9, 0.3, 0.2]), unit(LIGHT)], axis=1)

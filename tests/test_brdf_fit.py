@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+import scipy.stats
 from oracles import brdfs
 from typer.testing import CliRunner
 
@@ -21,7 +22,13 @@ from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.separable import fit_separable
 from fitting.reflectance.from_files.calibration import amplitudes
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
-from fitting.reflectance.from_files.errors import best, errors, prediction_of_held_out
+from fitting.reflectance.from_files.errors import (
+    Errors,
+    best,
+    distinguished,
+    errors,
+    prediction_of_held_out,
+)
 from fitting.reflectance.from_files.findings import findings
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit, fit_model
 from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
@@ -216,6 +223,22 @@ def test_no_model_wins_by_rounding():
         assert 0 < getattr(exact, name) < getattr(off, name) / 100
     np.testing.assert_allclose(off.relative, 1e-6, rtol=1e-6)
     assert best({"phong": exact, "lambert": rounded, "blinn": off}, "cosine") == "phong"
+
+
+@pytest.mark.parametrize("count", [3, 5, 12])
+def test_errors_differ_where_a_paired_t_test_says_so(count):
+    """At 5 % of both sides, of the logarithms of the ratios by incidence."""
+    rng = np.random.default_rng(count)
+    noise = rng.standard_normal(count)
+    both = []
+    for shift in np.linspace(0.1, 3, 60):  # in standard deviations
+        logs = shift * noise.std(ddof=1) + noise - noise.mean()
+        ours = np.full((count, 2), 1.0) * np.exp(logs)[:, None]
+        one, other = (Errors(1.0, 1.0, 1.0, np.ones(count), p) for p in (ours, np.ones((count, 2))))
+        wanted = scipy.stats.ttest_1samp(logs, 0).pvalue < 0.05
+        assert distinguished(one, other, "cosine") == wanted
+        both.append(wanted)
+    assert 0 < sum(both) < 60
 
 
 @pytest.mark.slow

@@ -117,6 +117,29 @@ def test_several_parameters_as_by_the_dense_matrices():
     np.testing.assert_allclose(found.freedom, freedom, rtol=1e-9)
 
 
+def test_clusters_of_two_kinds_add_up_less_what_both_count():
+    """V of the lights and of the pixels, less that of the samples one by one (Cameron, Gelbach &
+    Miller 2011), by dense matrices; residuals twice as large as the information has them."""
+    rng = np.random.default_rng(5)
+    light, pixel = (x.ravel() for x in np.indices((8, 20)))
+    x = 0.5 * rng.standard_normal((160, 2)) + rng.standard_normal((20, 2))[pixel]
+    bread = np.linalg.inv(x.T @ x)
+    left = np.eye(160) - x @ bread @ x.T
+    shared = 2 * rng.standard_normal(8)[light] + 6 * rng.standard_normal(20)[pixel]
+    e = left @ (2 * rng.standard_normal(160) + shared)
+
+    def clustered(labels):
+        members = [np.flatnonzero(labels == g) for g in np.unique(labels)]
+        sums = [x[i].T @ power(left[np.ix_(i, i)], -0.5) @ e[i] for i in members]
+        return np.stack(sums).T @ np.stack(sums)
+
+    each = (x * e[:, None]).T @ (x * e[:, None])
+    found = cluster_robust((x * e[:, None]).T, x.T @ x, light, pixel, slopes=x.T)
+    assert found.by_pixel > 2
+    expected = bread @ (clustered(light) + clustered(pixel) - each) @ bread
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("lights", "parameters"), [(6, 1), (6, 3), (8, 1), (8, 3), (12, 4), (40, 4)]

@@ -10,6 +10,7 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.cli import app
+from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 FAR_LAMP = """
@@ -70,6 +71,16 @@ def test_mistakes_are_one_sentence(scene, arguments, sentence):
     assert status == 2
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_the_place_is_that_of_the_tolerance(scene, monkeypatch):
+    def pruned_for(source, settings, goal, **asked):
+        raise InputError(f"{goal.value:g} {goal.unit}, {goal.place:g} pixels.")
+
+    monkeypatch.setattr("jaxvision.render_command.pruned_for", pruned_for)
+    status, _, said = run("effects", scene, "--tolerance", "1%", "--place", "0.37")
+    assert status == 2
+    assert "0.01 relative, 0.37 pixels" in said
 
 
 @pytest.mark.slow

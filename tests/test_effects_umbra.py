@@ -120,3 +120,17 @@ def test_the_inside_of_a_ball_is_seen_from_within_alone(place, unseen):
     inner = (cells.centre * cells.axis).sum(1) < 0
     assert inner.any()
     assert np.array_equal(found, inner & unseen)
+
+
+def test_a_light_that_may_turn_casts_shadows_beside_its_middle():
+    """A screen beside the column above a tile, and a sun between upright and 11 degrees to either
+    side, far enough to shade the tile; not that of 1 degree."""
+    tile = twice(jv.Surface(jv.Quad([-0.1, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), GREY))
+    screen = twice(jv.Surface(jv.Sphere([1.0, 0, 8], 0.3), GREY))
+    for tilt, expected in ((0.2, True), (0.02, False)):
+        low, high = (jv.DirectionalLight([x, 0, 1.0], [1.0]) for x in (-tilt, tilt))
+        over = np.linspace(-tilt, tilt, 41)[:, None] * [1, 0, 0] + [0, 0, 1.0]
+        over /= np.linalg.norm(over, axis=1)[:, None]
+        shaded_at = np.isfinite(hit(screen.low.shape, np.zeros((41, 3)), over)[0]).any()
+        assert shaded_at == expected
+        assert may_block([source_of(Ends(low, high))], [tile, screen])[0, 0, 1] == expected

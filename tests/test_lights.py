@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import integrate
 
-from jaxvision import as_dtype
+from jaxvision import as_array, as_dtype
 from jaxvision.lights import (
     Balanced,
     DirectionalLight,
@@ -14,6 +15,7 @@ from jaxvision.lights import (
     Quadrature,
     RectangleLight,
     SmallLight,
+    emitted,
     incident,
     irradiance,
     rule_for,
@@ -115,3 +117,21 @@ def test_each_pixel_draws_its_own_samples_by_the_same_rule():
     assert rule_for(Quadrature(3), jnp.asarray(1)) == Quadrature(3)
     with pytest.raises(ValueError, match=r"Balanced.samples must be a whole number .* got 0"):
         Balanced(key, 0)
+
+
+def test_rays_of_a_small_light_carry_its_flux_by_the_cosine():
+    """The integral of I cos(theta) over the half space, and its part within 45 degrees, by
+    quadrature; the rays are drawn evenly."""
+    normal = np.array([0.6, 0.0, -0.8])
+    lamp = SmallLight([0.2, 0, 1.0], 2 * normal, [3.0, 1.5])
+    k = (np.arange(8) + 0.5) / 8
+    u = np.stack(np.meshgrid([0.5], [0.5], k, k, indexing="ij"), -1).reshape(-1, 4)
+    rays = jax.vmap(lambda u: emitted(lamp, u, around=None))(jnp.asarray(u))
+    flux, direction = np.asarray(rays.flux), np.asarray(as_array(rays.ray.direction))
+
+    def within(end):
+        return integrate.quad(lambda t: np.cos(t) * 2 * np.pi * np.sin(t), 0, end)[0]
+
+    np.testing.assert_allclose(flux.mean(axis=0), [3 * within(np.pi / 2), 1.5 * within(np.pi / 2)])
+    near = direction @ normal > np.sqrt(0.5)
+    np.testing.assert_allclose((flux[:, 0] * near).mean(), 3 * within(np.pi / 4))

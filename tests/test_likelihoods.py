@@ -176,6 +176,27 @@ def test_sensor_noise_has_the_sensors_mean_and_variance():
     np.testing.assert_allclose(ours, expected, rtol=1e-9)
 
 
+def test_noise_sources_of_a_sensor_are_those_of_the_standard():
+    """EMVA 1288, DN^2: K^2 eta p of the photons, K^2 sigma^2 of the read-out, 1/12 of rounding."""
+    light = np.array([[200.0], [2000.0]])
+    options = {"quantum_efficiency": 0.5, "read_noise": 3.0, "gain": 0.3, "offset": 2.0}
+    sources = SensorNoise(sensor(**options, bits=10)).noise_sources(jnp.asarray(light))
+    np.testing.assert_allclose(sources["photons"], 0.09 * 0.5 * light, rtol=1e-9)
+    np.testing.assert_allclose(sources["read noise"], 0.09 * 9)
+    np.testing.assert_allclose(sources["rounding"], 1 / 12)
+    unrounded = SensorNoise(sensor(**options)).noise_sources(jnp.asarray(light))
+    np.testing.assert_allclose(unrounded["rounding"], 0)
+
+
+def test_draws_of_a_coarse_sensor_are_rounded_once():
+    """Over all places between two codes: variance K^2 sigma^2 + 1/12."""
+    likelihood = SensorNoise(Sensor(read_noise=1.0, gain=0.5, bits=10))
+    light = jnp.linspace(200.0, 1000.0, 40_000)[:, None]
+    left = np.asarray(likelihood.draw(jax.random.key(2), light)) - 0.5 * np.asarray(light)
+    np.testing.assert_allclose(left.var(), 0.25 + 1 / 12, rtol=0.04)  # known to 0.7 %
+    assert abs(left.mean()) < 0.015
+
+
 def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
     camera = sensor(read_noise=1.2, gain=0.4, offset=1.0, bits=5)
     likelihood = SensorCounts(camera, reach=14)

@@ -71,6 +71,16 @@ def test_a_marked_bin_takes_the_nearest_around_the_circle(tmp_path):
     np.testing.assert_allclose(red[[0, 1, 3, 5, 7]], [1, 1, 2, 2, 1])
 
 
+def test_a_bin_marked_in_one_colour_was_not_measured(tmp_path):
+    stored = np.full((3, 1, 1, 4), 1500.0)
+    stored[:, 0, 0, 1], stored[1, 0, 0, 2] = 3000, -1.0
+    path = write(tmp_path, "one.binary", struct.pack("<3i", 1, 1, 4) + stored.tobytes())
+    zeroed = np.asarray(files.read_merl(path, invalid="zero").values)[0, 0]
+    np.testing.assert_allclose(zeroed[:, 1], 1.15 * np.array([1, 2, 0, 1]))
+    np.testing.assert_array_equal(zeroed[2], 0)
+    assert (np.asarray(files.read_merl(path).values) > 0).all()
+
+
 @pytest.mark.slow
 def test_merl_file_of_full_size_answers_as_the_published_lookup(tmp_path):
     """90 x 90 x 180: nearest bin against the published reader's index, linear near the function

@@ -25,8 +25,9 @@ from fitting.noise.fit import (
     noise_data,
     start_vector,
 )
-from fitting.noise.levels import linear_levels
+from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.model import cost
+from fitting.noise.pattern import pattern_variance
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
@@ -462,3 +463,17 @@ def test_a_noise_free_curve_is_fitted_exactly():
     calibration = calibrate_noise(measured)
     for name, true in TRUTH.items():
         np.testing.assert_allclose(find(calibration.sheet, name).value, true, rtol=1e-6)
+
+
+def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
+    """Stacks of L frames of pixels without pattern, and with one as strong as the noise."""
+    rng, n, repetitions = np.random.default_rng(8), 200, 1500
+    for count, fixed in ((2, 0.0), (2, 1.0), (5, 0.0)):
+        pattern = np.sqrt(fixed) * np.sqrt(2) * np.sin(2 * np.pi * np.arange(n) / n)
+        frames = pattern + rng.standard_normal((repetitions, count, n))
+        spatial = frames.mean(1).var(1, ddof=1) - frames.var(1, ddof=1).mean(1) / count
+        one, ones = jnp.ones(()), jnp.ones(1)
+        levels = Levels(ones, ones, ones, ones, count * ones, n * one, (fixed + 1 / count) * ones)
+        found, by_noise = pattern_variance(levels)
+        np.testing.assert_allclose(found, fixed, atol=1e-6)
+        np.testing.assert_allclose(by_noise, spatial.var(), rtol=0.15)  # known to 4 %

@@ -107,6 +107,19 @@ def test_rays_go_through_the_distortion():
     np.testing.assert_allclose(both(optics.distort, BARREL, slope[None])[0], at, rtol=1e-12)
 
 
+@pytest.mark.parametrize("k", [-0.25, 0.3])
+def test_where_a_picture_is_stretched_it_is_darker(k):
+    """A ring of the sky, of radii r and dr, is a ring of the radii r (1 + k r^2) and its change."""
+    lens = s.Distortion([k])
+    view = s.Pinhole([0, 0, 0], EYE, 1.0, 0.1, resolution=(9, 9), f_number=2, distortion=lens)
+    r = 0.5
+    column = 4 + r * (1 + k * r * r) / 0.1
+    found = optics.pixel_irradiance(view, jnp.ones(1), a(4.0), a(column))[0]
+    stretched = (1 + k * r * r) * (1 + 3 * k * r * r)
+    plain = np.pi / (4 * 2**2) / (1 + r * r) ** 2  # cos^4
+    np.testing.assert_allclose(found, plain / stretched, rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_distortion_keeps_the_flux():
     """Under a flat sky all the light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,

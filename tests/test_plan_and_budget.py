@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from fitting import Clustered, Gaussian, Normal, Parameter, Problem, SensorNoise, StudentT, fit
 from jaxvision import PoissonShotNoise, Sensor
@@ -172,6 +173,18 @@ def test_a_plan_foretells_the_scatter_of_refits():
         {"six at 0.7": np.full(6, 0.7)}, "rate"
     )
     np.testing.assert_allclose(planned.candidates[0].sd, scatter(more), rtol=0.1)
+
+
+def test_noise_that_is_inflated_is_the_models():
+    """A mean whose data scatter c times as much as stated: c^2 sd^2 / n, 1 / c^2 of it stated."""
+    scatter = 0.3 * stats.norm.ppf((np.arange(60) + 0.5) / 60)
+    mean = {"mean": Parameter(start=0.0)}
+    problem = Problem(mean, lambda mean: mean * jnp.ones(60), Gaussian(SD), 2 + scatter)
+    found = fit(problem, starts=1, misfit="inflate").budget("mean")
+    inflated = np.sum((scatter / SD) ** 2) / 59
+    np.testing.assert_allclose(found.sd, np.sqrt(inflated / 60) * SD, rtol=1e-3)
+    np.testing.assert_allclose(found.of("noise"), 1 / inflated, rtol=1e-3)
+    np.testing.assert_allclose(found.of("model"), 1 - 1 / inflated, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -435,6 +435,30 @@ def test_picture_of_a_glowing_cube_is_even():
     np.testing.assert_allclose(image, 1, atol=5e-3)
 
 
+def test_each_side_of_a_sheet_shows_its_own_light():
+    """Irradiance that differs from side to side, on the second of two sheets: k_d E."""
+    sheets = [Quad([0, 0, z], [1.0, 0, 0], [0, 1.0, 0]) for z in (0.0, 1.0)]
+    scene = Scene([Surface(sheet, GREY, two_sided=True) for sheet in sheets], [])
+    plan = plan_patches(scene, size=0.5, split=1)
+    facing = jax.jit(lambda scene: patches_of(scene, plan))(scene)
+    light = np.where(np.asarray(facing.normal.z) > 0, 1.0, 2.0) + 4 * np.asarray(facing.centre.z)
+    values = jnp.asarray(light)[:, None]
+    solved = Solution(values, values, values, jnp.zeros(len(light), bool))
+
+    @jax.jit
+    def seen(start, direction):
+        return radiosity_along(scene, plan, solved, Ray(start, direction))[0]
+
+    for z, down, expected in (
+        (2.0, -1.0, 5.0),
+        (0.6, 1.0, 6.0),
+        (0.4, -1.0, 1.0),
+        (-1.0, 1.0, 2.0),
+    ):
+        found = seen(jnp.asarray([0.3, 0.4, z]), jnp.asarray([0, 0, down]))
+        np.testing.assert_allclose(found, 0.5 / np.pi * expected, rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_the_feet_of_boxes_are_not_dark():
     """All is 1 in a closed room of albedo .5 that glows by .5, and so are pixels of the floor .016

@@ -25,13 +25,14 @@ from jaxvision import (
     as_dtype,
     rectangle_irradiance,
 )
-from jaxvision._random import Stream
+from jaxvision._random import Stream, seed_of
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
 from jaxvision.geometry import Ray
-from jaxvision.lights import Balanced
+from jaxvision.lights import Balanced, rules_of
 from jaxvision.rendering import (
     PixelSamples,
     direct_along,
+    numbers_of,
     photograph,
     radiance_along,
     render,
@@ -399,3 +400,17 @@ def test_a_view_without_a_lens_draws_two_numbers_a_sample():
     assert "f64[2]" in program(VIEW)
     assert "f64[4]" not in program(VIEW)
     assert "f64[4]" in program(LENS)
+
+
+def test_each_sample_of_a_pixel_draws_its_own_lattice():
+    """Random rules have a key for every pixel and sample, and the same one when asked again."""
+    lamp = RectangleLight([0.0, 0, 1], [0, 1.0, 0], [1.0, 0, 0], [1.0, 1.0])
+    rule, seed = MonteCarlo(jax.random.key(4), 1), seed_of(jax.random.key(5))
+
+    def key(pixel, sample):
+        stream = Stream(jnp.uint32(pixel), jnp.uint32(sample), seed)
+        (own,) = rules_of(Scene([FLOOR], [lamp]), rule, numbers=numbers_of(stream))
+        return tuple(np.asarray(jax.random.key_data(own.key)).tolist())
+
+    assert len({key(pixel, sample) for pixel in range(3) for sample in range(3)}) == 9
+    assert key(1, 2) == key(1, 2)

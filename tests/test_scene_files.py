@@ -251,12 +251,15 @@ def test_a_spectrum_with_wavelengths_is_looked_up(tmp_path):
     nm, values = spectral_file(tmp_path)
     paint = 'family = "mirror"\nreflectance = {file = "paint.csv", column = "wanted", scale = 0.5}'
     head = "wavelengths = {first = 350, last = 800, step = 25}\n"
-    lit = (CAMERA + LIGHT).replace("[10, 20, 30]", "1")
+    lit = (CAMERA + LIGHT).replace("[10, 20, 30]", '{file = "paint.csv", column = "wanted"}')
     found = read(tmp_path, head + lit + f"[material.grey]\n{paint}\n" + BALL)
     grid = np.arange(350, 801, 25)
     np.testing.assert_allclose(found.wavelengths, grid * 1e-9)
     seen = found.scene.surfaces[0].material.reflectance
     np.testing.assert_allclose(seen, 0.5 * np.interp(grid, nm, values), rtol=1e-6)
+    within = (grid >= 380) & (grid <= 780)  # beyond its table there is no light
+    expected = np.where(within, np.interp(grid, nm, values), 0)
+    np.testing.assert_allclose(found.scene.lights[0].intensity, expected, rtol=1e-6)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import xarray
 from typer.testing import CliRunner
 
+from fitting import Gaussian, Parameter, Problem, fit, folders
 from fitting.cli import app
 from fitting.demo.compare import calibrate_lab
 from fitting.inference import posterior
@@ -23,10 +25,8 @@ from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.report.progress import reporting
 from fitting.response import calibration as response
 from fitting.response.read import read_exposure_stack
-from fitting.rig import load_rig
+from fitting.rig import Rig, load_rig
 from jaxvision.brdf.measured import BRDFSamples
-
-pytestmark = pytest.mark.slow  # every calibration, twice
 
 
 def material():
@@ -72,6 +72,7 @@ def one_model_of_files(monkeypatch):
     monkeypatch.setattr(from_files, "fit_models", fit)
 
 
+@pytest.mark.slow  # every calibration, twice
 @pytest.mark.parametrize("name", ["noise", "response", "from images", "from files"])
 def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
     calibrate, posteriors = calibrations[name]
@@ -95,6 +96,7 @@ def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
     assert {one.seed for one in sampled} == {9}
 
 
+@pytest.mark.slow
 def test_the_demo_draws_by_its_seed(lab):
     with reporting() as reporter:
         sections = calibrate_lab(lab[0], reporter.step, lambda *_: {"sampling": None, "seed": 3})
@@ -103,9 +105,44 @@ def test_the_demo_draws_by_its_seed(lab):
     assert set(seeds) == {3}
 
 
+@pytest.mark.slow
 def test_the_recorded_seed_is_the_one_that_drew(lab, tmp_path):
     arguments = ["brdf", str(lab[0] / "brdf"), "--out", str(tmp_path), "--seed", "7"]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert json.loads((tmp_path / "results.json").read_text())["seed"] == 7
     with xarray.open_dataset(tmp_path / "brdf_chains.nc", group="posterior") as chains:
         assert chains.attrs["seed"].tolist() == [7, 7, 7]
+
+
+def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
+    """Of a folder with several gains: what is read and fitted is left out, the seeds are kept."""
+    seeds = []
+
+    def calibrate_one(one, *, sampling, seed):
+        seeds.append((one, seed))
+
+    def calibrate_settings(frames, *, calibrations, seed):
+        seeds.append(("all", seed))
+
+    across = "fitting.noise.across_settings"
+    monkeypatch.setattr(f"{across}.read.reduce_by_setting", lambda rig, channel: ["low", "high"])
+    monkeypatch.setattr(f"{across}.calibration.calibrate_one", calibrate_one)
+    monkeypatch.setattr(f"{across}.calibration.calibrate_settings", calibrate_settings)
+    monkeypatch.setattr(f"{across}.section.sections", lambda calibration: ["whole"])
+    monkeypatch.setattr("fitting.report.inputs.with_inputs", lambda section, *_: section)
+    with reporting() as reporter:
+        found = folders._noise_of_settings(
+            cast(Rig, None), reporter.step, lambda *_: {"sampling": None, "seed": 7}, ""
+        )
+    assert found == ["whole"]
+    assert seeds == [("low", 7), ("high", 7), ("all", 7)]
+
+
+def test_the_draws_of_a_fit_are_those_of_its_seed():
+    data = 2 + 0.1 * np.random.default_rng(1).standard_normal(20)
+    level = {"level": Parameter(start=0.0)}
+    problem = Problem(level, lambda level: level * jnp.ones(20), Gaussian(0.1), data)
+    first, again, other = (fit(problem, starts=1, seed=seed).posterior for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first.draws, again.draws)
+    assert (first.draws != other.draws).all()
+    assert (first.seed, other.seed) == (7, 8)

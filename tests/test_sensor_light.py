@@ -316,6 +316,9 @@ def test_slots_share_out_each_rows_exposure(line_time):
     times, weights = exposure_slots(shutter, jnp.asarray(0.2), rows=9, slots=7)
     np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-12)
     assert (weights >= 0).all()
+    # the scene is seen in the middle of each slot
+    length = (0.2 + (line_time or 0) * 8) / 7
+    np.testing.assert_allclose(times, [length * k + length / 2 for k in range(7)], rtol=1e-6)
     # slots as long as half an exposure place a row's middle within half a slot of the truth
     span = 0.2 + (line_time or 0) * 8
     middle = np.arange(9) * (line_time or 0) + 0.1

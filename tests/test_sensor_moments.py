@@ -163,3 +163,12 @@ def test_expected_pictures_have_right_gradients_from_no_photon_to_saturation():
     unlit = replace(sensor, dark_current=None)
     dark = jax.jit(jax.grad(lambda x: clipped_moments(unlit, x[None])[0][0]))
     assert np.isfinite(dark(jnp.asarray(0.0)))
+
+
+def test_pattern_of_light_conversion_and_columns_is_the_variance_of_their_product():
+    """Each factor is 1 + d or 1 - d in half of the pixels, independent of the others."""
+    prnu, conversion, column = 0.3, 0.2, 0.25
+    sensor = s.Sensor(prnu=prnu, conversion_prnu=conversion, column_prnu=column, gain=0.5)
+    signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+    signals = 0.5 * 400 * np.prod(1 + signs * [prnu, conversion, column], axis=1)
+    np.testing.assert_allclose(pattern_variance(sensor, jnp.array([400.0])), signals.var())

@@ -16,6 +16,7 @@ from jaxvision.transport import Paths, light_traced, path_radiance, path_traced,
 by_paths = jax.jit(path_radiance, static_argnames="method")
 by_rays = jax.jit(ray_tree_radiance)
 KEY = jax.random.key(8)
+DOWN = np.array([0, 0, -1.0])
 SKY = environment_map(np.ones((2, 4, 1)))
 GREY = Lambert([0.5 / np.pi])
 LEAF = Surface(Quad([-0.5, -0.5, -0.5], [1.0, 0, 0], [0, 1.0, 0]), GREY)
@@ -139,3 +140,15 @@ def test_light_and_eye_in_one_body_see_the_same():
     error = np.sqrt(np.asarray(eye.error**2 + light.error**2))
     assert (error < 0.05 * np.asarray(eye.radiance)).all()
     assert (np.abs(eye.radiance - light.radiance) < 4 * error).all()
+
+
+def test_a_shadow_ray_within_a_body_is_absorbed():
+    """Camera, leaf and bulb in the ball: exp(-d) on the way to the leaf and from the bulb."""
+    bulb, target = np.array([0.3, -0.1, 0.6]), np.array([0.1, 0.1, -0.5])
+    away = bulb - target
+    d = np.linalg.norm(away)
+    expected = 0.5 / np.pi * 3 * away[2] / d**3 * np.exp(-d - 0.7)
+    ray = Ray(jnp.asarray(target - 0.7 * DOWN), jnp.asarray(DOWN))
+    scene = Scene([BALL, LEAF], [PointLight(bulb, [3.0])])
+    found = by_paths(KEY, scene, ray, method=Paths(1, 2, strategy="lights"))
+    np.testing.assert_allclose(found.radiance[0], expected, rtol=1e-6)
