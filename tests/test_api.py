@@ -172,7 +172,7 @@ LONG = {
 }
 
 
-STRIDE = 20  # of the functions of a room the default run sweeps each twentieth, CI all but LONG
+STRIDE = 20  # of a room the default run sweeps each twentieth function, `.ci/nightly` all
 
 
 def swept(room, *, stride=1):

@@ -5,12 +5,15 @@ import importlib
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+NIGHTLY = ROOT / ".ci" / "nightly"
 
 # A room may import only from lower floors; rooms on one floor never import each other. A module or
 # folder of `jaxvision` that is not named here is an error.
@@ -356,3 +359,34 @@ def test_names_load_when_first_used_also_in_a_trace():
     assert not stderr
     assert "jax" in loaded
     assert not loaded & set(NEVER_ON_IMPORT)
+
+
+@pytest.mark.skipif(not NIGHTLY.exists(), reason="a source package has no CI")
+def test_every_slow_test_is_in_one_part_of_the_nightly_sweeps():
+    """Parts of whole files; two files and the hard cases are shared by two parts that complement
+    each other."""
+    listed = subprocess.run(["bash", NIGHTLY, "--list"], capture_output=True, text=True, check=True)
+    taken = defaultdict(list)
+    for line in listed.stdout.splitlines():
+        _, *arguments = line.split("\t")
+        options = dict(pairwise(arguments))
+        assert options["-m"] in ("slow", "not benchmark and not fuzz")
+        for argument in arguments:
+            if argument.startswith("tests/") and argument != options.get("--deselect"):
+                path, _, test = argument.partition("::")
+                found = sorted((ROOT / path).rglob("test_*.py")) or [ROOT / path]
+                file_out, _, test_out = options.get("--deselect", "").partition("::")
+                left_out = test_out if file_out == path else ""
+                for file in found:
+                    taken[file].append((test, left_out, options.get("-k", "")))
+    assert taken.keys() == set((ROOT / "tests").rglob("test_*.py"))
+    for file, parts in taken.items():
+        if len(parts) == 1:
+            assert parts == [("", "", "")], file
+        elif file.parent.name == "stability":
+            assert sorted(parts) == [("", "", "float64"), ("", "", "not float64")]
+        else:
+            (whole, left_out, _), (test, none, words) = sorted(parts)
+            assert (whole, left_out, none) == ("", test, ""), file
+            assert "float64" not in test
+            assert words in ("", "not float64")

@@ -21,7 +21,7 @@ def ready():
 
 
 def interrupted(work, *arguments, times=1):
-    """(status, standard output, standard error, seconds from the first signal to the end)."""
+    """(status, standard output, standard error) after signals to work that would take an hour."""
     script = f"{HEAD}\ndef work():\n{work}\nending_on_interrupt('name', work)"
     process = subprocess.Popen(
         [sys.executable, "-c", script, *map(str, arguments)],
@@ -32,19 +32,20 @@ def interrupted(work, *arguments, times=1):
     assert process.stdout is not None
     process.stdout.readline()  # ready
     time.sleep(0.1)
-    begun = time.monotonic()
     for _ in range(times):
         process.send_signal(signal.SIGINT)
         time.sleep(0.2 if times > 1 else 0)
-    out, error = process.communicate(timeout=60)
-    return process.returncode, out, error, time.monotonic() - begun
+    try:
+        out, error = process.communicate(timeout=600)
+    finally:
+        process.kill()
+    return process.returncode, out, error
 
 
 def test_what_never_returns_to_python_ends_with_one_line():
-    work = "    import ctypes; ready()\n    ctypes.CDLL(None).sleep(30)"
-    status, _, error, seconds = interrupted(work)
+    work = "    import ctypes; ready()\n    ctypes.CDLL(None).sleep(3600)"
+    status, _, error = interrupted(work)
     assert (status, error) == (130, "name: interrupted.\n")
-    assert seconds < 20  # not those 30
 
 
 def test_a_file_that_is_being_written_is_removed_and_the_line_says_how_to_go_on(tmp_path):
@@ -56,9 +57,9 @@ def test_a_file_that_is_being_written_is_removed_and_the_line_says_how_to_go_on(
     with removed_if_interrupted(half):
         half.write_text("ha")
         ready()
-        time.sleep(30)
+        time.sleep(3600)
 """
-    status, _, error, _ = interrupted(work, file, kept)
+    status, _, error = interrupted(work, file, kept)
     assert (status, error) == (130, "name: stopped; go on.\n")
     assert not file.exists()
     assert kept.exists()
@@ -69,12 +70,12 @@ def test_who_asks_for_the_exception_keeps_what_there_is():
     try:
         with raised_interrupts():
             ready()
-            time.sleep(30)
+            time.sleep(3600)
     except KeyboardInterrupt:
         is_handled()
         print("what there is")
 """
-    status, out, _, _ = interrupted(work)
+    status, out, _ = interrupted(work)
     assert (status, out) == (130, "what there is\n")
 
 
@@ -84,13 +85,12 @@ def test_a_second_interrupt_ends_also_who_asked():
         ready()
         while True:
             try:
-                time.sleep(30)
+                time.sleep(3600)
             except KeyboardInterrupt:
                 pass
 """
-    status, _, error, seconds = interrupted(work, times=2)
+    status, _, error = interrupted(work, times=2)
     assert (status, error) == (130, "name: interrupted.\n")
-    assert seconds < 20
 
 
 def test_without_an_interrupt_nothing_changes():

@@ -102,7 +102,7 @@ def everything():
     return {jax.tree_util.keystr(path): np.asarray(value) for path, value in paths}
 
 
-@pytest.mark.slow  # CI runs it
+@pytest.mark.slow
 def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
     from jaxvision import _staging
 
@@ -119,7 +119,7 @@ def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
             np.testing.assert_allclose(plain[name], value, 1e-12, 1e-12 * size, err_msg=name)
 
 
-@pytest.mark.slow  # CI runs it
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lacks",
     [
