@@ -121,7 +121,7 @@ def test_diffraction_of_an_opening_that_may_change(ends):
     arriving = Arriving(np.ones(1), 1.0, math.inf, np.zeros(1))
     row = {r.effect.name: r for r in optics_stage(Ends(high, low), arriving)[0]}["view.diffraction"]
     worst, picture = 0.0, jax.jit(sensor_irradiance)
-    for n in np.linspace(*ends, 9):
+    for n in np.linspace(ends[0], ends[1], 9):
         blurred = picture(replace(low, f_number=n), spot)
         sharp = picture(replace(low, f_number=n, diffraction=None), spot)
         worst = max(worst, float(jnp.abs(blurred - sharp).max()))
