@@ -20,7 +20,7 @@ from jaxvision.sensor import raw_image
 from jaxvision.shot import capture
 
 KEY, DIE = jax.random.split(jax.random.key(8))
-LIGHT = jnp.full((6, 8, 3), 1e-3, float)
+LIGHT = np.full((6, 8, 3), 1e-3)
 # Where the program of an effect holds what no other effect's does.
 SIGNATURES = {
     "smear": "reduce_sum",

@@ -21,15 +21,13 @@ from jaxvision import (
     read_camera,
 )
 from jaxvision import scene as s
-from jaxvision.optics import look_at, sensor_irradiance
+from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples, render
 from jaxvision.shot import capture
 from jaxvision.transport import Paths, path_traced
 
 BANDS = 3
-ROTATION = look_at(
-    jnp.asarray([0.0, -4, 1.5]), jnp.asarray([0.0, 0, 1.2]), jnp.asarray([0.0, 0, 1])
-)
+ROTATION = loops.look_at([0, -4, 1.5], [0, 0, 1.2], [0, 0, 1])
 PINHOLE = s.Pinhole([0, -4, 1.5], ROTATION, 0.05, 0.004, resolution=(10, 12))
 PARALLEL = s.Orthographic([0, -4, 1.5], ROTATION, 0.25, resolution=(10, 12))
 KD, KS, KA = [0.2, 0.15, 0.1], [0.1, 0.2, 0.3], [0.5, 0.6, 0.7]

@@ -1,5 +1,7 @@
 """The environment map: which way it looks, its samples against its density, its irradiance."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +18,13 @@ from jaxvision.lights.harmonics import harmonic_irradiance, harmonics, irradianc
 H, W = 8, 16
 RNG = np.random.default_rng(8)
 PICTURE = RNG.gamma(0.5, size=(H, W, 2))
-SKY = environment_map(PICTURE)
-POINT = jnp.zeros(3)
+POINT = np.zeros(3)
 look, smooth = jax.jit(environment_radiance), jax.jit(harmonic_irradiance)
+
+
+@cache
+def painted():
+    return environment_map(PICTURE)
 
 
 def toward(theta, phi):
@@ -38,7 +44,9 @@ def sphere(polar, azimuths):
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 7), (4, 15), (7, 8)])
 def test_pixel_centres_are_the_samples(row, column):
-    np.testing.assert_allclose(look(SKY, pixel(row, column)), PICTURE[row, column], rtol=1e-12)
+    np.testing.assert_allclose(
+        look(painted(), pixel(row, column)), PICTURE[row, column], rtol=1e-12
+    )
 
 
 def test_orientation():
@@ -57,19 +65,19 @@ def test_rotation_turns_the_map():
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the map's x axis is the world's z
     turned = environment_map(PICTURE, rotation=turn)
     for d in (toward(0.4, 1.0), toward(2.0, -2.0)):
-        np.testing.assert_allclose(look(turned, turn.T @ d), look(SKY, d), rtol=1e-12)
+        np.testing.assert_allclose(look(turned, turn.T @ d), look(painted(), d), rtol=1e-12)
         drawn = direction_sample(turned, POINT, jnp.asarray([0.3, 0.7])).direction
-        straight = direction_sample(SKY, POINT, jnp.asarray([0.3, 0.7])).direction
+        straight = direction_sample(painted(), POINT, jnp.asarray([0.3, 0.7])).direction
         np.testing.assert_allclose(drawn, turn.T @ straight, rtol=1e-12)
 
 
 def test_no_seam_and_no_jump_across_the_poles():
     for angle in (0.1, 1.3, 2.9):
         a, b = toward(angle, np.pi - 1e-9), toward(angle, -np.pi + 1e-9)
-        np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
+        np.testing.assert_allclose(look(painted(), a), look(painted(), b), rtol=1e-6)
     for pole in (0.0, np.pi):
         a, b = toward(pole + 1e-9, 0.7), toward(pole - 1e-9, 0.7)
-        np.testing.assert_allclose(look(SKY, a), look(SKY, b), rtol=1e-6)
+        np.testing.assert_allclose(look(painted(), a), look(painted(), b), rtol=1e-6)
 
 
 @pytest.mark.sweep
@@ -178,12 +186,12 @@ def test_rules_agree_under_a_rough_sky():
     normal = toward(0.7, 0.3)
     # a hemisphere rule, blind to the library's own nodes, over the rough sky
     nodes, weights = sphere(200, 400)
-    radiance = jax.vmap(lambda d: look(SKY, d))(jnp.asarray(nodes))
+    radiance = jax.vmap(lambda d: look(painted(), d))(jnp.asarray(nodes))
     cosine = np.maximum(nodes @ np.asarray(normal), 0)
     truth = (np.asarray(radiance) * (weights * cosine)[:, None]).sum(0)
-    got = irradiance(SKY, POINT, normal, rule=Quadrature(64))
+    got = irradiance(painted(), POINT, normal, rule=Quadrature(64))
     np.testing.assert_allclose(got, truth, rtol=2e-3)
-    drawn = irradiance(SKY, POINT, normal, rule=MonteCarlo(jax.random.key(1), 8192))
+    drawn = irradiance(painted(), POINT, normal, rule=MonteCarlo(jax.random.key(1), 8192))
     np.testing.assert_allclose(drawn, truth, rtol=5e-3)
 
 

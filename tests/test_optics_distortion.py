@@ -148,7 +148,7 @@ def smooth(rows, columns):
     )
 
 
-GRID = jnp.meshgrid(jnp.arange(60.0), jnp.arange(80.0), indexing="ij")
+GRID = np.meshgrid(np.arange(60.0), np.arange(80.0), indexing="ij")
 VIEW = s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=BARREL)
 
 

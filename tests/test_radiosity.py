@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import loops
 
 from jaxvision import (
     DirectionalLight,
@@ -420,7 +421,7 @@ def picture(scene, plan, view):
 
 VIEW = Pinhole(
     [0.5, 0.5, 0.05],
-    look_at(*(jnp.asarray(v) for v in ([0.5, 0.5, 0.05], [0.45, 0.52, 1.0], [0.0, 1.0, 0.0]))),
+    loops.look_at([0.5, 0.5, 0.05], [0.45, 0.52, 1.0], [0, 1, 0]),
     1.0,
     0.25,
     resolution=(6, 8),
@@ -526,7 +527,9 @@ def test_gradients_in_albedo_emission_and_place_of_the_lamp():
 
 
 PLAN = plan_patches(ROOM, size=0.5, split=2)
-SOLUTION = Solution(jnp.ones((24, 1)), jnp.ones((96, 1)), jnp.ones((96, 1)), jnp.zeros(96, bool))
+SOLUTION = Solution(
+    *(jnp.asarray(np.ones((n, 1))) for n in (24, 96, 96)), jnp.asarray(np.zeros(96, bool))
+)
 
 
 @pytest.mark.slow

@@ -22,16 +22,18 @@ def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
     return np.asarray(made).reshape(len(pixels), len(samples), -1)
 
 
-U = numbers(np.arange(512), np.arange(64), np.arange(4))  # 2^19 of them
+@pytest.fixture(scope="module")
+def drawn():
+    return numbers(np.arange(512), np.arange(64), np.arange(4))  # 2^19 of them
 
 
 @pytest.mark.slow
-def test_uniform():
+def test_uniform(drawn):
     """Kolmogorov and Smirnov over all; chi-square in 256 bins of each dimension of five seeds,
     whose levels must themselves be even: 80 of them, so that one of 1e-3 is no surprise."""
-    assert stats.kstest(U.ravel(), "uniform").pvalue > 1e-3
-    assert U.min() >= 0
-    assert U.max() < 1
+    assert stats.kstest(drawn.ravel(), "uniform").pvalue > 1e-3
+    assert drawn.min() >= 0
+    assert drawn.max() < 1
     levels = []
     for key in range(5):
         made = numbers(
@@ -44,43 +46,43 @@ def test_uniform():
     assert min(levels) > 1e-5
 
 
-def test_low_bits_are_as_good():
+def test_low_bits_are_as_good(drawn):
     """The last 8 of 24 bits, which multiplication reaches last from above."""
-    low = (U.ravel() * 2**24).astype(int) % 256
+    low = (drawn.ravel() * 2**24).astype(int) % 256
     assert stats.chisquare(np.bincount(low, minlength=256)).pvalue > 1e-4
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("lag", [1, 2, 3, 7])
-def test_neighbouring_pixels_samples_and_dimensions_are_independent(axis, lag):
+def test_neighbouring_pixels_samples_and_dimensions_are_independent(drawn, axis, lag):
     """Correlation within 4 sigma of 0, and pairs even over a 16 x 16 grid: no planes or stripes."""
-    a = np.take(U, range(U.shape[axis] - lag), axis).ravel()
-    b = np.take(U, range(lag, U.shape[axis]), axis).ravel()
+    a = np.take(drawn, range(drawn.shape[axis] - lag), axis).ravel()
+    b = np.take(drawn, range(lag, drawn.shape[axis]), axis).ravel()
     assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(a.size)
     cell = (a * 16).astype(int) * 16 + (b * 16).astype(int)
     assert stats.chisquare(np.bincount(cell, minlength=256)).pvalue > 1e-4
 
 
-def test_far_apart_indices_and_other_seeds_share_nothing():
+def test_far_apart_indices_and_other_seeds_share_nothing(drawn):
     far = numbers(np.arange(2**31, 2**31 + 64), np.arange(2**20, 2**20 + 64), [0, 900])
     other = numbers(np.arange(64), np.arange(64), [0, 1], seed=seed_of(jax.random.key(12)))
-    near = U[:64, :, :8]
+    near = drawn[:64, :, :8]
     for made in (far, other):
         assert abs(np.corrcoef(made.ravel(), near.ravel())[0, 1]) < 4 / np.sqrt(near.size)
         assert stats.kstest(made.ravel(), "uniform").pvalue > 1e-3
 
 
-def test_mean_of_a_pixel_falls_as_for_independent_samples():
+def test_mean_of_a_pixel_falls_as_for_independent_samples(drawn):
     """The variance of means over samples is 1 / (12 n): what error bars of a picture rely on."""
-    means = U.mean(axis=1)
-    expected = 1 / 12 / U.shape[1]
+    means = drawn.mean(axis=1)
+    expected = 1 / 12 / drawn.shape[1]
     assert abs(means.var() / expected - 1) < 4 * np.sqrt(2 / means.size)
 
 
-def test_double_precision_has_finer_steps_of_the_same_numbers():
+def test_double_precision_has_finer_steps_of_the_same_numbers(drawn):
     wide = numbers(np.arange(32), np.arange(4), [0], dtype=jnp.float64)
     assert wide.dtype == np.float64
-    np.testing.assert_array_equal(np.floor(wide * 2**24) / 2**24, U[:32, :4, :4])
+    np.testing.assert_array_equal(np.floor(wide * 2**24) / 2**24, drawn[:32, :4, :4])
     assert np.any(wide * 2**24 % 1 != 0)
     assert np.all(wide * 2**32 % 1 == 0)
 

@@ -17,7 +17,6 @@ by_paths = jax.jit(path_radiance, static_argnames="method")
 by_rays = jax.jit(ray_tree_radiance)
 KEY = jax.random.key(8)
 DOWN = np.array([0, 0, -1.0])
-SKY = environment_map(np.ones((2, 4, 1)))
 GREY = Lambert([0.5 / np.pi])
 LEAF = Surface(Quad([-0.5, -0.5, -0.5], [1.0, 0, 0], [0, 1.0, 0]), GREY)
 
@@ -112,7 +111,7 @@ def test_a_way_through_bodies_within_bodies(name):
     """exp(-sum of a d) of a sky of radiance 1, straight down."""
     surfaces, start, depth = NESTED[name]
     ray = Ray(jnp.asarray(start, float), jnp.asarray([0, 0, -1.0]))
-    found = both(Scene(surfaces, [SKY]), ray, depth=6)
+    found = both(Scene(surfaces, [environment_map(np.ones((2, 4, 1)))]), ray, depth=6)
     np.testing.assert_allclose(found, np.exp(-depth), rtol=1e-5)
 
 

@@ -13,6 +13,13 @@ def unit(v):
     return np.asarray(v, float) / np.linalg.norm(v)
 
 
+def look_at(position, target, up):
+    """Rows right, down and forward of a camera."""
+    forward = unit(np.subtract(target, position))
+    right = unit(np.cross(forward, up))
+    return np.stack([right, np.cross(forward, right), forward])
+
+
 def sphere(origin, direction, centre, radius):
     """(distance, normal) or None."""
     f = origin - centre
