@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from types import SimpleNamespace
 from typing import cast
 
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ from fitting.cli import app
 from fitting.demo.compare import calibrate_lab
 from fitting.inference import posterior
 from fitting.inference.emcee_run import Chain, SamplingOptions
+from fitting.joint import calibration as joint
+from fitting.joint.read import JointMeasurement
 from fitting.noise import calibration as noise
 from fitting.noise.read import read_photon_transfer
 from fitting.reflectance.from_files import calibration as from_files
@@ -146,3 +149,17 @@ def test_the_draws_of_a_fit_are_those_of_its_seed():
     np.testing.assert_array_equal(first.draws, again.draws)
     assert (first.draws != other.draws).all()
     assert (first.seed, other.seed) == (7, 8)
+
+
+def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
+    seeds = []
+
+    def posterior(fit, sampling, seed):
+        seeds.append((fit.channel, seed))
+
+    monkeypatch.setattr(joint, "fit_channel", lambda _, i, *__, **___: SimpleNamespace(channel=i))
+    monkeypatch.setattr(joint, "is_determined", lambda fit: True)
+    monkeypatch.setattr(joint, "_posterior", posterior)
+    measurement = SimpleNamespace(observation=SimpleNamespace(channels=("red", "green")))
+    joint.calibrate(cast(JointMeasurement, measurement), seed=7)
+    assert seeds == [(0, 7), (1, 7)]
