@@ -222,6 +222,21 @@ def test_airy_kernel_against_integration(pitch):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
+@pytest.mark.parametrize("rings", [2, 2.95, 3.05, 6, 8, 11, 20, 47])
+def test_pixels_of_many_rings_get_their_share(rings):
+    """Pixels of that many lambda N, against the pattern summed at 12 places a ring and more; of its
+    sum the middle keeps what sharp lenses are made for."""
+    unit, size = WAVELENGTH * F_NUMBER, 5
+    kernel = np.asarray(optics.airy_kernel(a(WAVELENGTH), a(F_NUMBER), a(rings * unit), size=size))
+    nodes, weights = np.polynomial.legendre.leggauss(max(24, int(6 * rings)))
+    places = (np.arange(size)[:, None] - size // 2 + nodes / 2).ravel() * np.pi * rings
+    x = np.maximum(np.hypot(places[:, None], places), 1e-12)
+    across = np.tile(weights, size)
+    light = (2 * special.j1(x) / x) ** 2 * across[:, None] * across
+    shares = light.reshape(size, len(nodes), size, len(nodes)).sum(axis=(1, 3))
+    np.testing.assert_allclose(kernel, shares / shares.sum(), atol=2e-5)
+
+
 @pytest.mark.slow
 def test_airy_kernel_for_each_band_and_its_limits():
     both = optics.airy_kernel(a([4.5e-7, 6.5e-7]), a(F_NUMBER), a(3e-6), size=5)
@@ -262,5 +277,5 @@ def test_mtf_of_a_ring_is_its_pupils_autocorrelation():
     spectrum = np.abs(np.fft.fft2(pupil)) ** 2
     overlap = np.fft.ifft2(spectrum).real[0, : n // 2]
     shift = np.arange(n // 2) * 4 / n
-    got = optics.diffraction_mtf(a(shift / 2), a(1.0), a(1.0), obstruction=a(0.4))
+    got = optics.diffraction_mtf(a(shift / 2 * 1e6), a(1e-6), a(1.0), obstruction=a(0.4))
     np.testing.assert_allclose(got, overlap / overlap[0], atol=4e-3)
