@@ -98,6 +98,9 @@ def separate(
 
     Returns:
         The factors, the colours and their reliability.
+
+    Raises:
+        ValueError: an illuminant or a body without one number a band.
     """
     check_shape("illuminant", illuminant, (image.shape[-1],))
     check_shape("body", body, (image.shape[-1],))

@@ -77,6 +77,9 @@ def inspected(
 
     Returns:
         One `Effect` each.
+
+    Raises:
+        InputError: `time` for another integrator than direct light and paths.
     """
     if time and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
