@@ -220,6 +220,14 @@ def test_9_pruned_records_have_passed_their_own_checks():
     )
 
 
+def test_bands_that_no_lamp_shades_stay():
+    """What only shines costs a number a band and a pixel, and so does joining fewer bands."""
+    shining = jv.Surface(FLOOR.shape, jv.Lambert([0.2] * 3), [1.0] * 3)
+    for lights, fewer in (([], False), ([jv.PointLight([0, 0, 2], [1.0] * 3)], True)):
+        left = effects.prune(jv.Scene([shining], lights), VIEW, "0%", level=1.0)
+        assert (left.expand is not None) == fewer
+
+
 def test_11_the_number_of_bands_stays():
     scene = jv.Scene(
         jv.Surface(FLOOR.shape, jv.Mirror([0.5])), jv.PointLight([0, 0, 2], [1e-9, 0, 0])

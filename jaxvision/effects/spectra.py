@@ -67,6 +67,8 @@ def _why_not(sums: Sums, direct: bool) -> str:
     """Why no bands can be left out, or ""."""
     if not direct:
         return "light that goes on multiplies spectra without end"
+    if not sums.lights:
+        return "no lamp shades them, so that joining fewer would cost what it saves"
     for i, (surface, own) in enumerate(zip(sums.surfaces, sums.reflections, strict=True)):
         material = surface.low.material
         angular = isinstance(material, Dichromatic) or np.isinf(own.plain).any()
