@@ -87,6 +87,7 @@ def closed_form_matte(
     if tolerance is None:
         tolerance = 1e-7 if image.dtype == jnp.float64 else 1e-6
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
+    known = jnp.where(jnp.isnan(trimap), jnp.nan, known)  # neither known nor to be found
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)
     laplacian = matting_laplacian(image, epsilon=epsilon)
     if confidence is None:
