@@ -32,6 +32,12 @@ from .programs import keep_programs
 from .progress import progress_bar
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.", metavar="SCENE"
+    ),
+]
 
 app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
 
@@ -96,13 +102,7 @@ def inspect(
 @app.command()
 @failures_as_sentences("jaxvision")
 def render(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
-            metavar="SCENE",
-        ),
-    ],
+    scene: SceneArgument,
     out: Annotated[
         Path,
         typer.Option(
@@ -236,13 +236,7 @@ def render(
 @app.command()
 @failures_as_sentences("jaxvision")
 def accuracy(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
-            metavar="SCENE",
-        ),
-    ],
+    scene: SceneArgument,
     knob: KnobNames = None,
     seconds: Annotated[float, typer.Option(help="Time to measure, s.")] = 60.0,
     out: PageFolder = None,
@@ -290,13 +284,7 @@ def _share(text: str) -> float:
 @app.command()
 @failures_as_sentences("jaxvision")
 def effects(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.",
-            metavar="SCENE",
-        ),
-    ],
+    scene: SceneArgument,
     camera: Annotated[
         str,
         typer.Option(
