@@ -50,8 +50,11 @@ many = problem(lambda x: jax.device_put(x, shared))
 assert len(many.data.sharding.device_set) == len(many.present.sharding.device_set) == 4
 options = {"posterior": "emcee", "sampling": SamplingOptions(steps=40, walkers=16, block=20)}
 one, four = (fit(p, **options) for p in (problem(jnp.asarray), many))
-for name in ("a", "k"):
-    np.testing.assert_allclose(four.values[name], one.values[name], rtol=1e-12)
+# A search that sums in another order takes other steps to the same mode, to which it comes within
+# 4e-4 standard errors; the ends lie a millionth of one apart.
+for estimate, other in zip(four.estimates, one.estimates, strict=True):
+    mode, error = one.values[estimate.name], other.standard_error
+    np.testing.assert_allclose(four.values[estimate.name], mode, rtol=0, atol=1e-6 * error)
 # The order of a sum differs, so a step may be taken here and refused there; not in so few steps.
 np.testing.assert_allclose(four.posterior.samples, one.posterior.samples, rtol=1e-9)
 print("equal")

@@ -301,5 +301,5 @@ def test_ambient_light_stands_for_what_bounces():
     plan = plan_patches(scene, size=1.0)
     np.testing.assert_array_equal(radiosity(scene, plan).radiosity, 0)
     view = camera([0.0, 0, 4], [0.0, 0, 0], 0.1, 2)
-    with pytest.raises(ValueError, match="light tracing needs a scene with something that shines"):
+    with pytest.raises(ValueError, match="something that shines"):
         light_traced(KEY, scene, view, paths=10)

@@ -44,9 +44,12 @@ def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
             "starts."
         )
     elif not optimum.stationary:
+        promise = f"another step promises {optimum.decrement:.2g} in log density"
+        if not np.isfinite(optimum.decrement):
+            promise = "its last step led uphill"
         failures.append(
-            "The search stopped before a maximum: another step promises "
-            f"{optimum.decrement:.2g} in log density; try more starts, or narrower bounds."
+            f"The search stopped before a maximum: {promise}; try more starts, narrower bounds, or "
+            "transform='log' for a number whose size is unknown."
         )
     if not explained:
         failures += checks.faults
