@@ -107,7 +107,7 @@ def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
     needed = {"full_well": EVERY_EFFECT.full_well} if effect == "blooming" else {}
     alone = shot(s.Sensor(**{effect: getattr(EVERY_EFFECT, effect)}, **needed))
     assert alone
-    assert (alone["shift_left"] > 0) == (effect in DRAWN)  # the rotations of the hash
+    assert (alone["xor"] > 0) == (effect in DRAWN)  # of the hash
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from commands import called
 from scene_texts import BALL
 
 from jaxvision.accuracy import Knob, Problem, combined, curve, page, plot
-from jaxvision.accuracy.checks import checked_error, settled
+from jaxvision.accuracy.checks import checked, settled
 from jaxvision.accuracy.scene_settings import Chosen
 from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of, scene_problem
 from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
@@ -96,10 +96,10 @@ def test_the_most_accurate_combination_in_a_time():
 def test_the_check_finds_what_a_combination_errs_by():
     problem, curves = measured()
     best = combined(curves, problem.settings, tolerance=0.05)
-    error = checked_error(problem, curves, best, seconds=1e9)
+    error, _ = checked(problem, curves, best, seconds=1e9)
     truth = np.hypot(2.0 ** -best.settings["d"], best.settings["n"] ** -0.5)
     assert truth < error < 1.3 * truth
-    assert checked_error(problem, curves, best, seconds=1e-6) is None
+    assert checked(problem, curves, best, seconds=1e-6) is None
 
 
 def without_time_for(name):
@@ -128,9 +128,9 @@ def test_a_bias_without_time_stays_where_it_is_and_is_named():
     fresh = problem.prepare(best.settings)(10**7)
     assert np.sqrt(np.mean((fresh - (1 - 2.0**-4)) ** 2)) <= 0.2
     assert "d 4 (not known)" in rows(problem, curves)[-1][2]
-    error = checked_error(problem, curves, best, seconds=1e9)
-    assert error is not None
-    assert error < 1.3 * best.settings["n"] ** -0.5
+    check = checked(problem, curves, best, seconds=1e9)
+    assert check is not None
+    assert check.error < 1.3 * best.settings["n"] ** -0.5
     chosen = Chosen(None, None, 0.2, 1.0, False, best.settings, best.unknown)
     assert "too short to measure d, left as in the scene" in choice_in_words(chosen)
     with pytest.raises(InputError, match="no error of knob 'd' is known; allow more time"):
@@ -161,8 +161,8 @@ def test_what_fresh_runs_find_beyond_the_tolerance_is_tightened_or_refused(beyon
         with pytest.raises(InputError, match=r"fresh runs of the last ones are off by"):
             settled(planted, curves, 0.1, None, seconds=1e9)
         return
-    best, checked = settled(planted, curves, 0.1, None, seconds=1e9)
-    assert checked
+    best, confirmed = settled(planted, curves, 0.1, None, seconds=1e9)
+    assert confirmed
     assert np.hypot(2.0 ** -best.settings["d"] - beyond, best.settings["n"] ** -0.5) < best.error
     assert best.error <= 0.1
 

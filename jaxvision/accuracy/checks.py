@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .deadlines import OutOfTime, in_time
 from .norms import level_of
 from .records import Curve, Problem
 from .reference import DRAWS, FIRST_SEED, mean_of
-from .session import Clock, part_seconds
+from .session import Clock, part_seconds, whole_seconds
 from .several import Combination, combined
 from .spread import next_error
 
@@ -23,6 +23,18 @@ FRESH = 3  # seeds of the check
 FINER = (4, 2)  # times a random setting, for each of the draws of a reference; in a hurry fewer
 ROUNDS = 3  # of tightening after a check that failed
 MARGIN = 0.9
+
+
+class Check(NamedTuple):
+    """What runs with fresh seeds say of settings.
+
+    Attributes:
+        error: relative, what no run is expected to exceed, whatever the reference is itself off by.
+        seconds: s, of a warm call, the first of the runs left out.
+    """
+
+    error: float
+    seconds: float
 
 
 def settled(
@@ -34,8 +46,8 @@ def settled(
     seconds: float,
     clock: Clock | None = None,
 ) -> tuple[Combination, bool]:
-    """The best combination, checked by fresh runs; one that they find beyond the tolerance is
-    tightened.
+    """The best combination, checked by fresh runs; one that they find beyond the tolerance or the
+    time is tightened.
 
     Args:
         problem: whose knobs they are.
@@ -46,43 +58,58 @@ def settled(
         clock: seconds as a function; None: the machine's.
 
     Returns:
-        The combination with the error of those runs, and whether there was time for them.
+        The combination with error and time of those runs, and whether there was time for them.
 
     Raises:
         InputError: where no combination is within the tolerance or the time.
     """
     now = clock or time.perf_counter
     until = now() + seconds
-    aim, off, error = wanted, 1.0, None
+    aim, within, off, slow = wanted, allowed, 1.0, 1.0
+    best, check = None, None
     for number in range(ROUNDS):
         try:
-            best = combined(curves, problem.settings, tolerance=aim, seconds=allowed)
+            best = combined(curves, problem.settings, tolerance=aim, seconds=within)
         except InputError:
             if number == 0:
                 raise
             break
-        error = checked_error(problem, curves, best, seconds=until - now(), clock=clock)
-        if error is None:
-            return replace(best, error=best.error * off), False
-        if wanted is None or error <= wanted:
-            return replace(best, error=error), True
-        off = error / max(best.error, 1e-12)
-        aim = MARGIN * wanted / off
+        check = checked(problem, curves, best, seconds=until - now(), clock=clock)
+        if check is None:
+            return replace(best, error=best.error * off, seconds=best.seconds * slow), False
+        found = replace(best, error=check.error, seconds=check.seconds)
+        if wanted is not None and check.error <= wanted:
+            return found, True
+        if allowed is not None and (check.seconds <= allowed or number == ROUNDS - 1):
+            return found, True
+        off = check.error / max(best.error, 1e-12)
+        slow = check.seconds / max(best.seconds, 1e-12)
+        if wanted is not None:
+            aim = MARGIN * wanted / off
+        if allowed is not None:  # of what settings can save, the same share as of what they took
+            least = combined(curves, problem.settings, tolerance=np.inf).seconds
+            share = max(allowed - least, 0.0) / max(check.seconds - least, 1e-12)
+            within = least + MARGIN * share * (best.seconds - least)
+    assert best is not None
+    assert check is not None
+    if wanted is None:
+        return replace(best, error=check.error, seconds=check.seconds), True
     raise InputError(
         f"{problem.name}: no settings were found within {wanted:.3g}: fresh runs of the last ones "
-        f"are off by {error:.3g}; allow more, or more time to measure."
+        f"are off by {check.error:.3g}; allow more, or more time to measure."
     )
 
 
-def checked_error(
+def checked(
     problem: Problem,
     curves: Sequence[Curve],
     best: Combination,
     *,
     seconds: float,
     clock: Clock | None = None,
-) -> float | None:
-    """The error of a combination, by runs with fresh seeds against finer settings of all knobs.
+) -> Check | None:
+    """Error and time of a combination, by runs with fresh seeds against finer settings of all
+    knobs. What the settings of a bias in that reference are off by is added.
 
     Args:
         problem: whose knobs they are.
@@ -92,11 +119,15 @@ def checked_error(
         clock: seconds as a function; None: the machine's.
 
     Returns:
-        Relative, what no run is expected to exceed; None where time is too short for a reference
-        of a third of that error.
+        Error and time; None where time is too short for a reference of half of that error.
     """
     now = clock or time.perf_counter
     until = now() + seconds
+    own = sum(
+        one.reference.error
+        for one in curves
+        if not one.knob.random and one.knob.name not in best.unknown
+    )
     turned = {**problem.settings, **best.settings}
     random = any(one.knob.random for one in curves)
     for finer in FINER if random else (1,):
@@ -109,8 +140,9 @@ def checked_error(
         call = part_seconds(problem, best.seconds)
         if compiling + DRAWS * each + FRESH * call <= seconds:
             with suppress(OutOfTime):
-                work = partial(_fresh_error, problem, finest, turned, random)
-                return in_time(work, lambda: until - now())
+                work = partial(_fresh_runs, problem, finest, turned, random, now)
+                check = in_time(work, lambda: until - now())
+                return check and check._replace(error=check.error + own)
             return None
     return None
 
@@ -138,17 +170,26 @@ def _finer(
     return {**problem.settings, **best.settings, **fine}, each
 
 
-def _fresh_error(
-    problem: Problem, finest: Mapping[str, Any], turned: Mapping[str, Any], random: bool
-) -> float | None:
-    """The error of settings by fresh seeds against the finest; None where that is no better."""
+def _fresh_runs(
+    problem: Problem,
+    finest: Mapping[str, Any],
+    turned: Mapping[str, Any],
+    random: bool,
+    now: Clock,
+) -> Check | None:
+    """Error and time of settings with fresh seeds; None where the finest are no better."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     compared = problem.compared or np.asarray
     reference, own = mean_of(draws, compared) if random else (compared(draws[0]), 0.0)
     chosen = problem.prepare(turned)
-    results = [compared(np.asarray(chosen(FIRST_SEED // 2 + n))) for n in range(FRESH)]
-    errors = [np.sqrt(np.mean((one - reference) ** 2)) for one in results]
+    errors, times = [], []
+    for seed in range(FIRST_SEED // 2, FIRST_SEED // 2 + FRESH):
+        begun = now()
+        result = np.asarray(chosen(seed))
+        times.append(now() - begun)
+        errors.append(np.sqrt(np.mean((compared(result) - reference) ** 2)))
     level = level_of(reference, problem.level)
     found = next_error(np.array(errors) / level)[2]
-    return None if own / level > found / 2 else found
+    seconds = whole_seconds(problem, np.median(times[1:]), problem.once())
+    return None if own / level > found / 2 else Check(found, float(seconds))

@@ -14,23 +14,10 @@ BEYOND = 2**14  # times the finest setting, as far as the declared order of chan
 STEP = 2**0.5  # between settings that are inferred
 
 
-def bound(trial: Trial, floor: float) -> float:
-    """Upper bound on the error of another run, with the reference's error for a hollow point.
-
-    Args:
-        trial: of a setting.
-        floor: relative, the error of the reference.
-
-    Returns:
-        Relative.
-    """
-    return trial.error_high + (2 * floor if trial.hollow else 0.0)
-
-
 def candidates(curve: Curve) -> tuple[Trial, ...]:
     """The settings that were run and, where the knob takes any whole number and the measured errors
-    fall at least as fast as its declared order, those between and beyond, inferred by that order
-    from the next coarser one.
+    fall at least as fast as its declared order, those between and beyond, inferred by the
+    slower of the two orders from the next coarser one.
 
     Args:
         curve: of the knob.
@@ -54,8 +41,10 @@ def candidates(curve: Curve) -> tuple[Trial, ...]:
 
 
 def _inferred(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
-    order = curve.knob.order
-    assert order is not None
+    declared, fitted = curve.knob.order, curve.order
+    assert declared is not None
+    assert fitted is not None
+    order = max(declared, fitted.exponent)  # the slower of the two
     near = max((t for t in solid if t.setting < setting), key=lambda t: t.setting)
     falls = (setting / near.setting) ** order
     first, last = curve.trials[0], curve.trials[-1]
@@ -116,12 +105,12 @@ def choose(
     found = candidates(curve) if isinstance(curve, Curve) else tuple(curve)
     floor = curve.reference.error if isinstance(curve, Curve) else 0.0
     if seconds is None:
-        enough = [trial for trial in found if bound(trial, floor) <= limit]
+        enough = [trial for trial in found if trial.error_high <= limit]
         if not enough:
             raise InputError(_not_reached(curve, found, floor, limit))
         fastest = min(enough, key=lambda trial: trial.seconds)
         as_fast = [t for t in enough if t.measured and t.seconds <= fastest.seconds_high]
-        return min(as_fast or [fastest], key=lambda trial: (bound(trial, floor), trial.seconds))
+        return min(as_fast or [fastest], key=lambda trial: (trial.error_high, trial.seconds))
     if not found:
         raise InputError(f"No setting takes at most {seconds:g} s: none was run; allow more time.")
     quick = [trial for trial in found if trial.seconds <= seconds]
@@ -131,19 +120,19 @@ def choose(
             f"No setting takes at most {seconds:g} s; the fastest, {fastest.setting}, takes "
             f"{fastest.seconds:.3g} s."
         )
-    return min(quick, key=lambda trial: bound(trial, floor))
+    return min(quick, key=lambda trial: trial.error_high)
 
 
 def _not_reached(
     curve: Curve | Sequence[Trial], found: Sequence[Trial], floor: float, tolerance: float
 ) -> str:
-    known = [t for t in found if np.isfinite(bound(t, floor))]
+    known = [trial for trial in found if np.isfinite(trial.error_high)]
     if not known:
         return f"No setting reaches {tolerance:g}: no error is known."
-    best = min(known, key=lambda trial: bound(trial, floor))
+    best = min(known, key=lambda trial: trial.error_high)
     words = (
         f"No setting reaches {tolerance:g}; the most accurate, {best.setting}, is only known to be "
-        f"within {bound(best, floor):.3g}"
+        f"within {best.error_high:.3g}"
     )
     if tolerance < 3 * floor:
         return f"{words}, and the reference itself within {floor:.3g}: allow more time for it."

@@ -14,13 +14,14 @@ from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
-from .reference import PAIRED, mean_of, paired_reference, random_reference
+from .reference import PAIRED, mean_of, paired_reference, random_reference, unlike
 from .session import GRACE, Clock, Point, Session, whole_seconds
 from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
 HOLLOW = 3.0  # errors below so many of the reference's say little
+SURE = 1.5  # times the estimate of a reference's own error, within which it is taken to be
 CERTAIN = 0.99865  # that a reference and the finest setting beside it differ: 3 sigma
 LEAST = 2e-3  # s, below which nothing is begun
 REPEATS = 5  # of the time of a setting that is not random
@@ -217,6 +218,8 @@ def _told(
     apart = [point for point in points if point.setting != reference.setting]
     if session.knob.random and reference.how == "other seeds" and apart:
         own = max(own, _gap(session, apart[-1], some, own))
+    if not session.knob.random and reference.setting is not None:
+        own = max(own, unlike(session, [point.setting for point in apart], exact))
     if len(turned := session.knob.settings) > 1 and session.points.keys() == {reference.setting}:
         own = np.inf if reference.setting == turned[0] else own  # what all share does not show
     relative = replace(reference, error=own / level)
@@ -277,6 +280,11 @@ def _trial(
         apart = np.stack([found[s] - truth[s] for s in seeds]) / level
         error, low, high = _bias(main, apart)
     hollow = bool(norms["rms"] < HOLLOW * floor)
+    # What the reference is off by, in the first norm: of a random knob it is in the error already.
+    own = floor * (norms[names[0]] / norms["rms"] if norms["rms"] > 0 else 1.0)
+    if not knob.random and own > 0:
+        low, high = max(low - SURE * own, 0.0), high + SURE * own
+    high += own if hollow and own > 0 else 0.0
     times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)
     quartiles = np.quantile(times, [0.25, 0.5, 0.75])
     return Trial(

@@ -6,7 +6,7 @@ import numpy as np
 
 from .records import Knob, Law, Order, Trial
 
-LEAST_SPREAD = 0.03  # relative: no error is known better
+LEAST_SPREAD = 0.01  # relative: no error is known better
 SHALLOWEST = 0.7  # of the declared order, for it to be relied upon
 
 
@@ -25,7 +25,7 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
         return None
     x = np.array([variable(one.setting, knob.law) for one in solid])
     y = np.log([one.error for one in solid])
-    known = np.array([_spread(one) for one in solid])
+    known = np.array([_spread(knob, one) for one in solid])
     weights = 1 / known**2
     centre = np.average(x, weights=weights)
     spread = float(np.sum(weights * (x - centre) ** 2))
@@ -40,12 +40,12 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
     return Order(slope, slope - half, slope + half, knob.law, len(solid))
 
 
-def _spread(trial: Trial) -> float:
+def _spread(knob: Knob, trial: Trial) -> float:
     """Standard error of the logarithm of an error."""
-    if trial.seeds < 2 or trial.error_low <= 0:
+    if not np.isfinite(trial.error_high) or trial.error_high <= trial.error:
         return LEAST_SPREAD
-    wide = np.log(trial.error_high / trial.error_low) / (2 * 1.96)
-    return max(float(wide) / float(np.sqrt(trial.seeds)), LEAST_SPREAD)
+    wide = float(np.log(trial.error_high / trial.error)) / 1.96
+    return max(wide / float(np.sqrt(trial.seeds)) if knob.random else wide, LEAST_SPREAD)
 
 
 def _is_number(setting: object) -> bool:

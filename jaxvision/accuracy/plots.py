@@ -37,7 +37,8 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     bottom = BELOW * min((t.error for t in shown), default=0.0)
     for trial in shown:
         error = 100 * trial.error
-        low, high = (100 * max(x, bottom) for x in (trial.error_low, trial.error_high))
+        ends = (x if np.isfinite(x) else trial.error for x in (trial.error_low, trial.error_high))
+        low, high = (100 * max(x, bottom) for x in ends)
         axes.errorbar(
             trial.seconds,
             error,

@@ -95,7 +95,7 @@ class Trial:
         setting: the setting.
         error: relative, root mean square over seeds, in the first norm that was asked for.
         error_low, error_high: relative; a run with another seed stays between the two in 95 of 100
-            cases, and below the upper one in 97.5.
+            cases, and below the upper one in 97.5, whatever the reference is itself off by.
         seconds: median time of a warm call, in s.
         seconds_low, seconds_high: s, its quartiles.
         first_seconds: s, of the first call, with tracing and compilation.

@@ -20,6 +20,7 @@ LATEST = 0.9  # of the time that is left, after which a reference is given up
 FIRST_SEED = 1_000_000  # of references; trials have smaller seeds
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
 UNITS = 4  # in the last place, to which no sum is right
+MOST_UNLIKE = 4.0  # times the error that the steps between settings tell
 MOST_TAIL = 6.0  # of the last step between two settings, for the rest of a sequence
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
@@ -125,6 +126,25 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
         return Reference(chosen, rounding, "exact setting"), found
     how = "twice as fine" if chosen in knob.reference else "finest setting"
     return Reference(chosen, max(_tail(knob, rungs, ladder), rounding), how), found
+
+
+def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
+    """How far a reference is from the finest of three settings or more that is not the reference
+    itself, where that is more than their steps to one another allow, so that it or they are wrong;
+    else 0. In the unit of the result."""
+    rungs = [one for one in settings if isinstance(one, int | float)][-3:]
+    if len(rungs) < 3 or len(rungs) != len(settings[-3:]):
+        return 0.0
+    ladder = [
+        {seed: session.compared(session.points[rung].results[seed]) for seed in PAIRED}
+        for rung in rungs
+    ]
+    apart = [
+        ladder[-1][seed] - (reference[seed] if isinstance(reference, dict) else reference)
+        for seed in PAIRED
+    ]
+    gap = _rms(np.mean(apart, axis=0))
+    return gap if gap > MOST_UNLIKE * _tail(session.knob, rungs, ladder) else 0.0
 
 
 def _finest(session: Session, *, calls: int) -> Any:

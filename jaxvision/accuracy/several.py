@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .choice import bound, candidates
-from .records import Curve, Trial
+from .choice import candidates
+from .records import Curve
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,8 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 def _pareto(curve: Curve, once: float) -> Front:
     """(setting, bound of the error, factor of time), without those that another beats."""
     found: Front = []
-
-    def price(trial: Trial) -> tuple[float, float]:
-        return trial.seconds, bound(trial, curve.reference.error)
-
-    for trial in sorted(candidates(curve), key=price):
-        error = bound(trial, curve.reference.error)
+    for trial in sorted(candidates(curve), key=lambda trial: (trial.seconds, trial.error_high)):
+        error = trial.error_high
         if np.isfinite(error) and (not found or error < found[-1][1]):
             found.append((trial.setting, error, trial.seconds / max(once, 1e-12)))
     return found

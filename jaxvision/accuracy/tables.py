@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .choice import bound, choose
+from .choice import choose
 from .records import Curve, Problem, Trial
 from .scene_settings import Chosen
 from .several import Combination, combined
@@ -65,7 +65,7 @@ def _cells(curve: Curve) -> list[str]:
     """A cell for each tolerance; the first that no setting meets tells the best bound there is."""
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
-        best = min((bound(trial, curve.reference.error) for trial in curve.trials), default=np.inf)
+        best = min((trial.error_high for trial in curve.trials), default=np.inf)
         known = f"at best {in_percent(best)}" if np.isfinite(best) else "no error is known"
         found[found.index(NOT_REACHED)] = f"{NOT_REACHED}: {known}"
     return found

@@ -150,7 +150,7 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
     Returns:
         The even and the odd response, each of the picture's shape and unit.
     """
-    c, s = jnp.cos(angle), jnp.sin(angle)
+    c, s = jnp.cos(jnp.asarray(angle)), jnp.sin(jnp.asarray(angle))
     even = (c * c, 2 * c * s, s * s)
     odd = (c * c * c, 3 * c * c * s, 3 * c * s * s, s * s * s)
     return _weighted(even, basis.even), _weighted(odd, basis.odd)

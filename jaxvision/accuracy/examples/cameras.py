@@ -35,7 +35,9 @@ from ..records import Compute, Problem
 from .pictures import picture
 
 SIDE = 64  # pixels
-PITCH = 4e-5  # m
+FOCAL_LENGTH = 0.05  # m
+WIDE = 4e-4  # m, of pixels that see 29 degrees: the balls, whose edges blur
+CLOSE = 4e-5  # m, of pixels that a blur spreads over
 _NOISES = {
     "gaussian": GaussianShotNoise,
     "fast": FastPoissonShotNoise,
@@ -55,11 +57,20 @@ def _balls() -> Scene:
     return Scene([*balls, wall], [PointLight((-1, -1, 0), (9.0, 9.0, 9.0))])
 
 
-def _lens_samples() -> Problem:
-    lens = ThinLens(
-        (0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE), f_number=1.4, focus_distance=1.8
+def _lens(pitch: float, f_number: float = 1.4, focus_distance: float = 1.8) -> ThinLens:
+    return ThinLens(
+        (0, 0, 0),
+        np.eye(3),
+        FOCAL_LENGTH,
+        pitch,
+        resolution=(SIDE, SIDE),
+        f_number=f_number,
+        focus_distance=focus_distance,
     )
-    scene = _balls()
+
+
+def _lens_samples() -> Problem:
+    lens, scene = _lens(WIDE), _balls()
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         count = settings["lens samples"]
@@ -70,9 +81,7 @@ def _lens_samples() -> Problem:
 
 
 def _layers() -> Problem:
-    lens = ThinLens(
-        (0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE), f_number=1.4, focus_distance=1.8
-    )
+    lens = _lens(CLOSE)
     image = jnp.asarray(picture()[:SIDE, :SIDE])
     depth = jnp.asarray(np.linspace(1.0, 3.0, SIDE)[None, :] * np.ones((SIDE, 1)))
 
@@ -85,7 +94,7 @@ def _layers() -> Problem:
 
 
 def _view() -> Pinhole:
-    return Pinhole((0, 0, 0), np.eye(3), 0.05, PITCH, resolution=(SIDE, SIDE))
+    return Pinhole((0, 0, 0), np.eye(3), FOCAL_LENGTH, WIDE, resolution=(SIDE, SIDE))
 
 
 def _moments() -> Problem:
@@ -136,23 +145,11 @@ def _diffraction_size() -> Problem:
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         diffraction = Diffraction(550e-9, size=settings["diffraction size"])
-        view = replace(_small(), diffraction=diffraction)
+        view = replace(_lens(4e-6, 16.0, 1e3), diffraction=diffraction)
         run = jax.jit(lambda radiance: sensor_irradiance(view, radiance))
         return lambda seed: run(light)
 
     return Problem("a slit at f/16", prepare)
-
-
-def _small() -> ThinLens:
-    return ThinLens(
-        (0, 0, 0),
-        np.eye(3),
-        0.05,
-        4e-6,
-        resolution=(SIDE, SIDE),
-        f_number=16.0,
-        focus_distance=1e3,
-    )
 
 
 def _diffraction_nodes() -> Problem:
