@@ -77,6 +77,22 @@ def test_pixels_without_data_are_nan_and_counted(maps, images):
     assert misfits <= stats.binom.ppf(0.9995, 2000, 1e-3)
     assert any("1 of 2000 pixels have no data" in s for s in maps.findings)
     assert any("data of 1 of 2000 pixels leave a direction open" in s for s in maps.findings)
+    assert not any("fewer data" in s for s in maps.findings)
+
+
+def test_pixels_that_only_bounds_determine_are_counted():
+    """One datum of a line with 15 DN at 1 s: the rate lies between 0 and 15 DN/s, evenly."""
+    rate = Parameter(lower=0, upper=15)
+    problem = Problem(
+        {"dark": rate, "offset": rate}, line, Gaussian(sd=0.01), np.zeros(8), inputs=TIMES
+    )
+    images = line(3.0, 2.0, TIMES)[:, None] + np.zeros(4)
+    images[1:, 2] = np.nan
+    found = fit_map(problem, images, starts=4)
+    assert found.findings[-1] == (
+        "1 of 4 pixels have fewer data than unknowns: bounds and priors decide."
+    )
+    assert found.sd["dark"][2] > 100 * found.sd["dark"][0]
 
 
 def test_maps_are_written(maps, tmp_path):

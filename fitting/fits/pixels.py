@@ -141,7 +141,10 @@ def fit_map(
             advance(int(places[-1]) + 1, pixels)
         for places in _parts(np.concatenate(slow), chunk):
             run(places, MANY_STEPS)
-    return _mapped(problem, table, chi_square, dof, state, shape)
+    given = np.isfinite(flat).sum(axis=tuple(range(len(own_shape))))
+    few = int(np.sum((given < numbers) & (state <= STATES.index("misfit"))))
+    told = (f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide.",)
+    return _mapped(problem, table, chi_square, dof, state, shape, told=told[: few > 0])
 
 
 def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
