@@ -3,9 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from decompositions import beside_each_other
 from scipy import stats
 
 from fitting import Censored, Gaussian, Parameter, Problem, fit, fit_map
+from fitting.inference.pixelwise import fit_side_by_side
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
@@ -78,6 +80,17 @@ def test_pixels_without_data_are_nan_and_counted(maps, images):
     assert any("1 of 2000 pixels have no data" in s for s in maps.findings)
     assert any("data of 1 of 2000 pixels leave a direction open" in s for s in maps.findings)
     assert not any("fewer data" in s for s in maps.findings)
+
+
+def test_pixels_never_wait_for_each_other_s_threads(images):
+    """No two decompositions of their matrices at the same time (`decompositions`)."""
+    flat = np.moveaxis(images.reshape(8, -1), -1, 0)[:3]
+
+    def run(data):
+        starts = jnp.zeros((2, 2))
+        return fit_side_by_side(starts, PIXEL, data, [None], jnp.asarray(5), jnp.zeros(8))
+
+    assert beside_each_other(run, jnp.asarray(flat)) == []
 
 
 def test_pixels_that_only_bounds_determine_are_counted():

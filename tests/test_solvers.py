@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+from decompositions import beside_each_other
 
 from fitting.inference.bounded import minimise_in_box
 from fitting.inference.least_squares import minimise_residuals
@@ -99,3 +100,37 @@ def test_one_evaluation_of_newton_gives_the_derivatives_at_the_start():
     hessian = [[1200 * x**2 - 400 * y + 2, -400 * x], [-400 * x, 200]]
     np.testing.assert_allclose(found.information, hessian, rtol=1e-12)
     assert not found.converged
+
+
+def test_many_searches_never_wait_for_each_other_s_threads():
+    """No program of ours runs two decompositions of a batch at the same time: see `decompositions`,
+    which finds those that hung."""
+    matrices = jnp.ones((5, 3, 3))
+
+    def hung(matrix):
+        return jnp.linalg.eigvalsh(matrix), jnp.linalg.inv(matrix)
+
+    assert beside_each_other(jax.vmap(hung), matrices) == [("eigh", "lu")]
+    starts = jnp.ones((5, 2))
+    newton = jax.vmap(lambda start: minimise(rosenbrock, start, 100.0))
+    assert beside_each_other(newton, starts) == []
+    data = (jnp.asarray(X), jnp.asarray(Y))
+    squares = jax.vmap(lambda start: minimise_residuals(decay, start, data))
+    assert beside_each_other(squares, starts) == []
+
+
+def test_newton_knows_whether_it_ended_at_a_minimum():
+    """The lowest eigenvalue of the scaled Hessian is NumPy's, at a minimum, a saddle and a maximum;
+    only the first counts as the end of a search."""
+    for signs, place in (((1, 1), 0.0), ((1, -1), 0.0), ((-1, -1), 0.0)):
+        curvature = jnp.asarray(signs, float) * jnp.array([3.0, 40.0])
+
+        def bowl(vector, args):
+            return jnp.sum(args * vector**2) / 2 + vector[0] * vector[1]
+
+        found = minimise(bowl, jnp.full(2, place), curvature)
+        hessian = np.diag(np.asarray(curvature)) + np.eye(2)[::-1]
+        size = np.sqrt(np.abs(np.diag(hessian)))
+        lowest = np.linalg.eigvalsh(hessian / np.outer(size, size))[0]
+        np.testing.assert_allclose(found.lowest, lowest, rtol=1e-12)
+        assert bool(found.converged) == (signs == (1, 1))

@@ -112,11 +112,6 @@ def _fitted(starts: Array, problem: Problem, max_steps: Array, chance: Array) ->
     costs = jnp.where(jnp.isfinite(found.cost), found.cost, jnp.inf)
     best = jax.tree.map(lambda each: each[jnp.argmin(costs)], found)
     prior = prior_derivatives(best.vector, problem)[2]
-    size = jnp.sqrt(jnp.maximum(jnp.diagonal(best.information), 0))
-    size = jnp.where(size > 0, size, 1)
-    scaled = best.information / jnp.outer(size, size)
-    finite = jnp.isfinite(best.cost) & jnp.isfinite(scaled).all()
-    lowest = jnp.linalg.eigvalsh(jnp.where(finite, scaled, jnp.eye(len(size))))[0]
     residuals = _residuals(problem, best.vector, chance)
     assert problem.present is not None
     return Ends(
@@ -127,8 +122,8 @@ def _fitted(starts: Array, problem: Problem, max_steps: Array, chance: Array) ->
         data_information=best.information - prior,
         prior_information=prior,
         stationary=best.converged,
-        determined=lowest > (UNDETERMINED if precise else 1e-6),
-        finite=finite,
+        determined=best.lowest > (UNDETERMINED if precise else 1e-6),
+        finite=jnp.isfinite(best.cost) & jnp.isfinite(best.information).all(),
         agreeing=jnp.sum(costs < jnp.min(costs) + SAME_PLACE),
         chi_square=jnp.sum(jnp.where(problem.present, residuals, 0) ** 2),
         count=jnp.sum(problem.present),
