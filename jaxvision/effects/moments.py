@@ -55,6 +55,10 @@ def scene_rows(
             rows += probed_rows(scene.high, view.high, depth)
             rows = tuple(sorted(rows, key=_as_steps))
         return rows, arriving
+    if scene.low is not scene.high or view.low is not view.high:
+        free = tuple(_free(row) for row in rows)
+        unknown = np.full_like(arriving.radiance, np.inf)
+        return free, Arriving(unknown, 0.0, np.inf, unknown)
     times = moments_of(sensor, view.high.resolution[0], moments)
     found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
     everywhere = _by_name([rows, *(own for own, _ in found)])
@@ -71,6 +75,14 @@ def _uncut(row: Row) -> Row:
     return replace(row, effect=effect, drop=None, saves=0.0)
 
 
+def _free(row: Row) -> Row:
+    """Of a scene that may change and moves: a motion may map values of the box out of what it makes
+    of its ends, so that nothing is known."""
+    why = f"{row.effect.why}; a motion may take what is free anywhere"
+    effect = replace(row.effect, why=why, bound=np.inf, rank="bound")
+    return replace(row, effect=effect, amount=0 * row.amount + np.inf, after=None, drop=None)
+
+
 def _as_steps(row: Row) -> float:
     """In order as they stand, and after all others those of paths, from short to long ones."""
     return -row.saves if row.ladder == "bounces" else -2.0
@@ -79,14 +91,11 @@ def _as_steps(row: Row) -> float:
 def _moved(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
-    """The scene and the view at each time, s, at both ends."""
+    """The scene and the view at each time, s, of which nothing is free."""
     dtype = view.low.pixel_pitch.dtype
-    one = scene.low is scene.high and view.low is view.high
     for time in times:
-        at = jnp.asarray(time, dtype)
-        low = motion(scene.low, view.low, at)
-        high = low if one else motion(scene.high, view.high, at)
-        yield Ends(low[0], high[0]), Ends(low[1], high[1])
+        there, seen = motion(scene.low, view.low, jnp.asarray(time, dtype))
+        yield Ends(there, there), Ends(seen, seen)
 
 
 def _by_name(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:

@@ -163,6 +163,11 @@ class Pixel:
         value = self.sensor.high[name]
         return 0.0 if value is None else float(value)
 
+    def low(self, name: str) -> float:
+        """The least value of a number; 0 where it is None."""
+        value = self.sensor.low[name]
+        return 0.0 if value is None else float(value)
+
     @cached_property
     def gain(self) -> float:
         """K: DN per electron."""

@@ -237,7 +237,8 @@ def _fresnel(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
             if np.all(eta == 1):
                 return lambda c: 0 * c, True
             if np.all((eta >= 1) & (eta <= _MONOTONE)):
-                return lambda c: _dielectric(c, float(eta.max())), neutral
+                ends = float(eta.min()), float(eta.max())
+                return lambda c: _dielectric(c, *ends), neutral
             return lambda c: 0 * c + 1, neutral
         case Schlick(), Schlick():
             f0 = max(float(numbers(end.f0).max()) for end in (low, high))
@@ -259,11 +260,22 @@ def fresnel_least(x: Ends[Interface | None]) -> float:
     return 0.0
 
 
-def _dielectric(c: Any, eta: float) -> Any:
-    """Fresnel's reflectance of unpolarised light, eta >= 1."""
-    g = np.sqrt(eta**2 - 1 + c * c)
-    s, p = (c - g) / (c + g), (eta**2 * c - g) / (eta**2 * c + g)
-    return (s * s + p * p) / 2
+def _dielectric(c: Any, least: float, most: float) -> Any:
+    """No less than Fresnel's reflectance of unpolarised light, of indices between two, >= 1; equal
+    to it where they are one. That of s grows with the index; that of p is largest at an end, or
+    where eta^2 is twice the squared sine."""
+
+    def amplitudes(eta: Any) -> tuple[Any, Any]:
+        g = np.sqrt(eta**2 - 1 + c * c)
+        return (c - g) / (c + g), (eta**2 * c - g) / (eta**2 * c + g)
+
+    s, p = amplitudes(most)
+    most_p = p * p
+    if least < most:
+        inner = np.clip(np.sqrt(np.maximum(2 * (1 - np.square(c)), 1)), least, most)
+        for eta in (least, inner):
+            most_p = np.maximum(most_p, amplitudes(eta)[1] ** 2)
+    return (s * s + most_p) / 2
 
 
 def _table(x: Ends[Any]) -> Reflection:

@@ -100,7 +100,7 @@ def sensor_stage(
 
 
 def dark_noise(pixel: Pixel) -> float:
-    """Noise of a pixel in the dark, temporal and pattern, with rounding.
+    """Noise of a pixel in the dark, temporal and pattern, with rounding: the least of all.
 
     Pixels with defects or traps are not counted in: they are noisier.
 
@@ -110,7 +110,7 @@ def dark_noise(pixel: Pixel) -> float:
     Returns:
         DN rms.
     """
-    conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
+    conversion, column = pixel.low("conversion_prnu"), pixel.low("column_prnu")
     dark = pixel.counted_dark
     read = (1 + conversion**2) * dark + (conversion * dark) ** 2 + pixel.added()
     variance = pixel.gain_low**2 * (1 + column**2) * read

@@ -51,7 +51,7 @@ def column_prnu(pixel: Pixel) -> Bound:
 def every_pixel(name: str, pixel: Pixel) -> Bound:
     """Zero-mean noise or pattern of all pixels, independent of all other noise."""
     variance = pixel.variances.high[name]
-    conversion = pixel.high("conversion_prnu")
+    conversion = pixel.low("conversion_prnu")
     rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
     moved = pixel.behind_column * growth(rest, variance)
     return Bound(moved, f"{math.sqrt(variance):.3g} e- rms")
@@ -61,7 +61,7 @@ def telegraph_noise(pixel: Pixel) -> Bound:
     """A trapped pixel is off by +-a in half of its frames, of variance a^2 / 2; others are not."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
-    rest = (1 + pixel.high("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
+    rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
     moved = pixel.behind_column * growth(rest, trapped)
     why = f"{rare:.3g} pixels have a trap; the bound is theirs"
     return Bound(moved, why, rare=rare)
@@ -138,6 +138,8 @@ def _clipped(pixel: Pixel) -> float:
     offsets = [0.0 if x is None else float(x) for x in ends]
     top = 2 ** float(pixel.sensor.low["bits"]) - 1
     low = _gaussian_excess(noise, min(offsets))
+    if pixel.charge.counting == "gaussian":
+        low = _below(pixel, min(offsets))
     spare = (top - max(offsets)) / (pixel.gain * widest)
     high = _above(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
     second = pixel.bright + pixel.bright**2 + _widest(pixel)
@@ -161,6 +163,31 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
         return counted + _gaussian_excess(noise, (1 - share) * level)
 
     return min(at(share) for share in np.linspace(0.02, 0.99, 40)) if noise > 0 else at(1.0)
+
+
+def _below(pixel: Pixel, offset: float) -> float:
+    """Root mean square of what lies below 0 DN where a count is Gaussian, of variance M like its
+    mean M. With v the variance of the read-out and o the offset in electrons,
+
+        E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
+
+    a being the largest gain of a pixel, is largest at u = a^2 + sqrt(a^4 + (a o - v)^2) of all
+    M >= 0, or at the brightest.
+    """
+    spare = 1 + _WIDE * pixel.high("conversion_prnu")
+    per_electron = pixel.gain * (1 + _WIDE * pixel.high("column_prnu"))
+    noise, o = _widest(pixel), max(offset, 0.0) / per_electron
+    worst = spare**2 + math.hypot(spare**2, spare * o - noise)
+
+    def rms(brightest: float) -> float:
+        u = min(max(worst, noise), noise + spare * brightest)
+        mean = (u - noise) / spare
+        return math.sqrt(u / 2 * math.exp(-((mean + o) ** 2) / (2 * u))) if u > 0 else 0.0
+
+    sensitive = 1 + _WIDE * pixel.high("prnu")
+    most = INF if pixel.hot > 0 else spare * (pixel.light * sensitive + pixel.dark)
+    beyond = math.sqrt(_BEYOND) * rms(INF) if pixel.high("prnu") > 0 else 0.0
+    return max(-offset, 0.0) + per_electron * math.hypot(rms(most), beyond)
 
 
 def _gaussian_excess(rms: float, level: float) -> float:

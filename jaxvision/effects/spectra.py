@@ -97,7 +97,9 @@ def _terms(sums: Sums) -> Terms:
         part = np.arange(own.start, own.stop)[sums.seen[own]]
         if not part.size:
             continue
-        geometry, spectra = [np.ones(part.size)], [sums.own[i]]
+        # Apart, as one may go, or be all that shows, without the other.
+        geometry = [np.ones(part.size), np.ones(part.size)]
+        spectra = [sums.emission[i], sums.ambient[i]]
         for k, spectrum in enumerate(sums.spectrum):
             mirror = np.full(part.size, float(sums.sources[k].extended))
             geometry += [sums.body[k, part], sums.lobe[k, part], mirror]

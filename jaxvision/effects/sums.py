@@ -40,8 +40,8 @@ class Sums(NamedTuple):
         lobe_around: (l, c) as `lobe`, but toward any viewer, for light that goes on to other
             surfaces.
         k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
-        own: (n, bands) W m^-2 sr^-1, emission and, where no light goes on from surface to surface,
-            reflected ambient light.
+        emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light only
+            where no light goes on from surface to surface, else 0.
         spectrum: (l, bands) of each light.
         shown: (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0.
         visible: (l,) whether it may.
@@ -66,7 +66,8 @@ class Sums(NamedTuple):
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
-    own: np.ndarray
+    emission: np.ndarray
+    ambient: np.ndarray
     spectrum: np.ndarray
     shown: np.ndarray
     visible: np.ndarray
@@ -76,6 +77,11 @@ class Sums(NamedTuple):
     searched: bool
     nearest: np.ndarray
     eye: Eye
+
+    @property
+    def own(self) -> np.ndarray:
+        """(n, bands) W m^-2 sr^-1, what a surface shines by itself."""
+        return self.emission + self.ambient
 
 
 def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
@@ -125,9 +131,8 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
     spectrum = _Table(len(sources), bands).filled(
         (k, own.spectrum) for k, own in enumerate(sources)
     )
-    own = emitted(surfaces, bands)
-    if not bounces:
-        own += ambient_reflected(scene, surfaces, bands)
+    emission = emitted(surfaces, bands)
+    ambient = 0 * emission if bounces else ambient_reflected(scene, surfaces, bands)
     visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
     extended = np.array([source.extended for source in sources], bool)
     shown = extended[:, None] & (k_mirror > 0).any(1)
@@ -149,7 +154,8 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         k_body,
         k_lobe,
         k_mirror,
-        own,
+        emission,
+        ambient,
         spectrum,
         np.where(visible[:, None], spectrum, 0.0),
         visible,
