@@ -10,13 +10,13 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers
 from jaxvision.errors import InputError
-from jaxvision.interrupts import ending_on_interrupt
+from jaxvision.interrupts import ending_on_interrupt, is_handled
 from jaxvision.memory import keep_memory
 from jaxvision.programs import keep_programs
 
@@ -320,7 +320,7 @@ def check(
 
 
 @app.command()
-@failures()
+@failures(interrupted="interrupted.")
 def accuracy(
     rig: RigPath,
     knob: KnobNames = None,
@@ -329,12 +329,13 @@ def accuracy(
     as_json: AsJson = False,
 ) -> None:
     """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
-    a hundredth and a thousandth of a standard error. An interrupt keeps what was measured."""
+    a hundredth and a thousandth of a standard error. An interrupt ends it and keeps what was
+    measured; --json prints one object, with a key for each fit."""
     from .rig import load_rig
 
     described = load_rig(rig)
     keep_programs()
-    from jaxvision.accuracy.console import check_request, show
+    from jaxvision.accuracy.console import check_request, keep, print_json, repeating, show
     from jaxvision.accuracy.knobs_in_turn import asked_knobs
 
     from .accuracy import measured, problems
@@ -347,15 +348,27 @@ def accuracy(
     left = seconds - (time.perf_counter() - begun) / len(found)
     if knob:
         asked_knobs(str(rig), names, [name for _, known in found.values() for name in known])
-    words = ["jaxvision-fit accuracy", str(rig), *(f"--knob {k!r}" for k in knob or ())]
-    command = " ".join([*words, f"--seconds {seconds:g}"])
-    for fit, (problem, known) in found.items():
-        turned = tuple(name for name in names if name in known)
-        if not turned:
-            continue
-        curves = measured(problem, known, names=turned, seconds=left)
-        folder = out / fit if out is not None and len(found) > 1 else out
-        show(problem, curves, command=command, out=folder, as_json=as_json)
+    asked = {"knobs": knob or (), "seconds": seconds, "out": out}
+    command = repeating("jaxvision-fit accuracy", rig, **asked)
+    sheets: dict[str, Any] = {}
+    try:
+        for fit, (problem, known) in found.items():
+            turned = tuple(name for name in names if name in known)
+            if not turned:
+                continue
+            curves = measured(problem, known, names=turned, seconds=left)
+            folder = out / fit if out is not None and len(found) > 1 else out
+            sheets[fit] = show(problem, curves, command=command, as_json=as_json)
+            keep(folder, problem, curves, command=command, as_json=as_json)
+            if any(curve.stopped == "interrupted" for curve in curves):
+                break
+    except KeyboardInterrupt:
+        if not sheets:
+            raise
+        is_handled()
+    finally:
+        if as_json and sheets:
+            print_json(sheets)
 
 
 def start() -> None:

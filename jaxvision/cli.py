@@ -248,7 +248,7 @@ def accuracy(
     file = existing_file(scene, "scene")
     _prepare()
     from .accuracy import measured
-    from .accuracy.console import check_request, show
+    from .accuracy.console import check_request, keep, print_json, repeating, show
     from .accuracy.curves import LEAST
     from .scene_files import read_scene
 
@@ -264,9 +264,11 @@ def accuracy(
     problem, curves = measured(
         source, source.render, names=tuple(knob or ()) or None, seconds=left, metrics=norms
     )
-    command = " ".join(["jaxvision accuracy", scene, *(f"--knob {k!r}" for k in knob or ())])
-    command += f" --seconds {seconds:g}"
-    show(problem, curves, command=command, out=out, as_json=as_json)
+    command = repeating("jaxvision accuracy", scene, knobs=knob or (), seconds=seconds, out=out)
+    sheet = show(problem, curves, command=command, as_json=as_json)
+    if as_json:
+        print_json(sheet)
+    keep(out, problem, curves, command=command, as_json=as_json)
 
 
 def _share(text: str) -> float:

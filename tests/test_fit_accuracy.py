@@ -1,7 +1,9 @@
 """Every approximation of a fit has its knob, and every knob turns something."""
 
 import json
+import shlex
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +21,7 @@ from fitting.accuracy.rigs import fits_of
 from fitting.cli import app
 from fitting.inference.parameters import Parameter, scalars
 from fitting.rig import load_rig
-from jaxvision.accuracy import Problem, curve
+from jaxvision.accuracy import Knob, Problem, curve
 from jaxvision.errors import InputError
 
 # A public argument or field of one of these names trades error for time, and needs a knob ...
@@ -116,6 +118,64 @@ def test_the_command_measures_a_rig(lab, tmp_path):
     status, _, error = called(app, "accuracy", folder, "--knob", "sampels")
     assert status == 2
     assert "knob 'sampels' changes nothing here; use 'solver tolerance'" in error
+
+
+@pytest.fixture
+def two_fits(tmp_path, monkeypatch):
+    """A rig of two fits, each a bias of 1 / n^2, and the fit at which an interrupt comes."""
+    folder = tmp_path / "two fits"
+    folder.mkdir()
+    (folder / "rig.toml").write_text("[camera]\nbits = 8\n")
+    knob = Knob("pixels", "", "pixels used", (1, 2, 4), (8, 16), order=-2.0)
+    state = SimpleNamespace(folder=folder, stops={}, measured=[])
+
+    def problem(name):
+        return Problem(name, lambda s: lambda seed: np.full(3, 1 + s["pixels"] ** -2.0))
+
+    def one_measured(problem, known, *, names, seconds):
+        state.measured.append(problem.name)
+        stop = state.stops.get(problem.name)
+        if stop == "before":
+            raise KeyboardInterrupt
+        found = curve(problem, knob, seconds=1e5)
+        return (replace(found, stopped=stop or ""),)
+
+    fits = {name: (problem(name), ("pixels",)) for name in ("noise", "brdf")}
+    monkeypatch.setattr("fitting.accuracy.problems", lambda *_, **__: fits)
+    monkeypatch.setattr("fitting.accuracy.measured", one_measured)
+    return state
+
+
+def test_a_rig_of_two_fits_is_one_json_document(two_fits, tmp_path):
+    """Its command repeats it as it was asked for, blanks in paths and folder of the page included;
+    pages are in folders of their own."""
+    out = tmp_path / "a page"
+    asked = ["accuracy", two_fits.folder, "--knob", "pixels", "--seconds", 9, "--out", out]
+    status, said, _ = called(app, *asked, "--json")
+    assert status == 0
+    sheet = json.loads(said)
+    assert list(sheet) == ["noise", "brdf"]
+    assert [sheet[fit]["problem"] for fit in sheet] == ["noise", "brdf"]
+    words = shlex.split(sheet["brdf"]["command"])
+    assert words == ["jaxvision-fit", *map(str, asked)]
+    assert (out / "brdf" / "accuracy.html").exists()
+    assert (out / "noise" / "accuracy.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("stops", "told"),
+    [({"noise": "interrupted"}, ["noise"]), ({"brdf": "before"}, ["noise"])],
+)
+def test_an_interrupt_ends_the_command_and_keeps_what_was_measured(two_fits, stops, told):
+    two_fits.stops.update(stops)
+    _, said, _ = called(app, "accuracy", two_fits.folder, "--json")
+    assert list(json.loads(said)) == told
+    assert two_fits.measured[-1] == next(iter(stops))
+    two_fits.stops["noise"] = "before"
+    status, said, error = called(app, "accuracy", two_fits.folder)
+    assert (status, said) == (130, "")
+    assert error.endswith("interrupted.\n")
+    assert "resumes" not in error
 
 
 @pytest.mark.slow

@@ -2,9 +2,11 @@
 
 import json
 import os
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from .pages import write_page
@@ -38,22 +40,41 @@ def check_request(seconds: float, out: Path | None) -> None:
             import_module(module)
 
 
+def repeating(
+    command: str, what: object, *, knobs: Sequence[str], seconds: float, out: Path | None
+) -> str:
+    """The line that measures the same again.
+
+    Args:
+        command: and sub-command.
+        what: scene or rig.
+        knobs: those asked for; none: all.
+        seconds: s, to measure in.
+        out: folder of the page, or None.
+
+    Returns:
+        Text for a shell.
+    """
+    words = [*command.split(), str(what)]
+    for knob in knobs:
+        words += ["--knob", knob]
+    words += ["--seconds", f"{seconds:g}"]
+    return shlex.join(words if out is None else [*words, "--out", str(out)])
+
+
 def show(
-    problem: Problem,
-    curves: Sequence[Curve],
-    *,
-    command: str,
-    out: Path | None = None,
-    as_json: bool = False,
-) -> None:
-    """Prints the table, or JSON, at once, and then writes the page.
+    problem: Problem, curves: Sequence[Curve], *, command: str, as_json: bool = False
+) -> dict[str, Any]:
+    """Prints the table at once.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs, error against time in s.
         command: by which it can be repeated.
-        out: folder of the page, or None.
-        as_json: whether to print JSON instead of the table.
+        as_json: whether JSON is printed instead, by `print_json`.
+
+    Returns:
+        All that was measured, for JSON.
 
     Raises:
         InputError: where time was too short for any setting of any knob.
@@ -63,18 +84,44 @@ def show(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
             "--seconds."
         )
-    if as_json:
-        sheet = as_dict(problem, curves, machine=machine(), command=command)
-        print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
-    else:
+    if not as_json:
         print(f"{problem.name}; {machine()}")
         print(in_columns(rows(problem, curves)))
         print("\n".join(notes(curves)), flush=True)
+    return as_dict(problem, curves, machine=machine(), command=command)
+
+
+def keep(
+    out: Path | None,
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    command: str,
+    as_json: bool = False,
+) -> None:
+    """Writes the page and its numbers, where a folder is given.
+
+    Args:
+        out: folder of the page, or None.
+        problem: whose knobs they are.
+        curves: of the knobs, error against time in s.
+        command: by which it can be repeated.
+        as_json: whether JSON is printed, and the files are not named.
+    """
     if out is None:
         return
     for path in write_page(out, problem, curves, command=command):
         if not as_json:
             print(f"Written: {path}", flush=True)
+
+
+def print_json(sheet: Mapping[str, Any]) -> None:
+    """Prints one JSON document.
+
+    Args:
+        sheet: numbers and text.
+    """
+    print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
 
 
 def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
