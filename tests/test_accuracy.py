@@ -433,6 +433,38 @@ def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
         choose(found, tolerance=1e-3)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_rule_without_chance_is_no_truth_for_itself(dtype, alone):
+    """The mean of seven equal results differs from them by rounding, which is not their error: they
+    are all off by 5 %, which the other rule hides in its own scatter."""
+    shape, clock = np.random.default_rng(0).uniform(0.5, 1.5, LENGTH), Clock()
+
+    def prepare(settings):
+        fixed = settings["rule"] == "quadrature"
+
+        def compute(seed):
+            clock.now += 1.0
+            if alone and not fixed:
+                raise InputError("there is no light to draw")
+            noise = 0.0 if fixed else np.random.default_rng(seed).standard_normal(LENGTH)
+            return (shape * (1.05 if fixed else 1 + 0.2 * noise)).astype(dtype)
+
+        return compute
+
+    knob = Knob("rule", "", "", ("drawn", "quadrature"), (), random=True)
+    problem = Problem("rules", prepare, compared=lambda result: np.minimum(result, np.pi / 2.5))
+    found = curve(problem, knob, seconds=16.0, clock=clock)
+    assert found.reference.setting == "quadrature"
+    if alone:
+        assert found.reference.error == np.inf
+    else:
+        assert 0.05 < found.reference.error < 0.25
+    for tolerance in (1e-3, 0.01, 0.045):
+        with pytest.raises(InputError):
+            choose(found, tolerance=tolerance)
+
+
 def test_the_mean_of_what_is_cut_off_is_cut_off_after_the_mean():
     """Cut before, it would be darker; and its error is the scatter of means made anew."""
     draws = 2 * np.random.default_rng(0).binomial(4, 0.5, (16, 64, LENGTH)) / 4

@@ -14,7 +14,7 @@ from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
-from .reference import PAIRED, mean_of, paired_reference, random_reference, unlike
+from .reference import PAIRED, UNITS, mean_of, paired_reference, random_reference, unlike
 from .session import GRACE, Clock, Point, Session, whole_seconds
 from .spread import next_error
 
@@ -216,8 +216,8 @@ def _told(
     level = level_of(some, problem.level)
     own = reference.error
     apart = [point for point in points if point.setting != reference.setting]
-    if session.knob.random and reference.how == "other seeds" and apart:
-        own = max(own, _gap(session, apart[-1], some, own))
+    if session.knob.random and reference.how == "other seeds":
+        own = max(own, _gap(session, apart, some, reference))
     if not session.knob.random and reference.setting is not None:
         own = max(own, unlike(session, [point.setting for point in apart], exact))
     if len(turned := session.knob.settings) > 1 and session.points.keys() == {reference.setting}:
@@ -237,20 +237,28 @@ def _told(
     )
 
 
-def _gap(session: Session, finest: Point, reference: np.ndarray, error: float) -> float:
+def _gap(
+    session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
+) -> float:
     """How far the finest setting is from the reference where that is more than their scatter
-    allows, so that one of the two is wrong, or where all seeds of the reference agree, so that
-    nothing else tells its error; else 0."""
+    allows, so that one of the two is wrong; else 0. Where all seeds of the reference agree, its
+    scatter tells nothing of its error: then how far the nearest other setting is from it, and no
+    less than that one's own scatter; infinite without another."""
     from scipy.special import stdtrit
 
-    results = list(finest.results.values())
-    if len(results) < 2:
+    error, known = reference.error, [one for one in others if len(one.results) > 1]
+    means = [mean_of(list(one.results.values()), session.problem.compared) for one in known]
+    gaps = [float(np.sqrt(np.mean((mean - exact) ** 2))) for mean, _ in means]
+    own = session.points.get(reference.setting)
+    units = 0.0 if own is None else UNITS * own.rounding
+    if error <= units * float(np.sqrt(np.mean(exact**2))):
+        pairs = zip(gaps, means, strict=True)
+        return min((max(gap, scatter) for gap, (_, scatter) in pairs), default=np.inf)
+    if not known:
         return 0.0
-    mean, own = mean_of(results, session.problem.compared)
-    apart = float(np.mean((mean - reference) ** 2))
-    limit = float(stdtrit((len(results) - 1) * mean.size, CERTAIN))
-    told = error == 0 or apart > limit**2 * (own**2 + error**2)
-    return float(np.sqrt(apart)) if told else 0.0
+    mean, scatter = means[-1]
+    limit = float(stdtrit((len(known[-1].results) - 1) * mean.size, CERTAIN))
+    return gaps[-1] if gaps[-1] > limit * np.hypot(scatter, error) else 0.0
 
 
 def _trial(
