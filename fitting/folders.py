@@ -161,7 +161,9 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     with step("reading images"):
         observation = read_reflectance_observation(rig)
     with step("fitting reflectance") as progress:
-        calibration = calibrate(observation, **settings, **draws("brdf", progress))
+        drawn = draws("brdf", progress)
+        by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
+        calibration = calibrate(observation, **settings, **drawn, progress=by_fit)
     free = settings.get("fit_gamma", False)
     return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}
 

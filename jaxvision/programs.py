@@ -28,6 +28,14 @@ def compile_quickly() -> None:
         os.environ.setdefault("XLA_FLAGS", _QUICKLY)
 
 
+def thoroughly() -> dict[str, bool | int] | None:
+    """`compiler_options` of `jax.jit` for a program that computes for so long that it is compiled
+    with optimisation even where `compile_quickly` was asked for; read them after that."""
+    if os.environ.get("XLA_FLAGS") != _QUICKLY:
+        return None
+    return {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+
+
 def keep_programs() -> None:
     """Keeps compiled programs for the next run, in the user's cache folder, unless
     JAX_COMPILATION_CACHE_DIR names another or is empty. Where nothing can be written, nothing is

@@ -22,6 +22,7 @@ EAGER = {
     "jaxvision.errors",
     "jaxvision.memory",
     "jaxvision.programs",
+    "jaxvision.side_by_side",
     "jaxvision.tasks",
     "jaxvision.camera_files",
     "jaxvision.material_files",

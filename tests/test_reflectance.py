@@ -34,7 +34,7 @@ from fitting.reflectance.from_images.posterior import (
     composite_log_density,
 )
 from fitting.reflectance.from_images.read import read_reflectance_observation
-from fitting.reflectance.from_images.samples import select
+from fitting.reflectance.from_images.samples import gather, select
 from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.report.page import as_json
 from fitting.rig import load_rig
@@ -71,7 +71,8 @@ def with_frames(observation, frames):
 def fit(observation, model="phong", **options):
     form = Form(model, **options)
     chosen = select(observation, held_out=False, form=form)
-    return fit_channel(observation, 0, form, chosen, cells(observation, chosen))
+    gathered = gather(observation, chosen, models=(model,), channels=(0,))
+    return fit_channel(gathered, 0, form, cells(observation, chosen))
 
 
 def cells(observation, chosen, width=1.0):

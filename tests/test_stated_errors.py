@@ -14,6 +14,7 @@ from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.model import Form, linear_signal, negative_log_likelihood
+from fitting.reflectance.from_images.samples import gather
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
 from fitting.report.left_out import left_out_tables
 
@@ -25,7 +26,8 @@ def fitted():
     observation, chosen, cells = SPHERE.observed
 
     def fit(**changed):
-        return fit_channel(replace(observation, **changed), 0, Form("phong"), chosen, cells)
+        gathered = gather(replace(observation, **changed), chosen, models=("phong",), channels=(0,))
+        return fit_channel(gathered, 0, Form("phong"), cells)
 
     return observation, fit
 

@@ -24,7 +24,7 @@ from ..reflectance.from_images.posterior import (
     total_log_likelihood,
 )
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
-from ..reflectance.from_images.samples import Selection, select
+from ..reflectance.from_images.samples import Selection, gather, select
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
@@ -52,7 +52,8 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
     usual = _grouping(observation, chosen, 1.0)
     every = range(len(observation.channels))
-    fits = (fit_channel(observation, channel, form, chosen, usual) for channel in every)
+    gathered = gather(observation, chosen, models=(form.model,), channels=every)
+    fits = (fit_channel(gathered, channel, form, usual) for channel in every)
     fit = next((one for one in fits if one.robustness is not None), None)
     if fit is None or fit.robustness is None:
         raise InputError(

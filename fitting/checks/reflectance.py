@@ -14,7 +14,8 @@ from ..reflectance.from_images.geometry_cells import Grouping, group
 from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.posterior import channel_posterior
 from ..reflectance.from_images.read import ReflectanceObservation
-from ..reflectance.from_images.samples import Selection, select
+from ..reflectance.from_images.samples import Selection, gather, select
+from ..reflectance.names import Model
 from ..rig import Camera, SphereGeometry
 from .simulations import places_in
 
@@ -145,10 +146,9 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     """
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
-    again = replace(observation, dn=dn)
-    found, matt = (
-        fit_channel(again, 0, Form(model), chosen, cells) for model in ("phong", "lambert")
-    )
+    models: tuple[Model, ...] = ("phong", "lambert")
+    again = gather(replace(observation, dn=dn), chosen, models=models, channels=(0,))
+    found, matt = (fit_channel(again, 0, Form(model), cells) for model in models)
     if found.robustness is None or open_parameters(found, matt):
         raise InputError("the data leave a parameter open.")
     posterior = channel_posterior(found, cells, sampling=None, seed=seed)

@@ -7,12 +7,14 @@ are, or nearly so, `derivatives` may give Gauss and Newton's curvature instead.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
+
+from jaxvision.programs import thoroughly
 
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
@@ -68,6 +70,7 @@ def minimise(
     derivatives: Derivatives | None = None,
     max_steps: int | Int[Array, ""] = 100,
     tolerance: float = 1e-7,
+    long: bool = False,
 ) -> NewtonSolution:
     """Minimises objective(vector, args) until a step promises less than a tolerance. Works under
     `vmap`.
@@ -84,16 +87,18 @@ def minimise(
         max_steps: most evaluations; one gives the derivatives at the start, of the same compiled
             program.
         tolerance: on the promised fall in cost.
+        long: whether the data are so many that the program is compiled with optimisation even
+            where the others are not.
 
     Returns:
         The end of the search.
     """
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
-    return _minimise(objective, start, args, derivatives, most, enough)
+    search = _minimise_thoroughly if long else _minimise
+    return search(objective, start, args, derivatives, most, enough)
 
 
-@eqx.filter_jit
-def _minimise(
+def _search(
     objective: Objective,
     start: Array,
     args: Any,
@@ -111,6 +116,10 @@ def _minimise(
         return _goes_on(state, max_steps, tolerance)
 
     return _solution(jax.lax.while_loop(goes_on, step, _begun(start)), tolerance)
+
+
+_minimise = eqx.filter_jit(_search)
+_minimise_thoroughly = cast(Any, eqx.filter_jit)(_search, compiler_options=thoroughly())
 
 
 def minimise_read(

@@ -7,17 +7,15 @@ use; a command does not.
 """
 
 import atexit
-import contextvars
 import queue
 import threading
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any
 
-import jax
 import numpy as np
 
 from ..interrupts import leaves_work_behind
+from ..side_by_side import for_any_thread
 
 TICK = 0.1  # s, between two looks at the time
 
@@ -26,28 +24,18 @@ class OutOfTime(Exception):
     """Work was left behind, or not begun."""
 
 
-def _double() -> bool:
-    """Whether this thread computes in double precision where it is asked to."""
-    return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
-
-
 class _Job:
     """A task and, once it has run, its result."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self.work = work
-        self.context = contextvars.copy_context()
-        self.double = _double()
+        self.work = for_any_thread(work)
         self.ended = threading.Event()
         self.result: Any = None
         self.error: BaseException | None = None
 
     def run(self) -> None:
-        # A context of JAX belongs to a thread. One that changes nothing would compile anew.
-        same = _double() == self.double
         try:
-            with nullcontext() if same else jax.enable_x64(self.double):
-                self.result = self.context.run(self.work)
+            self.result = self.work()
         except BaseException as error:
             self.error = error
         self.ended.set()

@@ -7,7 +7,6 @@ rounding of the mesh's size is not met.
 """
 
 import importlib.util
-import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,7 @@ from jaxtyping import Array, Bool, Int
 from .._types import Scalar
 from .._vector import as_array
 from ..scene import TriangleMesh
+from ..side_by_side import cores
 from .rays import Ray
 
 Query = Callable[..., np.ndarray]  # of a scene and rays
@@ -123,8 +123,7 @@ _nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 def _by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
     """Results for `count` rays, one part a core: Embree releases the interpreter lock."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    parts = max(min(cores or 1, count // _SHARE), 1)
+    parts = max(min(cores(), count // _SHARE), 1)
     ends = [count * k // parts for k in range(parts + 1)]
     slices = [slice(*pair) for pair in pairwise(ends)]
     return map(found, slices) if parts == 1 else _threads().map(found, slices)

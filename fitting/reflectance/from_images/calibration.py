@@ -1,15 +1,17 @@
 """Fits of reflectance models to the lights of a rig, and what they leave open."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
 from jaxvision.errors import InputError
+from jaxvision.side_by_side import side_by_side
 
 from ...inference.diagnostics import OPEN
-from ...inference.emcee_run import SamplingOptions
+from ...inference.emcee_run import Progress, SamplingOptions
 from ...inference.posterior import Posterior
 from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
@@ -20,7 +22,7 @@ from .geometry_cells import group
 from .model import Form, parameter_space
 from .posterior import channel_posterior
 from .read import ReflectanceObservation
-from .samples import Selection, select
+from .samples import Selection, gather, select
 
 FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow-ggx")
@@ -68,6 +70,7 @@ def calibrate(
     ambient: bool = False,
     fit_gamma: bool = False,
     minimum_cosine: float = 0.0,
+    progress: Progress | None = None,
 ) -> ReflectanceCalibration:
     """Fits a model and its rivals to the lights that are not held out.
 
@@ -82,6 +85,7 @@ def calibrate(
         fit_gamma: free the encoding exponent (a known `camera.gamma` is then ignored).
         minimum_cosine: leave out samples at a smaller n.l, for shapes whose grazing light is
             uncertain.
+        progress: called with (fits done, all fits).
 
     Returns:
         The calibration.
@@ -111,12 +115,18 @@ def calibrate(
         observation.cosine[fitted.light, fitted.pixel],
         observation.mirror_angle[fitted.light, fitted.pixel],
     )
+    channels = range(len(observation.channels))
+    gathered = gather(observation, fitted, models=forms, channels=channels)
+    each = side_by_side(
+        [
+            partial(fit_channel, gathered, channel, form, cells)
+            for channel in channels
+            for form in forms.values()
+        ],
+        progress=progress,
+    )
     fits: dict[Model, tuple[ChannelFit, ...]] = {
-        name: tuple(
-            fit_channel(observation, channel, form, fitted, cells)
-            for channel in range(len(observation.channels))
-        )
-        for name, form in forms.items()
+        name: tuple(each[i :: len(forms)]) for i, name in enumerate(forms)
     }
     reasons = {
         fit.channel: open_parameters(fit, matt)

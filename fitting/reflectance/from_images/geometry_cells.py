@@ -15,6 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .model import Samples, predicted_dn
 
 COSINE_STEP = 0.05  # of a cell in n.l
+FEWEST_SATURATED = 64  # samples of a program of saturated ones
+UNCERTAIN = 1e12  # DN, deviation of a sample that says nothing
 FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror direction, 0.11 at 1 rad
 
 
@@ -84,7 +86,7 @@ def average(
         sums = np.bincount(grouping.cell, weight * np.asarray(values), grouping.count)
         return jnp.asarray(sums / np.where(filled, total, 1), samples.dn.dtype)
 
-    deviation = 1 / np.sqrt(np.where(filled, total, 1e-24))
+    deviation = np.where(filled, 1 / np.sqrt(np.where(filled, total, 1)), UNCERTAIN)
     cells = replace(
         samples,
         cosine=mean(samples.cosine),
@@ -101,18 +103,25 @@ def average(
 
 
 def saturated_only(samples: Samples) -> Samples | None:
-    """The saturated samples by themselves; None if there are none."""
+    """The saturated samples by themselves; None if there are none.
+
+    As many as the next power of two, so that channels share a compiled program: those added count
+    as measured, with an enormous deviation.
+    """
     if samples.saturated is None or not bool(np.any(samples.saturated)):
         return None
-    chosen = jnp.asarray(np.flatnonzero(samples.saturated))
+    chosen = np.flatnonzero(samples.saturated)
+    count = max(FEWEST_SATURATED, 1 << (len(chosen) - 1).bit_length())
+    real = jnp.arange(count) < len(chosen)
+    at = jnp.asarray(np.resize(chosen, count))
     return replace(
         samples,
-        cosine=samples.cosine[chosen],
-        geometry=jax.tree.map(lambda x: x[chosen], samples.geometry),
-        irradiance=samples.irradiance[chosen],
-        dn=samples.dn[chosen],
-        deviation=samples.deviation[chosen],
-        saturated=samples.saturated[chosen],
+        cosine=samples.cosine[at],
+        geometry=jax.tree.map(lambda x: x[at], samples.geometry),
+        irradiance=samples.irradiance[at],
+        dn=samples.dn[at],
+        deviation=jnp.where(real, samples.deviation[at], UNCERTAIN),
+        saturated=real,
     )
 
 

@@ -16,7 +16,6 @@ Econometrica 26, 1958), contributing log Phi((predicted - clip) / deviation).
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -303,21 +302,20 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
 
 
 @eqx.filter_jit
-def scores_and_slopes(
-    vector: Float[Array, " parameters"], samples: Samples
-) -> tuple[Float[Array, "parameters samples"], Float[Array, "parameters samples"]]:
-    """Gradient of each sample's log likelihood, and of its prediction in standard deviations.
+def total_log_likelihood(
+    vector: Float[Array, " parameters"], cells: Samples, saturated: Samples | None
+) -> Array:
+    """Log likelihood of cells, and of the saturated samples that cells leave out.
 
     Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
+        vector: (P,) unconstrained.
+        cells: of the unsaturated samples.
+        saturated: the others; None if there are none.
 
     Returns:
-        (parameters, samples) each; the slopes of saturated samples are 0.
+        ().
     """
-
-    def both(v: Array) -> tuple[Array, Array]:
-        return log_likelihoods(v, samples), residuals(v, samples)
-
-    _, along = jax.linearize(both, vector)
-    return jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))
+    total = jnp.sum(log_likelihoods(vector, cells))
+    if saturated is not None:
+        total = total + jnp.sum(log_likelihoods(vector, saturated))
+    return total

@@ -19,8 +19,9 @@ from ...inference.parameters import names
 from ...report.section import Section, Table
 from ..models import LABELS
 from .calibration import ReflectanceCalibration
+from .derivatives import scores_and_slopes
 from .fit import ChannelFit
-from .model import encoding_gamma, encoding_slope, linear_signal, predicted_dn, scores_and_slopes
+from .model import encoding_gamma, encoding_slope, linear_signal, predicted_dn
 from .read import ReflectanceObservation, angles
 from .samples import Selection, make_samples
 from .spread import variance

@@ -23,7 +23,7 @@ from ...inference.importance import laplace_where_it_holds
 from ...inference.posterior import Posterior, sample
 from .fit import ChannelFit
 from .geometry_cells import Grouping, average, saturated_only
-from .model import Samples, log_likelihoods
+from .model import Samples, total_log_likelihood
 
 
 class Composite(eqx.Module):
@@ -60,26 +60,6 @@ def composite_log_density(vector: Float[Array, " parameters"], data: Composite) 
     away = data.stretch @ (vector - data.mode)
     own = total_log_likelihood(data.mode + away, data.cells, data.saturated)
     return own - data.slope @ away
-
-
-@eqx.filter_jit
-def total_log_likelihood(
-    vector: Float[Array, " parameters"], cells: Samples, saturated: Samples | None
-) -> Array:
-    """Log likelihood of cells, and of the saturated samples that cells leave out.
-
-    Args:
-        vector: (P,) unconstrained.
-        cells: of the unsaturated samples.
-        saturated: the others; None if there are none.
-
-    Returns:
-        ().
-    """
-    total = jnp.sum(log_likelihoods(vector, cells))
-    if saturated is not None:
-        total = total + jnp.sum(log_likelihoods(vector, saturated))
-    return total
 
 
 _slope = eqx.filter_jit(jax.grad(total_log_likelihood))

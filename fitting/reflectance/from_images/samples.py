@@ -1,6 +1,8 @@
 """The samples of a fit: lights and pixels chosen from an observation, with what a lobe takes."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -18,43 +20,51 @@ from .read import VIEW, ReflectanceObservation
 
 
 def lobe_geometry(
-    observation: ReflectanceObservation,
-    model: Model,
-    light: Int[np.ndarray, " samples"],
-    pixel: Int[np.ndarray, " samples"],
-) -> Array | Invariants | None:
-    """What the lobe of a model takes.
+    observation: ReflectanceObservation, models: Iterable[Model], selection: "Selection"
+) -> dict[Model, Array | Invariants | None]:
+    """What the lobes of models take.
 
     Args:
         observation: of the object.
-        model: whose lobe it is.
-        light: (samples,) indices.
-        pixel: (samples,) indices.
+        models: whose lobes they are.
+        selection: indices of light and pixel.
 
     Returns:
-        The log cosine of the lobe's own angle (Phong, Blinn), the mirror angle in rad (Gaussian
-        lobe), all invariants (the others); None for Lambert.
+        By model: the log cosine of the lobe's own angle (Phong, Blinn), the mirror angle in rad
+        (Gaussian lobe), all invariants (the others); None for Lambert. Models share their arrays.
     """
-    match model:
-        case "lambert":
-            return None
-        case "phong":
+    light, pixel = selection.light, selection.pixel
+
+    @cache
+    def mirror_angle() -> Array:
+        return jnp.asarray(observation.mirror_angle[light, pixel])
+
+    @cache
+    def log_cos(axis: str) -> Array:
+        if axis == "mirror":
             return jnp.asarray(observation.log_cos_mirror[light, pixel])
-        case "gaussian-lobe":
-            return jnp.asarray(observation.mirror_angle[light, pixel])
-    if REFLECTANCES[model].axis == "mirror":
-        log_cos = jnp.asarray(observation.log_cos_mirror[light, pixel])
-    else:
-        log_cos = _log_cos_half(
+        return _log_cos_half(
             jnp.asarray(observation.normals[pixel]), jnp.asarray(observation.wi[light, pixel])
         )
-    if model == "blinn":
-        return log_cos
-    return Invariants(
-        cos_i=jnp.asarray(observation.cosine[light, pixel]),
-        cos_o=jnp.asarray(observation.normals[pixel, 2]),
-        log_cos=log_cos,
-    )
+
+    @cache
+    def cosines() -> tuple[Array, Array]:
+        both = observation.cosine[light, pixel], observation.normals[pixel, 2]
+        return jnp.asarray(both[0]), jnp.asarray(both[1])
+
+    def of(model: Model) -> Array | Invariants | None:
+        axis = "half" if REFLECTANCES[model].axis == "half" else "mirror"
+        match model:
+            case "lambert":
+                return None
+            case "gaussian-lobe":
+                return mirror_angle()
+            case "phong" | "blinn":
+                return log_cos(axis)
+        cos_i, cos_o = cosines()
+        return Invariants(cos_i=cos_i, cos_o=cos_o, log_cos=log_cos(axis))
+
+    return {model: of(model) for model in models}
 
 
 @jax.jit
@@ -101,6 +111,91 @@ def select(
     return Selection(light, pixel)
 
 
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What the fits of one selection share: its values, gathered from an observation once.
+
+    Attributes:
+        observation: of the object.
+        selection: of its samples.
+        cosine: (samples,) [n.l]+.
+        geometry: of each model, what its lobe takes.
+        irradiance: (samples,) of each channel by its index, on a surface that faces the light.
+        dn: (samples,) of each channel, DN.
+        saturated: (samples,) of each channel; None where nothing clips in any.
+    """
+
+    observation: ReflectanceObservation
+    selection: Selection
+    cosine: Array
+    geometry: dict[Model, Array | Invariants | None]
+    irradiance: dict[int, Array]
+    dn: dict[int, Array]
+    saturated: dict[int, Array | None]
+
+    def samples(self, channel: int, form: Form) -> Samples:
+        """The samples of one channel, their deviation still 1 DN.
+
+        Args:
+            channel: index.
+            form: of the fit.
+
+        Returns:
+            The samples.
+        """
+        observation = self.observation
+        gamma = None if form.free_gamma else observation.gamma
+        return Samples(
+            form=form,
+            cosine=self.cosine,
+            geometry=self.geometry[form.model],
+            irradiance=self.irradiance[channel],
+            dn=self.dn[channel],
+            deviation=jnp.ones_like(self.dn[channel]),
+            saturated=self.saturated[channel],
+            black=jnp.asarray(observation.black, float),
+            white=jnp.asarray(observation.white, float),
+            clip=jnp.asarray(observation.clip, float),
+            gamma=None if gamma is None else jnp.asarray(gamma, float),
+        )
+
+
+def gather(
+    observation: ReflectanceObservation,
+    selection: Selection,
+    *,
+    models: Iterable[Model],
+    channels: Iterable[int],
+) -> Gathered:
+    """Gathers what fits of a selection need.
+
+    Args:
+        observation: of the object.
+        selection: indices of light and pixel.
+        models: to be fitted.
+        channels: indices.
+
+    Returns:
+        The values.
+    """
+    light, pixel = selection.light, selection.pixel
+    clips = bool(observation.saturated[:, light, pixel].any())
+    dn = {channel: observation.dn[channel, light, pixel] for channel in channels}
+    falloff = observation.falloff[light, pixel]
+    return Gathered(
+        observation=observation,
+        selection=selection,
+        cosine=jnp.asarray(np.maximum(observation.cosine[light, pixel], 0)),
+        geometry=lobe_geometry(observation, models, selection),
+        irradiance={c: jnp.asarray(observation.intensity[c, light] * falloff) for c in dn},
+        dn={c: jnp.asarray(values) for c, values in dn.items()},
+        saturated={
+            c: jnp.asarray(values >= observation.clip) if clips else None
+            for c, values in dn.items()
+        },
+    )
+
+
 def make_samples(
     observation: ReflectanceObservation, channel: int, form: Form, selection: Selection
 ) -> Samples:
@@ -115,21 +210,5 @@ def make_samples(
     Returns:
         The samples.
     """
-    light, pixel = selection.light, selection.pixel
-    dn = observation.dn[channel, light, pixel]
-    clips = bool(observation.saturated[:, light, pixel].any())
-    irradiance = observation.intensity[channel, light] * observation.falloff[light, pixel]
-    gamma = None if form.free_gamma else observation.gamma
-    return Samples(
-        form=form,
-        cosine=jnp.asarray(np.maximum(observation.cosine[light, pixel], 0)),
-        geometry=lobe_geometry(observation, form.model, light, pixel),
-        irradiance=jnp.asarray(irradiance),
-        dn=jnp.asarray(dn),
-        deviation=jnp.ones(len(dn)),
-        saturated=jnp.asarray(dn >= observation.clip) if clips else None,
-        black=jnp.asarray(observation.black, float),
-        white=jnp.asarray(observation.white, float),
-        clip=jnp.asarray(observation.clip, float),
-        gamma=None if gamma is None else jnp.asarray(gamma, float),
-    )
+    found = gather(observation, selection, models=(form.model,), channels=(channel,))
+    return found.samples(channel, form)

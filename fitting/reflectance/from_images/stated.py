@@ -24,13 +24,13 @@ from scipy.special import chdtri
 
 from ...inference.clustering import Robustness
 from ...inference.left_out import LeftOut, distance, negligible
+from .derivatives import scores_and_slopes
 from .model import (
     Samples,
     encoding_gamma,
     encoding_slope,
     linear_signal,
     predicted_dn,
-    scores_and_slopes,
 )
 from .read import ReflectanceObservation, angles
 from .samples import Selection, make_samples

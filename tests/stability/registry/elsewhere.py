@@ -471,6 +471,14 @@ ELSEWHERE = (
     ),
     Elsewhere(
         SOLVERS,
+        "test_side_by_side",
+        """
+            fitting.inference.in_blocks.*
+            side_by_side.*
+        """,
+    ),
+    Elsewhere(
+        SOLVERS,
         "test_streams test_problem",
         """
             fitting.fits.widening: residual_sums
@@ -619,12 +627,13 @@ ELSEWHERE = (
             fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope
             fitting.reflectance.from_images.model: linear_signal lobe log_likelihoods
             fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
-            fitting.reflectance.from_images.model: predicted_dn residuals scores_and_slopes
+            fitting.reflectance.from_images.model: predicted_dn residuals total_log_likelihood
+            fitting.reflectance.from_images.derivatives: scores_and_slopes with_information
             fitting.reflectance.from_images.plan: added_information plan plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
-            fitting.reflectance.from_images.posterior: composite_log_density total_log_likelihood
+            fitting.reflectance.from_images.posterior: composite_log_density
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
-            fitting.reflectance.from_images.samples: lobe_geometry make_samples select
+            fitting.reflectance.from_images.samples: gather lobe_geometry make_samples select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance
             fitting.reflectance.from_images.stated: stated_errors with_stated_errors

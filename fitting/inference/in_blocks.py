@@ -1,0 +1,88 @@
+"""Sums over many samples, a block at a time: what is computed on the way to each term then stays in
+the processor's cache, and memory does not grow with it.
+
+Samples are a record whose arrays hold one value a sample, beside numbers that all samples share.
+The last block is filled up with copies of the last sample, which do not count.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+BLOCK = 8192  # samples; some twenty arrays of them fit into a cache of 2 MB
+
+Terms = TypeVar("Terms")
+Counts = Bool[Array, " samples"] | None  # which samples count; None where all do
+
+
+def summed(terms: Callable[[Any, Counts], Terms], samples: Any, *, block: int = BLOCK) -> Terms:
+    """The sum of terms over blocks of samples.
+
+    Args:
+        terms: what a block adds, any PyTree of arrays, of the block and of which of its samples
+            count.
+        samples: record of (samples,) arrays and of numbers.
+        block: most samples of one.
+
+    Returns:
+        The sum.
+    """
+    blocks, shared, counts = _cut(samples, block)
+
+    def of(part: tuple[Any, Counts]) -> Terms:
+        own, counted = part
+        return terms(eqx.combine(own, shared), counted)
+
+    first = jax.tree.map(lambda x: x[0], (blocks, counts))
+    zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(of, first))
+
+    def added(total: Terms, part: tuple[Any, Counts]) -> tuple[Terms, None]:
+        return jax.tree.map(jnp.add, total, of(part)), None
+
+    return jax.lax.scan(added, zero, (blocks, counts))[0]
+
+
+def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int = BLOCK) -> Terms:
+    """Values of every sample, computed in blocks.
+
+    Args:
+        values: (..., samples) arrays of a block, any PyTree of them.
+        samples: record of (samples,) arrays and of numbers.
+        block: most samples of one.
+
+    Returns:
+        (..., samples) arrays of all.
+    """
+    blocks, shared, _ = _cut(samples, block)
+    count = _count(samples)
+    found = jax.lax.map(lambda own: values(eqx.combine(own, shared)), blocks)
+
+    def joined(values: Array) -> Array:
+        beside = jnp.moveaxis(values, 0, -2)
+        return beside.reshape(*beside.shape[:-2], -1)[..., :count]
+
+    return jax.tree.map(joined, found)
+
+
+def _cut(samples: Any, block: int) -> tuple[Any, Any, Counts]:
+    """(blocks, samples of one) arrays, what all samples share, and which samples count."""
+    own, shared = eqx.partition(samples, lambda leaf: eqx.is_array(leaf) and leaf.ndim > 0)
+    count = _count(samples)
+    blocks = -(-count // block)
+    size = -(-count // blocks)
+    missing = blocks * size - count
+
+    def cut(values: Array) -> Array:
+        return jnp.pad(values, (0, missing), mode="edge").reshape(blocks, size)
+
+    counts = (jnp.arange(blocks * size) < count).reshape(blocks, size) if missing else None
+    return jax.tree.map(cut, own), shared, counts
+
+
+def _count(samples: Any) -> int:
+    """Samples of a record."""
+    return max(leaf.shape[0] for leaf in jax.tree.leaves(samples) if jnp.ndim(leaf))

@@ -1,0 +1,74 @@
+"""Independent pieces of work on all cores of one process: compilation and computation release
+Python's lock, so that threads share them out."""
+
+import contextvars
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import nullcontext
+from typing import TypeVar
+
+import jax
+import numpy as np
+
+T = TypeVar("T")
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
+    """Work that may run in another thread with the settings of this one: its precision, and what
+    its context holds.
+
+    Args:
+        work: function without arguments.
+
+    Returns:
+        A function that does it, once.
+    """
+    context, double = contextvars.copy_context(), _double()
+
+    def done() -> T:
+        # JAX' own settings belong to a thread. A context that changes nothing would compile anew.
+        with nullcontext() if _double() == double else jax.enable_x64(double):
+            return context.run(work)
+
+    return done
+
+
+def _double() -> bool:
+    """Whether this thread computes in double precision where it is asked to."""
+    return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+
+
+def side_by_side(
+    pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
+) -> list[T]:
+    """Does pieces of work, as many at a time as there are cores.
+
+    Args:
+        pieces: functions without arguments, none of which waits for another.
+        progress: called with (pieces done, all pieces).
+
+    Returns:
+        What they return, in their order.
+
+    Raises:
+        Exception: the first of a piece; pieces not yet begun are left out.
+    """
+    with ThreadPoolExecutor(min(cores(), len(pieces)) or 1) as threads:
+        waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
+        try:
+            for count, ended in enumerate(as_completed(waiting), 1):
+                ended.result()
+                if progress is not None:
+                    progress(count, len(pieces))
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [piece.result() for piece in waiting]
