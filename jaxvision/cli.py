@@ -243,13 +243,14 @@ def accuracy(
     as_json: AsJson = False,
 ) -> None:
     """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
-    0.1 %. An interrupt keeps what was measured."""
+    0.1 %, and of all knobs together, checked while there is time. An interrupt keeps what was
+    measured."""
     begun = time.perf_counter()
     file = existing_file(scene, "scene")
     _prepare()
-    from .accuracy import measured
     from .accuracy.console import check_request, keep, print_json, repeating, show
     from .accuracy.curves import LEAST
+    from .accuracy.together import measured_together
     from .scene_files import read_scene
 
     check_request(seconds, out)
@@ -261,14 +262,12 @@ def accuracy(
             f"--seconds {seconds:g}: libraries and scene took {seconds - left:.2g} s to load; "
             "allow more."
         )
-    problem, curves = measured(
-        source, source.render, names=tuple(knob or ()) or None, seconds=left, metrics=norms
-    )
+    found = measured_together(source, names=knob, seconds=left, metrics=norms)
     command = repeating("jaxvision accuracy", scene, knobs=knob or (), seconds=seconds, out=out)
-    sheet = show(problem, curves, command=command, as_json=as_json)
+    sheet = show(*found, command=command, as_json=as_json)
     if as_json:
         print_json(sheet)
-    keep(out, problem, curves, command=command, as_json=as_json)
+    keep(out, *found, command=command, as_json=as_json)
 
 
 def _share(text: str) -> float:

@@ -16,6 +16,7 @@ from jaxvision.accuracy.checks import checked, settled
 from jaxvision.accuracy.scene_settings import Chosen
 from jaxvision.accuracy.scenes import base_of, entry_of, knobs_of, scene_problem
 from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
+from jaxvision.accuracy.together import Together, all_together
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.scene_files import read_scene
@@ -186,6 +187,81 @@ def test_the_table_says_settings_times_and_what_was_not_reached():
     assert sheet["within"]["0.1 %"] is None
 
 
+def beside_the_curves():
+    """Errors that only all settings together show: the curves know nothing of 30 % more."""
+    problem, curves = measured()
+
+    def prepare(settings):
+        honest = problem.prepare(settings)
+        d, n = settings["d"], settings["n"]
+        return lambda seed: honest(seed) - 0.3 * np.hypot(2.0**-d, n**-0.5)
+
+    return replace(problem, prepare=prepare), curves
+
+
+def test_the_settings_of_all_knobs_together_are_run_as_one():
+    problem, curves = beside_the_curves()
+    found = all_together(problem, curves, seconds=1e9)
+    assert [one.checked for one in found] == [True, True, False]
+    assert found[2] == Together(None)
+    for one, tolerance in zip(found, (0.1, 0.01), strict=False):
+        assert one.combination is not None
+        compute = problem.prepare({**problem.settings, **one.combination.settings})
+        errors = [np.sqrt(np.mean((compute(10**7 + n) - 1) ** 2)) for n in range(40)]
+        assert np.mean(np.array(errors) <= tolerance) >= 0.95
+        assert one.combination.error <= tolerance
+    assert "(not checked)" not in " ".join(rows(problem, curves, found)[-1])
+    assert any("run as one with fresh seeds" in note for note in notes(curves, found))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-6])
+def test_settings_of_all_knobs_that_time_leaves_unchecked_say_so(seconds):
+    problem, curves = beside_the_curves()
+    found = all_together(problem, curves, seconds=seconds)
+    assert not any(one.checked for one in found)
+    cells = rows(problem, curves, found)[-1]
+    assert cells[2].endswith("s (not checked)")
+    sheet = as_dict(problem, curves, found)
+    assert sheet["within"]["10 %"]["checked"] is False
+    assert sheet["within"]["0.1 %"] is None
+    assert "not checked, for want of time" in sheet["notes"][-1]
+    assert "(not checked)" in page(problem, curves, command="", together=found)
+
+
+def test_an_interrupt_ends_the_checks_and_keeps_what_they_found():
+    problem, curves = measured()
+
+    def prepare(settings):
+        if settings["n"] > 5000:  # of 1 %
+            raise KeyboardInterrupt
+        return problem.prepare(settings)
+
+    found = all_together(replace(problem, prepare=prepare), curves, seconds=np.inf)
+    assert [one.checked for one in found] == [True, False, False]
+    assert [one.combination is None for one in found] == [False, False, True]
+
+
+def test_settings_that_were_checked_for_a_narrower_tolerance_are_not_run_again():
+    """A bias alone, which the coarsest setting has hardly any of."""
+    clock, runs = Clock(), []
+
+    def prepare(settings):
+        def compute(seed):
+            runs.append(settings)
+            clock.now += 1e-3 * settings["d"] * settings["e"]
+            return np.ones(9) * (1 + 1e-5 * 2.0 ** -settings["d"] + 1e-5 * 2.0 ** -settings["e"])
+
+        return compute
+
+    problem = Problem("near", prepare, settings={"d": 2, "e": 2})
+    curves = [curve(problem, replace(DEPTH, name=n), clock=clock, seconds=1e9) for n in "de"]
+    runs.clear()
+    first, *others = all_together(problem, curves, seconds=1e9)
+    assert first.checked
+    assert others == [first, first]
+    assert len(runs) == 4  # one of a reference, three with fresh seeds
+
+
 def test_the_page_stands_alone_and_follows_the_reader():
     """No address is fetched, plots are in the colour of the text, and every setting has its
     label."""
@@ -196,11 +272,27 @@ def test_the_page_stands_alone_and_follows_the_reader():
     assert "currentColor" in html
     assert "prefers-color-scheme: dark" in html
     assert "repeat &lt;me&gt;" in html
+    told = replace(curves[0], knob=replace(curves[0].knob, about="draws by NUTS"))
+    assert "Draws by NUTS." in page(problem, [told], command="")
     axes = plot(curves[0])
     assert {label.get_text() for label in axes.texts} == {"4", "16", "64", "256"}
     hollow = replace(curves[0].trials[0], hollow=True)
     faces = plot(replace(curves[0], trials=(hollow,), pareto=(0,))).lines[0]
     assert faces.get_markerfacecolor() == "none"
+
+
+def test_an_axis_of_one_point_has_labels_that_differ():
+    _, curves = measured()
+    one = replace(curves[1].trials[0], seconds=0.0321, seconds_low=0.032, seconds_high=0.0322,
+                  error=4.086e-7, error_low=4.0859e-7, error_high=4.0861e-7)  # fmt: skip
+    axes = plot(replace(curves[1], trials=(one,), pareto=(0,), reference=replace(
+        curves[1].reference, error=0.0)))  # fmt: skip
+    axes.figure.draw_without_rendering()
+    for axis in (axes.xaxis, axes.yaxis):
+        labels = [label.get_text() for label in axis.get_ticklabels(which="both")]
+        shown = [label for label in labels if label]
+        assert len(shown) > 1
+        assert len(set(shown)) == len(shown)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ cheapest settings that suffice.
     choice several   `choose` one setting; `combined`: those of several knobs at once
     knobs examples   every approximation of the library by name, and a problem for each
     scenes           scene files as problems; `scene_settings`: their settings for a tolerance
-    tables plots pages   what is shown
+    tables plots pages   what is shown; `together`: all knobs at once, checked
 
 Timing is eager and stays outside pure functions: measure, choose, then call.
 """

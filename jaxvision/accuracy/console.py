@@ -13,6 +13,7 @@ from .pages import write_page
 from .records import Curve, Problem
 from .scene_settings import machine
 from .tables import as_dict, notes, rows
+from .together import Together
 
 _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
@@ -63,13 +64,19 @@ def repeating(
 
 
 def show(
-    problem: Problem, curves: Sequence[Curve], *, command: str, as_json: bool = False
+    problem: Problem,
+    curves: Sequence[Curve],
+    together: Sequence[Together] = (),
+    *,
+    command: str,
+    as_json: bool = False,
 ) -> dict[str, Any]:
     """Prints the table at once.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs, error against time in s.
+        together: settings of all of them, checked or not.
         command: by which it can be repeated.
         as_json: whether JSON is printed instead, by `print_json`.
 
@@ -85,16 +92,17 @@ def show(
             "--seconds."
         )
     if not as_json:
-        print(f"{problem.name}; {machine()}")
-        print(in_columns(rows(problem, curves)))
-        print("\n".join(notes(curves)), flush=True)
-    return as_dict(problem, curves, machine=machine(), command=command)
+        print(f"{problem.name}; {machine()}", problem.about, sep="\n")
+        print(in_columns(rows(problem, curves, together)))
+        print("\n".join(notes(curves, together)), flush=True)
+    return as_dict(problem, curves, together, machine=machine(), command=command)
 
 
 def keep(
     out: Path | None,
     problem: Problem,
     curves: Sequence[Curve],
+    together: Sequence[Together] = (),
     *,
     command: str,
     as_json: bool = False,
@@ -105,12 +113,13 @@ def keep(
         out: folder of the page, or None.
         problem: whose knobs they are.
         curves: of the knobs, error against time in s.
+        together: settings of all of them, checked or not.
         command: by which it can be repeated.
         as_json: whether JSON is printed, and the files are not named.
     """
     if out is None:
         return
-    for path in write_page(out, problem, curves, command=command):
+    for path in write_page(out, problem, curves, command=command, together=together):
         if not as_json:
             print(f"Written: {path}", flush=True)
 

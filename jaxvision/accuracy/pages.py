@@ -12,6 +12,7 @@ from .plots import front, plot
 from .records import Curve, Problem
 from .scene_settings import machine
 from .tables import as_dict, notes, rows
+from .together import Together, all_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,13 +21,20 @@ if TYPE_CHECKING:
 _WITHIN = (0.18, 0.15, 0.79, 0.7)
 
 
-def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
+def page(
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    command: str,
+    together: Sequence[Together] | None = None,
+) -> str:
     """The page.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs, error against time in s.
         command: by which it can be repeated.
+        together: settings of all knobs, checked or not; None: without checks.
 
     Returns:
         HTML with the plots inside, as SVG.
@@ -40,13 +48,14 @@ def page(problem: Problem, curves: Sequence[Curve], *, command: str) -> str:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
     )
+    together = all_together(problem, curves) if together is None else together
     drawn = [(curve.knob.about, _svg([curve])) for curve in curves]
     if len(curves) > 1:
         drawn.append(("every knob with the others at rest", _svg(curves)))
     return environment.get_template("accuracy.html.j2").render(
         title=problem.name,
-        rows=rows(problem, curves),
-        notes=notes(curves),
+        rows=rows(problem, curves, together),
+        notes=notes(curves, together),
         figures=[(about, Markup(svg)) for about, svg in drawn],
         machine=machine(),
         command=command,
@@ -73,7 +82,12 @@ def _svg(curves: Sequence[Curve]) -> str:
 
 
 def write_page(
-    folder: Path, problem: Problem, curves: Sequence[Curve], *, command: str
+    folder: Path,
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    command: str,
+    together: Sequence[Together] | None = None,
 ) -> tuple[Path, Path]:
     """Writes the page and its numbers.
 
@@ -82,15 +96,16 @@ def write_page(
         problem: whose knobs they are.
         curves: of the knobs, error against time in s.
         command: by which it can be repeated.
+        together: settings of all knobs, checked or not; None: without checks.
 
     Returns:
         Paths of `accuracy.html` and `accuracy.json`, each written as soon as it is known.
     """
-    sheet = as_dict(problem, curves, machine=machine(), command=command)
+    sheet = as_dict(problem, curves, together, machine=machine(), command=command)
     folder.mkdir(parents=True, exist_ok=True)
     numbers, drawn = folder / "accuracy.json", folder / "accuracy.html"
     _write(numbers, json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))
-    _write(drawn, page(problem, curves, command=command))
+    _write(drawn, page(problem, curves, command=command, together=together))
     return drawn, numbers
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
+LEAST_RANGE = 2.0  # of an axis, of which less has labels that all read the same
 BELOW = 0.03  # of the least error, as far as is drawn
 _UNKNOWN = "no error is known: allow more time"
 
@@ -139,6 +140,12 @@ def _scaled(axes: "Axes", errors: Sequence[float], none: str = _UNKNOWN) -> None
     axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
     if errors:
         axes.set(xscale="log", yscale="log")
+        for limits, set_limits in (
+            (axes.get_xlim(), axes.set_xlim),
+            (axes.get_ylim(), axes.set_ylim),
+        ):
+            wide = max((LEAST_RANGE * limits[0] / limits[1]) ** 0.5, 1.0)
+            set_limits(limits[0] / wide, limits[1] * wide)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(numticks=6))
             axis.set_major_formatter("{x:g}")

@@ -11,9 +11,8 @@ from ..errors import InputError
 from .choice import choose
 from .records import Curve, Problem, Trial
 from .scene_settings import Chosen
-from .several import Combination, combined
+from .together import TOLERANCES, Together, all_together
 
-TOLERANCES = (0.1, 0.01, 0.001)
 NOT_REACHED = "not reached"
 WITHIN = tuple(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)
 
@@ -29,25 +28,15 @@ def reached(curve: Curve) -> list[Trial | None]:
     return found
 
 
-def all_together(problem: Problem, curves: Sequence[Curve]) -> list[Combination | None]:
-    """The cheapest combination for each of `TOLERANCES`, or None: of the knobs that stand at a
-    setting of the problem while others are turned."""
-    curves = [curve for curve in curves if curve.knob.name in problem.settings]
-    found: list[Combination | None] = []
-    for tolerance in TOLERANCES:
-        try:
-            found.append(combined(curves, problem.settings, tolerance=tolerance))
-        except InputError:
-            found.append(None)
-    return found
-
-
-def rows(problem: Problem, curves: Sequence[Curve]) -> list[tuple[str, ...]]:
+def rows(
+    problem: Problem, curves: Sequence[Curve], together: Sequence[Together] | None = None
+) -> list[tuple[str, ...]]:
     """Cells of the table, the heads first.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs.
+        together: from `all_together`; None: without checks.
 
     Returns:
         Rows of text: knob, order and, for each tolerance, setting and time in s.
@@ -56,8 +45,9 @@ def rows(problem: Problem, curves: Sequence[Curve]) -> list[tuple[str, ...]]:
     for curve in curves:
         order = "-" if curve.order is None else str(curve.order)
         found.append((curve.knob.name, order, *_cells(curve)))
-    if sum(curve.knob.name in problem.settings for curve in curves) > 1:
-        found.append(("all together", "", *(_all(c) for c in all_together(problem, curves))))
+    together = all_together(problem, curves) if together is None else together
+    if together:
+        found.append(("all together", "", *map(_all, together)))
     return found
 
 
@@ -76,14 +66,16 @@ def _cell(trial: Trial) -> str:
     return f"{trial.setting}{inferred} in {in_seconds(trial.seconds)}"
 
 
-def _all(combination: Combination | None) -> str:
+def _all(together: Together) -> str:
+    combination = together.combination
     if combination is None:
         return NOT_REACHED
     left = dict.fromkeys(combination.unknown, " (not known)")
     words = ", ".join(
         f"{n} {setting}{left.get(n, '')}" for n, setting in combination.settings.items()
     )
-    return f"{words} in {in_seconds(combination.seconds)}"
+    said = "" if together.checked else " (not checked)"
+    return f"{words} in {in_seconds(combination.seconds)}{said}"
 
 
 def in_seconds(seconds: float) -> str:
@@ -114,11 +106,12 @@ def in_percent(error: float) -> str:
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
 
-def notes(curves: Sequence[Curve]) -> list[str]:
-    """Sentences below the table: references, and what was not run.
+def notes(curves: Sequence[Curve], together: Sequence[Together] = ()) -> list[str]:
+    """Sentences below the table: references, what was not run, and what was not checked.
 
     Args:
         curves: of the knobs.
+        together: settings of all of them.
 
     Returns:
         A sentence for each; errors relative.
@@ -140,22 +133,39 @@ def notes(curves: Sequence[Curve]) -> list[str]:
                 f"{name}: timed while what had been given up was still at work, so that times are "
                 f"too long: {beside}."
             )
+    reached = [one for one in together if one.combination is not None]
+    if any(one.checked for one in reached):
+        found.append(
+            "all together: run as one with fresh seeds, against finer settings of every knob."
+        )
+    if not all(one.checked for one in reached):
+        found.append(
+            "all together: what was not checked, for want of time, follows from the errors and "
+            "times of single knobs."
+        )
     return found
 
 
-def as_dict(problem: Problem, curves: Sequence[Curve], **more: Any) -> dict[str, Any]:
+def as_dict(
+    problem: Problem,
+    curves: Sequence[Curve],
+    together: Sequence[Together] | None = None,
+    **more: Any,
+) -> dict[str, Any]:
     """All that was measured, for JSON; what is not a finite number is null.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs.
+        together: from `all_together`; None: without checks.
         more: what else to tell, such as the machine.
 
     Returns:
         Numbers and text; times in s, errors relative.
     """
     sheet: dict[str, Any] = {"problem": problem.name, **more, "knobs": [], "within": {}}
-    sheet["notes"] = notes(curves)
+    together = all_together(problem, curves) if together is None else together
+    sheet["notes"] = notes(curves, together)
     for curve in curves:
         sheet["knobs"].append(
             {
@@ -172,8 +182,9 @@ def as_dict(problem: Problem, curves: Sequence[Curve], **more: Any) -> dict[str,
                 "seconds_taken": curve.taken,
             }
         )
-    for words, best in zip(WITHIN, all_together(problem, curves), strict=True):
-        sheet["within"][words] = None if best is None else asdict(best)
+    for words, one in zip(WITHIN, together or [Together(None)] * len(WITHIN), strict=True):
+        best = one.combination
+        sheet["within"][words] = best and {**asdict(best), "checked": one.checked}
     return _finite(sheet)
 
 

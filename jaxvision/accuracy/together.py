@@ -1,0 +1,144 @@
+"""All knobs of a problem at once, for each tolerance of a table: the best combination, checked by
+runs with fresh seeds while there is time."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..errors import InputError
+from ..interrupts import is_handled, raised_interrupts
+from ..scene_files import SceneFile
+from .checks import settled
+from .knobs_in_turn import asked_knobs
+from .records import Curve, Problem
+from .scene_settings import measured
+from .scenes import APART, knobs_of
+from .session import Clock
+from .several import Combination, combined
+
+TOLERANCES = (0.1, 0.01, 0.001)
+SHARE = 0.25  # of the time to measure in, for the checks
+
+
+@dataclass(frozen=True)
+class Together:
+    """The cheapest settings of all knobs within a tolerance.
+
+    Attributes:
+        combination: of the settings; None: no settings are known to be within it.
+        checked: whether error and time are those of runs with fresh seeds; else they follow from
+            the curves of single knobs.
+    """
+
+    combination: Combination | None
+    checked: bool = False
+
+
+def turned_together(problem: Problem, curves: Sequence[Curve]) -> list[Curve]:
+    """The curves of the knobs that stand at a setting of the problem while others are turned.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs, error against time in s.
+
+    Returns:
+        Those, or none where there are fewer than two.
+    """
+    found = [curve for curve in curves if curve.knob.name in problem.settings]
+    return found if len(found) > 1 else []
+
+
+def all_together(
+    problem: Problem,
+    curves: Sequence[Curve],
+    *,
+    seconds: float = 0.0,
+    clock: Clock | None = None,
+) -> tuple[Together, ...]:
+    """The cheapest combination of settings for each of `TOLERANCES`. An interrupt ends the checks.
+
+    Args:
+        problem: whose knobs they are.
+        curves: of the knobs.
+        seconds: s, for the checks, the widest tolerance first.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        One for each tolerance; none for fewer than two knobs.
+    """
+    known = turned_together(problem, curves)
+    if not known:
+        return ()
+    now = clock or time.perf_counter
+    until, found = now() + seconds, list[Together]()
+    try:
+        with raised_interrupts():
+            for tolerance in TOLERANCES:
+                left = max(until - now(), 0.0)
+                found.append(_within(problem, known, tolerance, found, left, clock))
+    except KeyboardInterrupt:
+        is_handled()
+        for tolerance in TOLERANCES[len(found) :]:
+            found.append(_within(problem, known, tolerance, found, 0.0, clock))
+    return tuple(found)
+
+
+def measured_together(
+    source: SceneFile,
+    *,
+    names: Sequence[str] | None = None,
+    seconds: float = 60.0,
+    metrics: tuple[str, ...] = ("rms", "p99", "max"),
+    clock: Clock | None = None,
+) -> tuple[Problem, tuple[Curve, ...], tuple[Together, ...]]:
+    """The curves of a scene file's knobs and, in a quarter of the time, checks of all together.
+
+    Args:
+        source: the scene and its view, with its `[render]`.
+        names: of the knobs; None: all that change its picture.
+        seconds: s, for all.
+        metrics: as in `curve`.
+        clock: seconds as a function; None: the machine's.
+
+    Returns:
+        The problem, the curves, and the settings for each of `TOLERANCES`.
+
+    Raises:
+        InputError: for a knob that the scene file has not.
+    """
+    now = clock or time.perf_counter
+    until = now() + seconds
+    asked = asked_knobs(str(source.path), names, knobs_of(source, source.render))
+    several = len(set(asked) - set(APART)) > 1
+    problem, curves = measured(
+        source,
+        source.render,
+        names=asked,
+        seconds=(1 - SHARE) * seconds if several else seconds,
+        metrics=metrics,
+        clock=clock,
+    )
+    ended = any(curve.stopped == "interrupted" for curve in curves)
+    left = 0.0 if ended else until - now()
+    return problem, curves, all_together(problem, curves, seconds=left, clock=clock)
+
+
+def _within(
+    problem: Problem,
+    curves: Sequence[Curve],
+    tolerance: float,
+    before: Sequence[Together],
+    seconds: float,
+    clock: Clock | None,
+) -> Together:
+    try:
+        best = combined(curves, problem.settings, tolerance=tolerance)
+        for one in before:  # the same settings need no second check
+            known = one.combination if one.checked else None
+            if known and known.settings == best.settings and known.error <= tolerance:
+                return one
+        if seconds <= 0:
+            return Together(best)
+        return Together(*settled(problem, curves, tolerance, None, seconds=seconds, clock=clock))
+    except InputError:
+        return Together(None)
