@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxvision.side_by_side import side_by_side
+
 from ..inference.emcee_run import Progress
 from ..inference.estimates import Estimate, find
 from ..noise.calibration import LIKELIHOOD, STANDARD
@@ -85,23 +87,31 @@ def calibrate_lab(
     Returns:
         A section each.
     """
-    with step("photon transfer") as progress:
-        rig = load_rig(folder / "noise")
-        found = noise_section(calibrate_noise(reduce_rig(rig), **draws("noise", progress)))
-        noise = with_inputs(found, rig, "photon transfer")
-    with step("response curve") as progress:
-        rig = load_rig(folder / "response")
-        stack = read_exposure_stack(rig)
-        found = response_section(calibrate_response(stack, **draws("response", progress)))
-        response = with_inputs(found, rig, "a response calibration")
+
+    def noise() -> Section:
+        with step("photon transfer") as progress:
+            rig = load_rig(folder / "noise")
+            found = noise_section(calibrate_noise(reduce_rig(rig), **draws("noise", progress)))
+            return with_inputs(found, rig, "photon transfer")
+
+    def response() -> Section:
+        with step("response curve") as progress:
+            rig = load_rig(folder / "response")
+            stack = read_exposure_stack(rig)
+            found = response_section(calibrate_response(stack, **draws("response", progress)))
+            return with_inputs(found, rig, "a response calibration")
+
+    first = side_by_side([noise, response])
     with step("reflectance") as progress:
-        rig = _with_measured_noise(load_rig(folder / "brdf"), noise)
+        rig = _with_measured_noise(load_rig(folder / "brdf"), first[0])
         observation = read_reflectance_observation(rig)
+        drawn = draws("brdf", progress)
+        by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
         found = reflectance_section(
-            calibrate_reflectance(observation, model="phong", **draws("brdf", progress))
+            calibrate_reflectance(observation, model="phong", progress=by_fit, **drawn)
         )
         reflectance = with_inputs(found, rig, "a reflectance calibration")
-    return [noise, response, reflectance]
+    return [*first, reflectance]
 
 
 def _with_measured_noise(rig: Rig, noise: Section) -> Rig:

@@ -5,6 +5,7 @@ One camera takes everything: a 12-bit CMOS-like sensor with the fixed pattern of
 exposure stack leaves it as an 8-bit gamma-encoded colour picture, the rest as raw numbers.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -39,6 +40,7 @@ from jaxvision.scene import (
 )
 from jaxvision.sensor import raw_image
 from jaxvision.shot import capture
+from jaxvision.side_by_side import side_by_side
 
 from ..inference.emcee_run import Progress
 from ..rig import RIG_FILE
@@ -121,10 +123,14 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
     bench = _Bench(_sensor(truth), *jax.random.split(jax.random.key(seed)))
     total = 4 * len(FLAT_EXPOSURES) + 2 * (SPATIAL_FRAMES - 2)
     total += len(STACK_EXPOSURES) + len(sphere_lights())
-    written = _Counter(total, progress)
-    _photon_transfer(folder / "noise", truth, bench, written)
-    _exposure_stack(folder / "response", truth, bench, written)
-    _sphere_under_lights(folder / "brdf", truth, bench, written)
+    counted = _Counted(total, progress)
+    last = total - len(sphere_lights())
+    parts = (
+        partial(_photon_transfer, folder / "noise", _Film(0, counted)),
+        partial(_exposure_stack, folder / "response", _Film(last - len(STACK_EXPOSURES), counted)),
+        partial(_sphere_under_lights, folder / "brdf", _Film(last, counted)),
+    )
+    side_by_side([partial(part, truth, bench) for part in parts])
     return truth
 
 
@@ -159,20 +165,31 @@ def _exposed(bench: _Bench, exposure: float) -> _Bench:
     return _Bench(sensor, bench.die_key, bench.frame_key)
 
 
-class _Counter:
-    """Numbers frames, and says how many are written."""
+class _Counted:
+    """Says how many frames of all parts are written."""
 
     def __init__(self, total: int, progress: Progress | None) -> None:
-        self.done, self.total, self.progress = 0, total, progress
+        self.numbers, self.total, self.progress = itertools.count(1), total, progress
+
+    def one(self) -> None:
+        done = next(self.numbers)
+        if self.progress is not None:
+            self.progress(done, self.total)
+
+
+class _Film:
+    """Numbers the frames of a part, from its first one on."""
+
+    def __init__(self, first: int, counted: _Counted) -> None:
+        self.next, self.counted = first, counted
 
     def write(self, path: Path, pixels: np.ndarray) -> None:
         write_image(path, pixels)
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, self.total)
+        self.next += 1
+        self.counted.one()
 
 
-def _photon_transfer(folder: Path, truth: Truth, bench: _Bench, written: _Counter) -> None:
+def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
     """Pairs of flats up to and past saturation, pairs of darks, and one deep stack of each at half
     saturation for the spatial statistics."""
     photons_per_second = 1.08 * truth.full_well / truth.quantum_efficiency / FLAT_EXPOSURES[-1]
@@ -186,10 +203,10 @@ def _photon_transfer(folder: Path, truth: Truth, bench: _Bench, written: _Counte
                 raw = _flat_frame(
                     _exposed(bench, float(exposure)),
                     jnp.asarray(rate),
-                    jnp.asarray(written.done),
+                    jnp.asarray(film.next),
                     shape=FLAT_SIZE,
                 )
-                written.write(folder / name, np.asarray(raw, np.uint16))
+                film.write(folder / name, np.asarray(raw, np.uint16))
             entries.append({"files": names, "exposure": float(exposure)})
         flats[-1]["photons"] = float(photons_per_second * exposure)
     _write_rig(folder, {"camera": {"bits": truth.bits}, "flat": flats, "dark": darks})
@@ -200,7 +217,7 @@ def photons_at_half(truth: Truth) -> float:
     return truth.full_well / truth.quantum_efficiency / 2
 
 
-def _exposure_stack(folder: Path, truth: Truth, bench: _Bench, written: _Counter) -> None:
+def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
     """Three spheres on a floor, a few stops apart, as 8-bit gamma-encoded pictures."""
     floor = Surface(Plane((0.0, -1.0, 0.0), (0.0, 1.0, 0.0)), Lambert((0.25, 0.24, 0.22)))
     balls = [
@@ -223,14 +240,14 @@ def _exposure_stack(folder: Path, truth: Truth, bench: _Bench, written: _Counter
     entries = []
     for i, exposure in enumerate(STACK_EXPOSURES):
         camera = Camera(view, _exposed(bench, exposure).sensor, development)
-        taken = _picture(bench, scene, camera, jnp.asarray(written.done))
+        taken = _picture(bench, scene, camera, jnp.asarray(film.next))
         name = f"stack_{i:02d}.png"
-        written.write(folder / name, np.asarray(to_integers(taken.picture, bits=8)))
+        film.write(folder / name, np.asarray(to_integers(taken.picture, bits=8)))
         entries.append({"file": name, "exposure": exposure})
     _write_rig(folder, {"camera": {"bits": 8}, "exposure": entries})
 
 
-def _sphere_under_lights(folder: Path, truth: Truth, bench: _Bench, written: _Counter) -> None:
+def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
     """A Phong sphere, one image a distant light, raw; the highlight clips in some."""
     ball = Surface(
         Sphere((0.0, 0.0, 0.0), 1.0), Phong(truth.diffuse, truth.specular, truth.exponent)
@@ -247,9 +264,9 @@ def _sphere_under_lights(folder: Path, truth: Truth, bench: _Bench, written: _Co
     for i, direction in enumerate(sphere_lights()):
         light = DirectionalLight(direction, jnp.full(3, white / per_photon))
         camera = Camera(view, _exposed(bench, exposure).sensor)
-        taken = _picture(bench, Scene((ball,), (light,)), camera, jnp.asarray(written.done))
+        taken = _picture(bench, Scene((ball,), (light,)), camera, jnp.asarray(film.next))
         name = f"light_{i:02d}.tif"
-        written.write(folder / name, np.asarray(taken.raw, np.uint16))
+        film.write(folder / name, np.asarray(taken.raw, np.uint16))
         entries.append(
             {
                 "file": name,
@@ -259,7 +276,7 @@ def _sphere_under_lights(folder: Path, truth: Truth, bench: _Bench, written: _Co
             }
         )
     cap_on = _flat_frame(
-        _exposed(bench, exposure), jnp.zeros(()), jnp.asarray(written.done), shape=FLAT_SIZE
+        _exposed(bench, exposure), jnp.zeros(()), jnp.asarray(film.next), shape=FLAT_SIZE
     )
     camera = {
         "bits": truth.bits,

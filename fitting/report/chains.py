@@ -1,5 +1,6 @@
 """The draws of a posterior: written as NetCDF, and drawn as corner plot and paths of its chains."""
 
+import warnings
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -33,7 +34,9 @@ def corner_figure(
     Returns:
         The figure.
     """
-    import corner
+    with warnings.catch_warnings():  # it imports ArviZ, if installed, which announces its changes
+        warnings.simplefilter("ignore", FutureWarning)
+        import corner
 
     space = next(iter(posteriors.values())).space
     relative = len(posteriors) > 1
