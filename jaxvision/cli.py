@@ -265,9 +265,9 @@ def accuracy(
     found = measured_together(source, names=knob, seconds=left, metrics=norms)
     command = repeating("jaxvision accuracy", scene, knobs=knob or (), seconds=seconds, out=out)
     sheet = show(*found, command=command, as_json=as_json)
+    keep(out, *found, command=command, as_json=as_json)
     if as_json:
         print_json(sheet)
-    keep(out, *found, command=command, as_json=as_json)
 
 
 def _share(text: str) -> float:

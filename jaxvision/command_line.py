@@ -2,6 +2,7 @@
 on standard error and an exit status."""
 
 import logging
+import os
 import re
 import sys
 import warnings
@@ -19,6 +20,7 @@ from .errors import InputError
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
+UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
@@ -135,7 +137,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     """Context in which errors that a user can correct end the command with one line.
 
     Input errors and file errors end with exit status 2, an interrupt with 130; a warning becomes
-    one line.
+    one line. Output that nobody reads any more ends it without one, with 141.
 
     Args:
         command: name of the command, the beginning of each line.
@@ -156,6 +158,9 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
             yield
     except InputError as error:
         leave(command, str(error), 2)
+    except BrokenPipeError:  # who reads the output, such as `head`, has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(UNREAD) from None
     except OSError as error:
         where = error.filename or "a file"
         sentence = f"{where}: {error.strerror or error}; choose another path or make room."

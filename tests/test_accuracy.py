@@ -287,6 +287,37 @@ def test_an_interrupt_keeps_what_was_measured():
     assert all(trial.hollow for trial in found.trials)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_a_bias_is_off_by_is_known_after_an_interrupt(seed):
+    """From the steps between the settings that were run with both seeds."""
+    plain, exact = quadrature(midpoint)
+
+    def prepare(settings):
+        compute = plain.prepare(settings)
+
+        def stopping(number):
+            if settings["n"] == 64 and number == seed:
+                raise KeyboardInterrupt
+            return compute(number)
+
+        return stopping
+
+    found = curve(replace(plain, prepare=prepare), N, clock=STILL)
+    assert found.stopped == "interrupted"
+    assert found.reference.how == "finest setting"
+    truth = relative_rms(midpoint_of(found.reference.setting), exact)
+    assert truth / 2 < found.reference.error < 2 * truth
+    for trial in found.trials[:-2]:
+        true = relative_rms(midpoint_of(trial.setting), exact)
+        assert true <= trial.error_high
+        assert choose(found, tolerance=2 * true).error < 2 * true
+
+
+def midpoint_of(n):
+    """The integral of exp(c x) by n nodes."""
+    return quadrature(midpoint)[0].prepare({"n": n})(0)
+
+
 def test_an_interrupt_while_results_are_compared_loses_none(monkeypatch):
     from jaxvision.accuracy import curves
 
@@ -479,6 +510,31 @@ def test_the_mean_of_what_is_cut_off_is_cut_off_after_the_mean():
     np.testing.assert_allclose(error, np.sqrt(means.var(axis=0).mean()), rtol=0.15)
     whole = mean_of(list(draws[:, 0]), None)[1]
     np.testing.assert_allclose(whole, mean_of(list(draws[:, 0]), np.asarray)[1])
+
+
+@pytest.mark.parametrize("law", [-0.7, -1.5, -2.0])
+@pytest.mark.parametrize("reference", [(24, 32), (24,), ()])
+def test_a_law_that_is_taken_for_geometric_may_be_a_power(law, reference):
+    """Gauss's rule on an integrand with an edge falls as a power of the nodes, not by a factor with
+    each; the reference's own error is within 2 times of the truth."""
+    shape = np.random.default_rng(1).uniform(0.5, 1.5, LENGTH)
+    knob = Knob("order", "", "", (1, 2, 4, 8, 16), reference, law="geometric")
+    problem = Problem("edge", lambda s: lambda seed: shape * (1 + 0.1 * s["order"] ** law))
+    found = curve(problem, knob, clock=STILL)
+    truth = 0.1 * float(found.reference.setting) ** law
+    assert truth / 2 < found.reference.error < 2 * truth
+
+
+@pytest.mark.parametrize("rate", [0.3, 0.63, 0.8])
+@pytest.mark.parametrize("reference", [(16, 24, 32), (16,), ()])
+def test_a_geometric_law_stays_one(rate, reference):
+    """As of paths cut at a depth."""
+    knob = Knob("depth", "", "", (2, 3, 4, 6, 8, 12), reference, law="geometric")
+    problem = Problem("depth", lambda s: lambda seed: np.full(9, 1 - rate ** s["depth"]))
+    found = curve(problem, knob, clock=STILL)
+    truth = rate**found.reference.setting
+    if truth > 1e-13:
+        assert truth / 2 < found.reference.error < 2 * truth
 
 
 @pytest.mark.parametrize("reference", [(64, 128), (48, 64), (64, 256), ()])

@@ -267,3 +267,31 @@ def test_what_needs_no_computation_imports_none(tmp_path):
     assert ran.stderr.count("a.tif: no such image file") == 3
     assert "jaxvision" in loaded
     assert not set(loaded) & {"jax", "numpy", "equinox", "scipy", "emcee", "xarray"}
+
+
+def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
+    """As of `| head -1`: no sentence about a full disc, no traceback at the end."""
+    script = (
+        "import sys\n"
+        "from jaxvision.command_line import command_app, failures_as_sentences\n"
+        "app = command_app('about')\n"
+        "@app.command()\n"
+        "@failures_as_sentences('jaxvision')\n"
+        "def say() -> None:\n"
+        "    sys.stdin.read()\n"
+        "    print('much', flush=True)\n"
+        "app(['say'])\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    process.stdout.close()  # before anything is written
+    assert process.stdin is not None
+    process.stdin.close()
+    process.stdin = process.stdout = None
+    said = process.communicate(timeout=60)[1]
+    assert (process.returncode, said) == (141, b"")

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from .deadlines import OutOfTime
 from .fitted import variable
-from .records import Compared, Knob, Reference
+from .records import Compared, Knob, Law, Reference
 from .session import Session
 
 DRAWS = 4  # independent ones that a random reference is the mean of, at least
@@ -21,6 +21,7 @@ FIRST_SEED = 1_000_000  # of references; trials have smaller seeds
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
 UNITS = 4  # in the last place, to which no sum is right
 MOST_UNLIKE = 4.0  # times the error that the steps between settings tell
+RUNGS = 4  # settings of a sequence: three tell its rate, a fourth by which law it falls
 MOST_TAIL = 6.0  # of the last step between two settings, for the rest of a sequence
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
 
@@ -94,14 +95,17 @@ def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
     return draws
 
 
-def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]]:
-    """The finest setting that time allows, by the same seeds as the trials. What it is still off by
-    follows from the steps between it and the two settings before it."""
+def paired_reference(
+    session: Session, *, finer: bool = True
+) -> tuple[Reference, dict[int, np.ndarray]]:
+    """The finest setting that time allows, by the same seeds as the trials; without `finer` ones of
+    those that were run. What it is still off by follows from the steps between it and the two
+    settings before it."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
-    steps: list[Any] = list(session.points)[-3:]
-    chosen = list(session.points)[-1]
-    for setting in knob.reference:
+    steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
+    chosen = steps[-1]
+    for setting in knob.reference if finer else ():
         if session.expected(setting, calls=len(PAIRED)) > SHARE * session.left:
             break
         try:
@@ -115,7 +119,7 @@ def paired_reference(session: Session) -> tuple[Reference, dict[int, np.ndarray]
             break
         steps = [step for step in steps if step != setting] + [setting]
         chosen = setting
-    rungs = (*steps[-3:-1], chosen)
+    rungs = (*steps[-RUNGS:-1], chosen)
     ladder = [
         {seed: session.compared(session.points[step].results[seed]) for seed in PAIRED}
         for step in rungs
@@ -132,8 +136,10 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
     """How far a reference is from the finest of three settings or more that is not the reference
     itself, where that is more than their steps to one another allow, so that it or they are wrong;
     else 0. In the unit of the result."""
-    rungs = [one for one in settings if isinstance(one, int | float)][-3:]
-    if len(rungs) < 3 or len(rungs) != len(settings[-3:]):
+    run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
+    run = run[-RUNGS:]
+    rungs = [one for one in run if isinstance(one, int | float)]
+    if len(rungs) < 3:
         return 0.0
     ladder = [
         {seed: session.compared(session.points[rung].results[seed]) for seed in PAIRED}
@@ -158,12 +164,13 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
-    """What the last of a sequence of two or three results is off by.
+    """What the last of a sequence of two results or more is off by.
 
     With errors E exp(-k x), x being what the knob's law is in, the step from one result to the next
     is the difference of two errors where all numbers move to one side, and the root of the sum of
     their squares where they move at random. The steps give k and with it the last error; which of
-    the two they are is told by the correlation of one with the next.
+    the two they are is told by the correlation of one with the next. The rates of three steps tell
+    whether a law that is taken for geometric is a power instead, as of Gauss's rule across an edge.
     """
     if len(ladder) < 2:
         return float("inf")
@@ -172,7 +179,9 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
         for before, after in pairwise(ladder)
     ]
     last = _rms(steps[-1])
-    apart = [_apart(knob, *pair) for pair in pairwise(settings)]
+    law = _steadiest(knob.law, settings, [_rms(step) for step in steps])
+    apart = [_apart(law, *pair) for pair in pairwise(settings)][-2:]
+    steps = steps[-2:]
     if len(steps) < 2:
         known = knob.order is not None and knob.law == "power"
         return last * max(1.0, 1 / np.expm1(abs(knob.order or 1.0) * apart[0])) if known else last
@@ -185,19 +194,39 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
     return last * float(np.sqrt(alike * bias**2 + (1 - alike) * chance**2))
 
 
-def _apart(knob: Knob, coarse: Any, fine: Any) -> float:
-    """How far two settings are apart in the variable of the knob's law; 1 for words."""
+def _steadiest(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> Law:
+    """The law by which three steps fall at the steadiest rate; of fewer, and where a power is
+    declared, the declared one."""
+    if law == "power" or len(steps) < 3 or min(steps) == 0:
+        return law
+
+    def unsteady(law: Law) -> float:
+        apart = [_apart(law, *pair) for pair in pairwise(settings)]
+        ratios = [before / after for before, after in pairwise(steps)]
+        rates = [_bias_rate(*given) for given in zip(ratios, apart, apart[1:], strict=False)]
+        return abs(np.log(rates[1] / rates[0])) if min(rates) > 0 else np.inf
+
+    return min((law, "power"), key=unsteady)
+
+
+def _apart(law: Law, coarse: Any, fine: Any) -> float:
+    """How far two settings are apart in the variable of a law; 1 for words."""
     if not all(isinstance(one, int | float) and one > 0 for one in (coarse, fine)):
         return 1.0
-    return abs(variable(fine, knob.law) - variable(coarse, knob.law)) or 1.0
+    return abs(variable(fine, law) - variable(coarse, law)) or 1.0
 
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
     """The error behind two steps to one side, over the last of them, by their ratio."""
+    rate = _bias_rate(ratio, before, after)
+    return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
+
+
+def _bias_rate(ratio: float, before: float, after: float) -> float:
+    """The rate at which errors to one side fall, by the ratio of two steps; 0 where they do not."""
     if ratio <= before / after:
-        return MOST_TAIL
-    rate = _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
-    return float(min(1 / np.expm1(rate * after), MOST_TAIL))
+        return 0.0
+    return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
 
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
