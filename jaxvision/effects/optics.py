@@ -51,7 +51,7 @@ def optics_stage(
         view: at both ends of what may change.
         arriving: radiance and depths of what is in the picture.
         samples: `PixelSamples` of the picture, or None.
-        oversampling: of `Sensor.pixel_aperture`: diffraction acts on the finer grid.
+        oversampling: of `Sensor.pixel_aperture`: the lens acts on the finer grid.
 
     Returns:
         A row for each part that is present, and irradiance and opening at most.
@@ -61,7 +61,7 @@ def optics_stage(
     """
     refuse_tracers(view)
     radiance = np.asarray(arriving.radiance, float)
-    grids = _Grids(view)
+    grids = _Grids(view, oversampling)
     opening = grids.opening
     with np.errstate(invalid="ignore"):
         irradiance = np.nan_to_num(radiance * opening, nan=INF, posinf=INF)
@@ -82,16 +82,19 @@ def optics_stage(
 
 
 class _Grids:
-    """Pictures of a scene of radiance 1, with and without the parts of a lens, each made once."""
+    """Pictures of a scene of radiance 1, with and without the parts of a lens, each made once, on
+    the grid of all samples of pixels' apertures."""
 
-    def __init__(self, view: Ends[View]) -> None:
-        self.view = view
+    def __init__(self, view: Ends[View], oversampling: int) -> None:
+        self.view, self.oversampling = view, oversampling
         self.brightness = cache(self._brightness)
         self.slopes = cache(self._slopes)
 
     def without(self, *parts: str) -> View:
-        """The view without some of its parts."""
-        view = self.view.high
+        """The view without some of its parts, sampled as finely as the aperture asks."""
+        view, n = self.view.high, self.oversampling
+        rows, columns = view.resolution
+        view = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
         there = {part: None for part in parts if getattr(view, part, None) is not None}
         return replace(view, **there) if there else view
 

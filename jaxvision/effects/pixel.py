@@ -31,22 +31,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..scene import (
-    ArrheniusDarkCurrent,
-    DoublingDarkCurrent,
-    GaussianShotNoise,
-    HeavyTailedReadNoise,
-    PixelAperture,
-    Sensor,
-)
-from ..sensor.dark import BOLTZMANN, ELEMENTARY_CHARGE
-from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
+from ..scene import GaussianShotNoise, Sensor
 from .boxes import corners
 from .certificate import Rank
+from .electrons import dark_rate, exposure, freed, kernel_slopes, read_out_variances
 from .overflow import Charge, Excess, excess
 from .stages import Ends, Gone
 
 INF = math.inf
+
+
+class Flood(NamedTuple):
+    """The shares of all pixels' excess that reach one pixel: their sum, and the root of the sum of
+    their squares, no unit."""
+
+    all: float
+    independent: float
 
 
 class Bound(NamedTuple):
@@ -76,72 +76,6 @@ def growth(before: float, by: float) -> float:
     if by == 0:
         return 0.0
     return by / (math.sqrt(before + by) + math.sqrt(before))
-
-
-def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Electrons that an irradiance frees in the pixel that sees most of it.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
-
-    Returns:
-        Electrons per exposure.
-    """
-    electrons = np.asarray(irradiance, float)
-    conversion = sensor["photon_conversion"]
-    if conversion is not None:
-        per_joule = np.asarray(conversion.wavelength, float) / (PLANCK * SPEED_OF_LIGHT)
-        electrons = electrons * float(conversion.pixel_area) * per_joule
-    with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
-        for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
-            electrons = electrons if factor is None else electrons * np.asarray(factor, float)
-        if sensor["colour_filter"] is not None:
-            electrons = np.asarray(sensor["colour_filter"].transmission, float) @ electrons
-    if sensor["pixel_aperture"] is not None:
-        electrons = electrons * share_of_light(sensor["pixel_aperture"])
-    return clean(np.max(electrons)) * exposure(sensor)
-
-
-def share_of_light(aperture: PixelAperture) -> float:
-    """What a pixel's aperture gathers of the light on it."""
-    fill = float(aperture.fill_factor)
-    return fill if aperture.microlens is None else fill + float(aperture.microlens) * (1 - fill)
-
-
-def exposure(sensor: Mapping[str, Any]) -> float:
-    """s, or 1 where rates are counts already."""
-    return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
-
-
-def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
-    """Variance of each source of noise behind the conversion that every pixel has.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-
-    Returns:
-        electrons^2 by the name of the field; pattern and temporal noise alike.
-    """
-    found = {}
-    for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"):
-        if sensor[name] is not None:
-            found[name] = float(sensor[name]) ** 2
-    if sensor["reset_noise"] is not None:
-        reset = sensor["reset_noise"]
-        thermal = BOLTZMANN * float(reset.temperature) * float(reset.capacitance)
-        found["reset_noise"] = thermal / ELEMENTARY_CHARGE**2
-    match sensor["read_noise"]:
-        case None:
-            pass
-        case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
-            share = float(fraction)
-            found["read_noise"] = (1 - share) * float(rms) ** 2 + share * float(tail) ** 2
-        case rms:
-            found["read_noise"] = float(rms) ** 2
-    if sensor["banding"] is not None:
-        found["banding"] = float(sensor["banding"].amplitude) ** 2 / 2
-    return found
 
 
 @dataclass(frozen=True)
@@ -187,7 +121,7 @@ class Pixel:
 
     @cached_property
     def _arriving(self) -> float:
-        return freed(self.sensor.high, self.irradiance) * self.smearing
+        return clean(freed(self.sensor.high, self.irradiance)) * self.smearing
 
     @cached_property
     def repulsion(self) -> float:
@@ -320,6 +254,54 @@ class Pixel:
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
+    @cached_property
+    def flood(self) -> Flood:
+        """What reaches a pixel of what each other pixel of its column spills: of the excess at a
+        distance of d rows the share b^d / 2, for every full well on the way passes on b. It is most
+        in the middle of a column."""
+        blooming, others = self.high("blooming"), self.shape[0] - 1
+        distances = np.concatenate([np.arange(others // 2), np.arange(others - others // 2)]) + 1
+        shares = blooming**distances / 2
+        return Flood(float(shares.sum()), math.sqrt((shares**2).sum()))
+
+    @cached_property
+    def received(self) -> float:
+        """Root mean square of what spills into a pixel, electrons: a full well at most.
+
+            R = sum s_i X_i,   E R^2 <= (E X sum s)^2 + E X^2 sum s^2,   R <= w
+
+        Excesses X of different pixels are independent.
+        """
+        mean, rms = self.spilt
+        if self.flood.all == 0 or rms == 0:
+            return 0.0
+        well = float(self.sensor.high["full_well"])
+        if not math.isfinite(rms):
+            return well
+        spilt = math.hypot(self.flood.all * mean, self.flood.independent * rms)
+        return min(spilt, math.sqrt(well * self.flood.all * mean), well)
+
+    def read(self, by: float) -> float:
+        """DN by which a number moves where every charge moves by so many electrons before the
+        wells. What overflows gathers in the pixels between, which move by the sum of all shares, or
+        by what they receive before and after."""
+        if self.received == 0:
+            return self.behind_charge * by
+        return self.behind_charge * min(by * (1 + self.flood.all), by + 2 * self.received)
+
+    @cached_property
+    def reach(self) -> float:
+        """How many pixels one charge may change: itself, the trail that transfers leave behind it,
+        the column that it may flood, or, where charges repel each other, all of them."""
+        pixels = math.prod(self.shape)
+        if self.repulsion > 0:
+            return pixels
+        rows = self.shape[0] if self.received > 0 else 1
+        transfer = self.sensor.high["charge_transfer"]
+        trail = 1 if transfer is None else transfer.trail + 1
+        columns = 1 if transfer is None or transfer.serial_inefficiency is None else trail
+        return min(rows * trail * columns, pixels)
+
     def moved(self, by: float, *, patterned: bool) -> float:
         """DN by which charge that comes or goes moves a pixel's law.
 
@@ -335,7 +317,7 @@ class Pixel:
         most_quiet, cut = self.at_the_well(by)
         noise = growth(min(self.quiet, most_quiet), by) if self.counted else 0.0
         mean = by * math.hypot(1, self.high("prnu")) if patterned else by
-        return self.behind_charge * (math.hypot(mean, noise) + cut)
+        return self.read(math.hypot(mean, noise) + cut)
 
     def at_the_well(self, by: float) -> tuple[float, float]:
         """What a full well changes in the distance of two charges, before and after a change of d.
@@ -372,31 +354,3 @@ def pixel_of(
         return {name: None if f"sensor.{name}" in gone else value for name, value in fields}
 
     return Pixel(Ends(left(sensor.low), left(sensor.high)), irradiance, shape)
-
-
-def kernel_slopes(kernel: Any) -> float:
-    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, of rows and columns together.
-
-    Args:
-        kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
-
-    Returns:
-        Per electron.
-    """
-    rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
-    whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
-    return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2
-
-
-def dark_rate(law: Any) -> float:
-    """e- s^-1 of a dark current, a number or a law of temperature."""
-    match law:
-        case DoublingDarkCurrent():
-            warmer = float(law.temperature) - float(law.reference_temperature)
-            return float(law.rate) * 2 ** (warmer / float(law.doubling))
-        case ArrheniusDarkCurrent():
-            colder = 1 / float(law.reference_temperature) - 1 / float(law.temperature)
-            kelvin = float(law.activation_energy) * ELEMENTARY_CHARGE / BOLTZMANN
-            return float(law.rate) * math.exp(kelvin * colder)
-        case _:
-            return float(law)

@@ -19,7 +19,8 @@ from ..sensor import QUANTISATION_VARIANCE, mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
 from .boxes import refuse_tracers
 from .certificate import DN, Effect
-from .pixel import Bound, Pixel, clean, pixel_of, share_of_light
+from .electrons import share_of_light
+from .pixel import Bound, Pixel, clean, pixel_of
 from .stages import Draft, Ends, Gone, Response, Row
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {

@@ -29,19 +29,19 @@ def shot_noise(pixel: Pixel) -> Bound:
     if not math.isfinite(counted):
         return Bound(INF, "the light is not bounded")
     moved = growth(rest, counted) + pixel.spilt.rms
-    return Bound(pixel.behind_charge * moved, f"sqrt of {counted:.4g} e- rms")
+    return Bound(pixel.read(moved), f"sqrt of {counted:.4g} e- rms")
 
 
 def exact_counting(pixel: Pixel) -> Bound:
     """Poisson draws by inversion instead of by rejection: `sensor.count` states their accuracy,
     measured; here as an estimate."""
-    return Bound(pixel.behind_charge * INVERSION, "measured up to 1e5 e-", rank="estimate")
+    return Bound(pixel.read(INVERSION), "measured up to 1e5 e-", rank="estimate")
 
 
 def whole_electrons(pixel: Pixel) -> Bound:
     """A Gaussian of the same moments instead of whole numbers of electrons: mean and rms do not
     move; the laws themselves differ by 0.42 e- at most, tabulated over means."""
-    return Bound(pixel.behind_charge * WHOLE, "tabulated over means", rank="estimate")
+    return Bound(pixel.read(WHOLE), "tabulated over means", rank="estimate")
 
 
 def brighter_fatter(pixel: Pixel) -> Bound:
@@ -63,7 +63,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
     moved = math.hypot(mean, growth(pixel.quiet, noise + pattern)) + 2 * pixel.spilt.rms
     why = f"{c:.3g} of what a pixel of {charge:.4g} e- gets"
     rank = "estimate" if pixel.hot or pixel.spilt.rms else "bound"
-    return Bound(pixel.behind_conversion * moved, why, rank=rank)
+    return Bound(pixel.read(moved) / pixel.pushing**3, why, rank=rank)
 
 
 def full_well(pixel: Pixel) -> Bound:
@@ -74,25 +74,11 @@ def full_well(pixel: Pixel) -> Bound:
 
 
 def blooming(pixel: Pixel) -> Bound:
-    """What spills into a pixel: b / 2 of the excess of each of the other pixels of its column.
-
-        R = b / 2 sum X_i,   E R^2 <= (b / 2)^2 ((n E X)^2 + n E X^2),   R <= w
-
-    Excesses of different pixels are independent. What a full well passes on loses a share 1 - b
-    each time, which is ignored.
-    """
-    others = pixel.shape[0] - 1
-    half = pixel.high("blooming") / 2
-    mean, rms = pixel.spilt
-    if half == 0 or rms == 0 or others == 0:
+    """What spills into a pixel from all others of its column (`Pixel.received`)."""
+    if pixel.received == 0:
         return Bound(0.0, "no charge spills")
-    well = float(pixel.sensor.high["full_well"])
-    if not math.isfinite(rms):
-        return Bound(pixel.behind_charge * well, "at most a full well", rank=pixel.rank_of_counts)
-    spilt = half * math.hypot(others * mean, math.sqrt(others) * rms)
-    received = min(spilt, math.sqrt(well * half * others * mean), well)
-    why = f"{mean:.3g} e- over the well at most expected"
-    return Bound(pixel.behind_charge * received, why, rank=pixel.rank_of_counts)
+    why = f"{pixel.spilt.mean:.3g} e- over the well at most expected"
+    return Bound(pixel.behind_charge * pixel.received, why, rank=pixel.rank_of_counts)
 
 
 def charge_transfer(pixel: Pixel) -> Bound:

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from .electrons import share_of_light
 from .overflow import sensitivity_bias
-from .pixel import INF, Bound, Pixel, growth, share_of_light
+from .pixel import INF, Bound, Pixel, growth
 from .stages import Ends
 
 
@@ -78,12 +79,12 @@ def prnu(pixel: Pixel) -> Bound:
     before += light if pixel.counted and pixel.repulsion == 0 else 0.0
     noise = growth(before, (rms * light) ** 2)
     moved = math.hypot(noise, light * sensitivity_bias(rms)) + cut
-    return Bound(pixel.behind_charge * moved, f"{rms:.3g} of {light:.4g} e-")
+    return Bound(pixel.read(moved), f"{rms:.3g} of {light:.4g} e-")
 
 
 def dead_pixels(pixel: Pixel) -> Bound:
-    """All the light of a dead pixel; the others do not change."""
-    rare = pixel.high("dead_pixels") * math.prod(pixel.shape)
+    """All the light of a dead pixel; others do not change but within its `reach`."""
+    rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels see nothing; the bound is theirs"
     return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
 
@@ -94,18 +95,19 @@ def dark_current(pixel: Pixel) -> Bound:
     rest = pixel.quiet - pixel.counted_dark
     most_quiet, cut = pixel.at_the_well(dark)
     noise = growth(min(rest, most_quiet), dark) if pixel.counted else 0.0
-    return Bound(pixel.behind_charge * (math.hypot(dark, noise) + cut), f"{dark:.3g} e-")
+    return Bound(pixel.read(math.hypot(dark, noise) + cut), f"{dark:.3g} e-")
 
 
 def hot_pixels(pixel: Pixel) -> Bound:
     """An excess of mean H, exponential: it moves a hot pixel's mean by H and its variance by H^2,
     and by H more where it is counted."""
-    rare = float(pixel.sensor.high["hot_pixels"].fraction) * math.prod(pixel.shape)
+    fraction = float(pixel.sensor.high["hot_pixels"].fraction)
+    rare = fraction * math.prod(pixel.shape) * pixel.reach
     hot = pixel.hot
     most_quiet, cut = pixel.at_the_well(hot)
     noise = growth(min(pixel.quiet, most_quiet), hot**2 + (hot if pixel.counted else 0.0))
     why = f"{rare:.3g} pixels of {hot:.3g} e- more on average; the bound is theirs"
-    return Bound(pixel.behind_charge * (math.hypot(hot, noise) + cut), why, rare=rare)
+    return Bound(pixel.read(math.hypot(hot, noise) + cut), why, rare=rare)
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:

@@ -1,0 +1,108 @@
+"""What a sensor's own numbers say: electrons freed by light, dark rates, variances of the read-out.
+
+NumPy float64, electrons unless said otherwise.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..scene import ArrheniusDarkCurrent, DoublingDarkCurrent, HeavyTailedReadNoise, PixelAperture
+from ..sensor.dark import BOLTZMANN, ELEMENTARY_CHARGE
+from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
+
+
+def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
+    """Electrons that an irradiance frees in the pixel that sees most of it.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
+
+    Returns:
+        Electrons per exposure.
+    """
+    electrons = np.asarray(irradiance, float)
+    conversion = sensor["photon_conversion"]
+    if conversion is not None:
+        per_joule = np.asarray(conversion.wavelength, float) / (PLANCK * SPEED_OF_LIGHT)
+        electrons = electrons * float(conversion.pixel_area) * per_joule
+    with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
+        for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
+            electrons = electrons if factor is None else electrons * np.asarray(factor, float)
+        if sensor["colour_filter"] is not None:
+            electrons = np.asarray(sensor["colour_filter"].transmission, float) @ electrons
+    if sensor["pixel_aperture"] is not None:
+        electrons = electrons * share_of_light(sensor["pixel_aperture"])
+    return float(np.max(electrons)) * exposure(sensor)
+
+
+def share_of_light(aperture: PixelAperture) -> float:
+    """What a pixel's aperture gathers of the light on it."""
+    fill = float(aperture.fill_factor)
+    return fill if aperture.microlens is None else fill + float(aperture.microlens) * (1 - fill)
+
+
+def exposure(sensor: Mapping[str, Any]) -> float:
+    """s, or 1 where rates are counts already."""
+    return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
+
+
+def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
+    """Variance of each source of noise behind the conversion that every pixel has.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+
+    Returns:
+        electrons^2 by the name of the field; pattern and temporal noise alike.
+    """
+    found = {}
+    for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"):
+        if sensor[name] is not None:
+            found[name] = float(sensor[name]) ** 2
+    if sensor["reset_noise"] is not None:
+        reset = sensor["reset_noise"]
+        thermal = BOLTZMANN * float(reset.temperature) * float(reset.capacitance)
+        found["reset_noise"] = thermal / ELEMENTARY_CHARGE**2
+    match sensor["read_noise"]:
+        case None:
+            pass
+        case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
+            share = float(fraction)
+            found["read_noise"] = (1 - share) * float(rms) ** 2 + share * float(tail) ** 2
+        case rms:
+            found["read_noise"] = float(rms) ** 2
+    if sensor["banding"] is not None:
+        found["banding"] = float(sensor["banding"].amplitude) ** 2 / 2
+    return found
+
+
+def kernel_slopes(kernel: Any) -> float:
+    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, of rows and columns together.
+
+    Args:
+        kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
+
+    Returns:
+        Per electron.
+    """
+    rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
+    whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
+    return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2
+
+
+def dark_rate(law: Any) -> float:
+    """e- s^-1 of a dark current, a number or a law of temperature."""
+    match law:
+        case DoublingDarkCurrent():
+            warmer = float(law.temperature) - float(law.reference_temperature)
+            return float(law.rate) * 2 ** (warmer / float(law.doubling))
+        case ArrheniusDarkCurrent():
+            colder = 1 / float(law.reference_temperature) - 1 / float(law.temperature)
+            kelvin = float(law.activation_energy) * ELEMENTARY_CHARGE / BOLTZMANN
+            return float(law.rate) * math.exp(kelvin * colder)
+        case _:
+            return float(law)

@@ -1,0 +1,107 @@
+"""Effects that reach beyond one pixel or one sample of it, and lamps that only hide: what bounds
+promise against pictures."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision import effects
+from jaxvision import scene as s
+from jaxvision.effects.optics import optics_stage
+from jaxvision.effects.sensor import sensor_stage
+from jaxvision.effects.stages import Arriving, Ends
+from jaxvision.optics import sensor_irradiance
+from jaxvision.sensor import pixel_means
+
+
+def on_sensor(sensor, brightest, shape):
+    rows, response = sensor_stage(Ends(sensor, sensor), np.array([brightest]), shape=shape)
+    return {row.effect.name: row.effect for row in rows}, response
+
+
+@pytest.mark.parametrize("blooming", [0.5, 0.9, 1.0])
+def test_what_overflows_gathers_in_the_pixels_between(blooming):
+    """A dark pixel at the end of a column that is just full receives some of every change."""
+    rows, brightest = 64, 1015.0
+    light = jnp.full((rows, 1, 1), brightest).at[0].set(0)
+    fields = {"quantum_efficiency": 0.99, "dark_current": 3.0}
+    sensor = s.Sensor(full_well=1000.0, blooming=blooming, gain=1.0, **fields)
+    found, response = on_sensor(sensor, brightest, (rows, 1))
+    whole = np.asarray(jv.raw_image(None, sensor, light))
+
+    def moved(sensor, light=light):
+        return np.abs(np.asarray(jv.raw_image(None, sensor, light)) - whole).max()
+
+    rounding = 1e-6 * rows * brightest
+    for name in fields:
+        change = moved(replace(sensor, **{name: None}))
+        assert 2 < change <= found[f"sensor.{name}"].bound + rounding
+    dimmer = moved(sensor, 0.98 * light)
+    assert dimmer <= response.dn(np.array([0.02 * brightest]), frozenset()) + rounding
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"charge_transfer": s.ChargeTransfer(0.01, trail=3)},
+        {"charge_transfer": s.ChargeTransfer(0.01, serial_inefficiency=0.02, trail=2)},
+        {"full_well": 1000.0, "blooming": 0.9},
+        {},
+    ],
+)
+@pytest.mark.parametrize("kind", ["hot_pixels", "dead_pixels"])
+def test_rare_pixels_count_those_that_they_change(more, kind):
+    """Numbers that differ in pictures, of four dies."""
+    shape, fraction = (40, 40), 2e-3
+    rare = {"hot_pixels": s.HotPixels(fraction, 5e3), "dead_pixels": fraction}[kind]
+    sensor = s.Sensor(gain=1.0, **{kind: rare}, **more)
+    light = jnp.full((*shape, 1), 900.0)
+    clean = jv.raw_image(None, replace(sensor, **{kind: None}), light)
+    dies = jax.random.split(jax.random.key(3), 4)
+    frames = jax.vmap(lambda die: jv.raw_image(None, sensor, light, die_key=die))(dies)
+    differ = float(jnp.mean(jnp.sum(jnp.abs(frames - clean[None]) > 1e-2, axis=(1, 2, 3))))
+    promised = on_sensor(sensor, 900.0, shape)[0][f"sensor.{kind}"].rare
+    assert 1 < differ <= 1.5 * promised  # the dies hold 13 such pixels on average, give or take 4
+    assert more or promised == pytest.approx(fraction * 1600)
+
+
+@pytest.mark.parametrize("part", ["rim", "distortion"])
+def test_a_lens_is_bounded_at_all_samples_of_a_pixel(part):
+    """Its corners lie farther out than its middle, where the rim still passes all."""
+    n = 4
+    parts = {
+        "rim": {"rim": s.Rim(0.02, 0.0165), "resolution": (2, 2)},
+        "distortion": {"distortion": s.Distortion([0.3, 0.1]), "resolution": (1, 1)},
+    }[part]
+    view = s.ThinLens(np.zeros(3), np.eye(3), 0.05, 6e-3, f_number=4.0, focus_distance=2.0, **parts)
+    aperture = s.PixelAperture(1.0, oversampling=n)
+
+    def picture(view):
+        rows, columns = view.resolution
+        fine = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
+        return np.asarray(
+            pixel_means(sensor_irradiance(fine, jnp.ones((*fine.resolution, 1))), aperture)
+        )
+
+    arriving = Arriving(np.ones(1), 1.0, np.inf, np.zeros(1))
+    rows, reaching = optics_stage(Ends(view, view), arriving, oversampling=n)
+    bound = {row.effect.name: row.amount[0] for row in rows}[f"view.{part}"]
+    change = np.abs(picture(replace(view, **{part: None})) - picture(view)).max()
+    assert 1e-5 < change <= bound
+    assert picture(view).max() <= reaching.irradiance[0]
+
+
+def test_a_dark_lamp_hides_the_sky_in_a_mirror():
+    """As a place it would not, so that it stays a rectangle."""
+    mirror = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Mirror([0.9]))
+    lamp = jv.RectangleLight([-0.5, -0.5, 2], [0, 1, 0], [1, 0, 0], [0.0])
+    scene = jv.Scene(mirror, [lamp, jv.environment_map(np.ones((4, 8, 1)))])
+    down = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
+    view = jv.Pinhole([0, 0, 1.5], down, 0.05, 4e-3, resolution=(8, 8))
+    pruned = effects.prune(scene, view, "0%", level=1.0)
+    np.testing.assert_array_equal(jv.render(pruned.scene, view), jv.render(scene, view))
+    assert np.ptp(jv.render(scene, view)) > 0.5
