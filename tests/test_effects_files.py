@@ -3,11 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 from oracles.random_scenes import random_scene
 
+import jaxvision as jv
 from jaxvision.effects import explain
 from jaxvision.effects.certificate import summary
 from jaxvision.errors import InputError
@@ -16,6 +18,7 @@ from jaxvision.render_command import pruned_for, render_to_file
 from jaxvision.render_command.pruning import left_of
 from jaxvision.scene_files import SceneFile
 from jaxvision.scene_files.schema import RenderEntry
+from jaxvision.transport import light_traced
 
 SETTINGS = RenderEntry.model_validate({"dtype": "float64"})
 SINGLE = 1e-6  # relative to the brightest pixel: an EXR holds float32
@@ -51,6 +54,22 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     head = oiio.ImageInput.open(str(less)).spec().getattribute("jaxvision:certificate")
     assert head == explain(certificate)
     assert summary(certificate) in head
+
+
+def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
+    """A lamp that shines at a mirror alone: it lights the floor by paths that start at the lamp."""
+    floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
+    mirror = jv.Surface(jv.Quad([-1, -1, 3], [0, 2, 0], [2, 0, 0]), jv.Mirror([0.9]))
+    scene = jv.Scene([floor, mirror], jv.SmallLight([0, 0, 1.5], [0, 0, 1], [5.0]))
+    view = jv.Orthographic([0, 0, 1], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 0.2, resolution=(4, 4))
+    names = (("floor", "mirror"), ("lamp",), "mirror")
+    lit = light_traced(jax.random.key(0), scene, view, paths=2000, depth=3, samples=1).radiance
+    assert lit.mean() > 0.01
+    for integrator, kept in ("light", True), ("path", False):
+        settings = RenderEntry.model_validate({"integrator": integrator, "depth": 3})
+        source = SceneFile(Path("m.toml"), scene, view, settings, 1, None, *names)
+        pruned = pruned_for(source, settings, "1%", level=float(lit.max()))
+        assert (len(pruned.scene.lights) == 1) == kept
 
 
 @pytest.mark.parametrize("integrator", ["path", "light", "rays", "radiosity"])

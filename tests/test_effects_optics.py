@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import lenses
-from scipy import ndimage
+from scipy import integrate, ndimage, special
 
 from jaxvision import scene as s
-from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, optics_stage
+from jaxvision.effects.optics import BOUNDS, GEOMETRY, defocus, on_pixel, optics_stage
 from jaxvision.effects.stages import Arriving, Draft, Ends
 from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples
@@ -111,10 +111,10 @@ def test_diffraction_moves_no_pixel_by_more(n):
         assert rows["view.diffraction"].amount[band] <= 1.01 * worst
 
 
-@pytest.mark.parametrize("ends", [(1.8, 5.4), (20.0, 60.0)])
+@pytest.mark.parametrize("ends", [(1.8, 5.4), (20.0, 60.0), (0.7, 70.0)])
 def test_diffraction_of_an_opening_that_may_change(ends):
-    """Pictures of a lit pixel at 9 openings between the ends: of patterns far below a pixel the
-    middle does not fall with the f-number, and there is no bound."""
+    """Pictures of a lit pixel at 9 openings between the ends, of patterns from far below a pixel to
+    two of them."""
     spot = jnp.zeros((*SHAPE, 1)).at[6, 8].set(1.0)
     views = [lens(f_number=n, diffraction=s.Diffraction(5.5e-7, size=9)) for n in ends]
     low, high = (replace(view, pixel_pitch=2e-5, focus_distance=None) for view in views)
@@ -126,7 +126,30 @@ def test_diffraction_of_an_opening_that_may_change(ends):
         sharp = picture(replace(low, f_number=n, diffraction=None), spot)
         worst = max(worst, float(jnp.abs(blurred - sharp).max()))
     assert worst <= row.amount[0] * (1 + 1e-4)
-    assert np.isfinite(row.amount[0]) == (ends[0] > 10)
+    most = 1 - on_pixel(np.array(5.5e-7 * ends[1] / 2e-5))
+    open_widest = math.pi / 4 / ends[0] ** 2
+    assert row.amount[0] <= open_widest * most + open_widest * 3e-5
+    if ends[1] < 10 * ends[0]:  # what is widest open is least spread
+        assert row.amount[0] <= (ends[1] / ends[0]) ** 2 * 1.1 * worst
+
+
+@pytest.mark.parametrize("width", [0.02, 0.3, 1.0, 4.0])
+def test_share_of_airys_pattern_on_a_pixel(width):
+    """Against the pattern itself, by quadrature over a quarter of the pixel."""
+
+    def in_row(y):
+        x = lambda r: math.pi * r / width  # noqa: E731
+        return integrate.quad(
+            lambda z: (2 * special.j1(x(math.hypot(y, z))) / x(math.hypot(y, z))) ** 2,
+            0,
+            0.5,
+            limit=400,
+        )[0]
+
+    steps = 400
+    y = (np.arange(steps) + 0.5) / steps / 2
+    share = 4 * sum(map(in_row, y)) / steps / 2 * math.pi / (2 * width) ** 2
+    np.testing.assert_allclose(on_pixel(np.array(width)), share, atol=2e-4 if width < 0.1 else 1e-5)
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(100), marks=pytest.mark.slow)])

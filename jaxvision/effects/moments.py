@@ -28,6 +28,7 @@ def scene_rows(
     moments: int,
     estimates: bool = False,
     whole_paths: bool = False,
+    caustics: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
     """All rows of a scene, and what arrives at the camera at most.
 
@@ -39,12 +40,13 @@ def scene_rows(
         moments: of a motion.
         estimates: whether what long paths add is also probed, in a small picture.
         whole_paths: whether paths are followed whatever the depth, so that none can be cut.
+        caustics: whether paths start at the lights, too.
 
     Returns:
         Rows and `Arriving`. A scene that moves keeps its lights and its bands, which a motion may
         name by number.
     """
-    rows, arriving, sums = scene_stage(scene, view, depth=depth)
+    rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
     if motion is None or sensor.exposure_time is None:
         further = bounce_rows(sums, depth)
         rows += band_rows(sums, direct=depth is None)
@@ -60,7 +62,8 @@ def scene_rows(
         unknown = np.full_like(arriving.radiance, np.inf)
         return free, Arriving(unknown, 0.0, np.inf, unknown)
     times = moments_of(sensor, view.high.resolution[0], moments)
-    found = [scene_stage(*ends, depth=depth)[:2] for ends in _moved(scene, view, motion, times)]
+    moved = _moved(scene, view, motion, times)
+    found = [scene_stage(*ends, depth=depth, caustics=caustics)[:2] for ends in moved]
     everywhere = _by_name([rows, *(own for own, _ in found)])
     seen = [arriving, *(own for _, own in found)]
     brightest = np.max([own.radiance for own in seen], axis=0)

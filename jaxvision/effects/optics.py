@@ -27,7 +27,7 @@ from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Drop, Ends, OnSensor, Row
 
-_RESOLVED = 0.5  # pixels: lambda N from which on the middle of Airy's kernel falls with it
+_SHARES = 2e-5  # to which the shares of `airy_kernel` are good
 # Fields of the views that say where the camera stands and how much light there is: nothing can be
 # left out of them. Those of a lens's opening go with `view.defocus`.
 GEOMETRY = {
@@ -217,8 +217,10 @@ def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
     """(1 - k_0) sup E: the library's kernel is positive, of sum 1, and keeps k_0 in its middle.
-    That falls as the pattern grows, but not while it is so small that the kernel's nodes miss its
-    rings: between two such ends there is no bound."""
+
+    Of a lens that may change, k_0 is at least what the whole pattern puts on the pixel where it is
+    widest: a pattern that shrinks leaves no less there, and light beyond the kernel is put back.
+    """
     middles, lenses = [], corners(view)
     for lens in lenses:
         if not (isinstance(lens, ThinLens) and lens.diffraction is not None):
@@ -226,24 +228,42 @@ def diffraction(
         f_number = (
             lens.f_number if math.isfinite(float(lens.f_number)) else jnp.ones_like(lens.f_number)
         )
-        working = f_number / (sensor_vergence(lens) * lens.focal_length)
-        rings = np.asarray(lens.diffraction.wavelength * working / lens.pixel_pitch) * oversampling
-        if len(lenses) > 1 and rings.min() < _RESOLVED:
-            return np.full_like(irradiance, INF), 0.0, "the pattern may change"
-        kernel = np.asarray(
-            airy_kernel(
-                lens.diffraction.wavelength,
-                working,
-                lens.pixel_pitch / oversampling,
-                size=lens.diffraction.size,
-            ),
-            float,
-        )
-        middles.append(kernel[kernel.shape[0] // 2, kernel.shape[1] // 2])
+        working, pitch = f_number / (sensor_vergence(lens) * lens.focal_length), lens.pixel_pitch
+        wavelength, fine = lens.diffraction.wavelength, pitch / oversampling
+        if len(lenses) > 1:
+            middles.append(on_pixel(np.asarray(wavelength * working / fine, float)) - _SHARES)
+            continue
+        kernel = airy_kernel(wavelength, working, fine, size=lens.diffraction.size)
+        middles.append(np.asarray(kernel, float)[kernel.shape[0] // 2, kernel.shape[1] // 2])
     least = np.min(middles, axis=0)
     why = f"the middle pixel keeps {float(np.min(least)):.3g}"
     with np.errstate(invalid="ignore"):
-        return irradiance * np.maximum(1 - least, 0), 0.0, why
+        return irradiance * np.clip(1 - least, 0, 1), 0.0, why
+
+
+def on_pixel(width: np.ndarray) -> np.ndarray:
+    """Share of Airy's pattern that falls on the pixel in its middle: the least of any pattern that
+    is no wider.
+
+        1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
+
+    Args:
+        width: (...) lambda N in pixels.
+
+    Returns:
+        (...) of all light, no unit.
+
+    Source:
+        Rayleigh's encircled energy and Gauss's theorem; Born and Wolf, Principles of Optics,
+        section 8.5.2.
+    """
+    from scipy.special import j0, j1
+
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    r = np.hypot(0.5, nodes / 4 + 0.25)  # along half a side; there are eight
+    x = np.pi * r / np.maximum(width, 1e-300)[..., None]
+    leaving = (j0(x) ** 2 + j1(x) ** 2) / (2 * np.pi * r**2)
+    return np.where(width > 0, 1 - 8 * (leaving * weights / 8).sum(-1), 1.0)
 
 
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:

@@ -39,6 +39,7 @@ def _chain(
     whole: bool,
     estimates: bool,
     whole_paths: bool,
+    caustics: bool,
 ) -> Chain:
     """The rows from the scene to the picture; of a bare view those of scene and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
@@ -51,6 +52,7 @@ def _chain(
         moments=moments,
         estimates=estimates,
         whole_paths=whole_paths,
+        caustics=caustics,
     )
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
@@ -118,6 +120,7 @@ def inspect(
     depth: int | None = None,
     estimates: bool = False,
     whole_paths: bool = False,
+    caustics: bool = False,
     time: bool = False,
     advance: Advance | None = None,
 ) -> tuple[Effect, ...]:
@@ -136,6 +139,8 @@ def inspect(
         estimates: whether what long paths add is also estimated, by a small picture.
         whole_paths: whether what renders follows paths to their end, as radiosity does, so that
             none can be cut.
+        caustics: whether paths start at the lights, as those of `light_traced` do: mirrors and
+            glass then gather the light of lamps without size, of which there is no bound.
         time: whether the seconds of a picture that go with each effect are measured, too: with it
             and without, in turns, at no more than 256 pixels along each side. Each that leaves
             another program compiles it.
@@ -174,6 +179,7 @@ def inspect(
         whole=isinstance(camera, Camera),
         estimates=estimates,
         whole_paths=whole_paths,
+        caustics=caustics,
     )
     named, taken = frozenset(free or ()), [None] * len(chain.rows)
     whole = isinstance(camera, Camera)
@@ -217,6 +223,7 @@ def prune(
     depth: int | None = None,
     estimates: bool = False,
     whole_paths: bool = False,
+    caustics: bool = False,
 ) -> Pruned:
     """A scene and a camera without the effects that a tolerance allows to leave out.
 
@@ -229,7 +236,7 @@ def prune(
             which is rendered for it.
         estimates: whether effects may go by an estimate of what they do, which is no proof; long
             paths then also by what a small picture shows of them.
-        whole_paths: as in `inspect`.
+        whole_paths, caustics: as in `inspect`.
 
     Returns:
         What remains, with a certificate of what does not.
@@ -269,6 +276,7 @@ def prune(
         whole=whole,
         estimates=estimates,
         whole_paths=whole_paths,
+        caustics=caustics,
     )
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)

@@ -51,6 +51,7 @@ class Sums(NamedTuple):
         searched: whether shadow rays are traced at all.
         nearest: (l, n) m, lower bounds of the distances of lights and surfaces.
         eye: where it is seen from.
+        caustics: whether mirrors and glass gather light of lamps without size.
     """
 
     surfaces: tuple[Ends[Surface], ...]
@@ -77,6 +78,7 @@ class Sums(NamedTuple):
     searched: bool
     nearest: np.ndarray
     eye: Eye
+    caustics: bool
 
     @property
     def own(self) -> np.ndarray:
@@ -89,13 +91,14 @@ def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
     return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
 
 
-def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
+def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
     """All suprema of a scene.
 
     Args:
         scene: at its two ends.
         eye: where it is seen from; lengths in m.
         bounces: whether light goes on from surface to surface, so that glass and mirrors show all.
+        caustics: as in `Sums`.
 
     Returns:
         The suprema.
@@ -165,6 +168,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool) -> Sums:
         low.occluders != () and can_shade(low.surfaces),
         nearest,
         eye,
+        caustics,
     )
 
 
@@ -343,6 +347,8 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
     total = total + lobe_sent(sums, k, around=around)
     if sums.sources[k].extended:
         total = total + times(sums.k_mirror, sums.spectrum[k])[of_cell]
+    elif sums.caustics:  # a focus has no largest value
+        total = total + times(times(sums.k_mirror, np.inf), sums.spectrum[k])[of_cell]
     return total if only is None else np.where(only[:, None], total, 0)
 
 

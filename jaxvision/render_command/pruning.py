@@ -36,7 +36,8 @@ def _asked(settings: RenderEntry) -> dict[str, Any]:
         case "radiosity":
             depth = _ENDLESS
     whole = depth is not None and settings.integrator not in CUT
-    return {"samples": samples, "depth": depth, "whole_paths": whole}
+    caustics = settings.integrator == "light"
+    return {"samples": samples, "depth": depth, "whole_paths": whole, "caustics": caustics}
 
 
 def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
