@@ -15,6 +15,7 @@ from jaxvision.effects.optics import optics_stage
 from jaxvision.effects.sensor import sensor_stage
 from jaxvision.effects.stages import Arriving, Ends
 from jaxvision.optics import sensor_irradiance
+from jaxvision.rendering import PixelSamples
 from jaxvision.sensor import pixel_means
 
 
@@ -105,3 +106,32 @@ def test_a_dark_lamp_hides_the_sky_in_a_mirror():
     pruned = effects.prune(scene, view, "0%", level=1.0)
     np.testing.assert_array_equal(jv.render(pruned.scene, view), jv.render(scene, view))
     assert np.ptp(jv.render(scene, view)) > 0.5
+
+
+def test_an_opening_that_may_change_stays_that_of_the_lens():
+    """A pinhole's f-number is the working one, which a lens in focus at 10 f exceeds by a ninth."""
+    card = jv.Surface(jv.Quad([-0.3, -0.3, 0.5], [0, 0.6, 0], [0.6, 0, 0]), jv.Lambert([0.3]))
+    scene = jv.Scene(card, jv.PointLight([0, 0, 0], [1.0]))
+    view = jv.ThinLens(
+        np.zeros(3), np.eye(3), 0.05, 2e-3, f_number=4.0, focus_distance=0.5, resolution=(2, 2)
+    )
+    camera, samples = jv.Camera(view, jv.Sensor(gain=1e3)), PixelSamples(jax.random.key(0), 4)
+    asked = {"free": {"view.f_number": (3.0, 4.0)}, "samples": samples}
+    pruned = effects.prune(scene, camera, "0.5DN", **asked)
+
+    def brightest(scene, camera, samples):
+        opened = replace(camera, view=replace(camera.view, f_number=3.0))
+        return float(jv.capture(None, scene, opened, samples=samples).raw.max())
+
+    whole, left = brightest(scene, camera, samples), brightest(pruned.scene, pruned.camera, samples)
+    assert abs(whole - left) <= pruned.certificate.total + 1e-4 * whole
+
+
+def test_a_parallel_view_that_may_move_into_a_ball_sees_its_inside():
+    ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.3]), two_sided=True)
+    scene = jv.Scene(ball, jv.PointLight([0, 0, 0.0], [1.0]))
+    down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    view = jv.Orthographic([0, 0, 3], down, 0.1, resolution=(2, 2))
+    rows = effects.inspect(scene, view, free={"view.position": ([0, 0, 0], [0, 0, 3])})
+    bound = {row.name: row.bound for row in rows}["lights[0]"]
+    assert 0.1 < float(jv.render(scene, replace(view, position=[0.0, 0, 0])).max()) <= bound

@@ -19,6 +19,7 @@ from ..scene import Camera, Scene
 from .stages import Draft, Ends
 
 Box = Mapping[str, tuple[Any, Any]]
+_OF_A_LENS = "view.f_number", "view.focal_length"  # a pinhole's are those of the working opening
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
@@ -132,7 +133,9 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
-    """Whether a draft still has the field of that name, in its first shape."""
+    """Whether a draft still has the field of that name, in its first shape and meaning."""
+    if name in _OF_A_LENS and type(draft.camera.view) is not type(camera.view):
+        return False
     of_scene = value_at(scene, name)
     before = of_scene if of_scene is not None else value_at(camera, name)
     now = value_at(draft if of_scene is not None else draft.camera, name)

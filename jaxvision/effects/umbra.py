@@ -153,7 +153,7 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
         lens = Bodies(eye.place[None, None], np.full((1, 1), eye.size))
         if eye.parallel:
             ahead = -heights(bodies._replace(points=bodies.points - eye.place), -eye.rotation[2:])
-            outside = ahead[0, 0] > 0
+            outside = ahead[0, 0] > eye.moves
         else:
             outside = gap(lens, bodies)[0] > 0
         inner &= outside | (cells.surface != i)
