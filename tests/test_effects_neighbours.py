@@ -29,8 +29,9 @@ def test_what_overflows_gathers_in_the_pixels_between(blooming):
     """A dark pixel at the end of a column that is just full receives some of every change."""
     rows, brightest = 64, 1015.0
     light = jnp.full((rows, 1, 1), brightest).at[0].set(0)
-    fields = {"quantum_efficiency": 0.99, "dark_current": 3.0}
-    sensor = s.Sensor(full_well=1000.0, blooming=blooming, gain=1.0, **fields)
+    sensor = s.Sensor(
+        quantum_efficiency=0.99, dark_current=3.0, full_well=1e3, blooming=blooming, gain=1.0
+    )
     found, response = on_sensor(sensor, brightest, (rows, 1))
     whole = np.asarray(jv.raw_image(None, sensor, light))
 
@@ -38,7 +39,7 @@ def test_what_overflows_gathers_in_the_pixels_between(blooming):
         return np.abs(np.asarray(jv.raw_image(None, sensor, light)) - whole).max()
 
     rounding = 1e-6 * rows * brightest
-    for name in fields:
+    for name in ("quantum_efficiency", "dark_current"):
         change = moved(replace(sensor, **{name: None}))
         assert 2 < change <= found[f"sensor.{name}"].bound + rounding
     dimmer = moved(sensor, 0.98 * light)
@@ -58,8 +59,9 @@ def test_what_overflows_gathers_in_the_pixels_between(blooming):
 def test_rare_pixels_count_those_that_they_change(more, kind):
     """Numbers that differ in pictures, of four dies."""
     shape, fraction = (40, 40), 2e-3
+    sensor = s.Sensor(gain=1.0, **more)
     rare = {"hot_pixels": s.HotPixels(fraction, 5e3), "dead_pixels": fraction}[kind]
-    sensor = s.Sensor(gain=1.0, **{kind: rare}, **more)
+    sensor = replace(sensor, **{kind: rare})
     light = jnp.full((*shape, 1), 900.0)
     clean = jv.raw_image(None, replace(sensor, **{kind: None}), light)
     dies = jax.random.split(jax.random.key(3), 4)
@@ -116,8 +118,8 @@ def test_an_opening_that_may_change_stays_that_of_the_lens():
         np.zeros(3), np.eye(3), 0.05, 2e-3, f_number=4.0, focus_distance=0.5, resolution=(2, 2)
     )
     camera, samples = jv.Camera(view, jv.Sensor(gain=1e3)), PixelSamples(jax.random.key(0), 4)
-    asked = {"free": {"view.f_number": (3.0, 4.0)}, "samples": samples}
-    pruned = effects.prune(scene, camera, "0.5DN", **asked)
+    free = {"view.f_number": (3.0, 4.0)}
+    pruned = effects.prune(scene, camera, "0.5DN", free=free, samples=samples)
 
     def brightest(scene, camera, samples):
         opened = replace(camera, view=replace(camera.view, f_number=3.0))
