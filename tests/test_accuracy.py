@@ -525,6 +525,16 @@ def test_a_law_that_is_taken_for_geometric_may_be_a_power(law, reference):
     assert truth / 2 < found.reference.error < 2 * truth
 
 
+@pytest.mark.parametrize("settings", [(1, 2, 8), (2, 4, 16)])
+def test_three_settings_do_not_tell_a_geometric_law_from_a_power(settings):
+    """So the larger of the two errors counts: a step of six units would leave almost nothing."""
+    knob = Knob("order", "", "", settings, (), law="geometric")
+    for law in (-0.7, -1.5, -2.0):
+        problem = Problem("edge", lambda s, law=law: lambda seed: np.full(9, 1 + s["order"] ** law))
+        found = curve(problem, knob, clock=STILL)
+        assert settings[-1] ** law / 2 < found.reference.error < 2 * settings[-1] ** law
+
+
 @pytest.mark.parametrize("rate", [0.3, 0.63, 0.8])
 @pytest.mark.parametrize("reference", [(16, 24, 32), (16,), ()])
 def test_a_geometric_law_stays_one(rate, reference):

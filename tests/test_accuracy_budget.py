@@ -14,7 +14,7 @@ from scene_texts import BALL
 from jaxvision.accuracy import Knob, Problem, choose, combined, curve, deadlines, plot
 from jaxvision.accuracy.curves import LEAST
 from jaxvision.accuracy.deadlines import OutOfTime, in_time
-from jaxvision.accuracy.knobs_in_turn import in_turn
+from jaxvision.accuracy.knobs_in_turn import KEPT, WORTH, in_turn
 from jaxvision.accuracy.pages import write_page
 from jaxvision.accuracy.scenes import scene_problem
 from jaxvision.accuracy.tables import as_dict, notes, rows
@@ -202,6 +202,35 @@ def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
 
     kept = in_turn(["slow", "quick", "other"], interrupted, seconds=45.0, clock=clock)
     assert [one.stopped for one in kept] == ["interrupted", "", ""]
+
+
+def test_programs_that_are_kept_are_not_compiled_again_when_a_knob_is_measured_again(clock):
+    """Half of its share is then enough for more settings."""
+    programs, plain = set(), growing(clock)
+
+    def prepare(settings):
+        compute, name = plain.prepare(settings), settings["n"]
+
+        def compiling(seed):
+            clock.now += 0.0 if name in programs else 6.0
+            programs.add(name)
+            return compute(seed)
+
+        return compiling
+
+    kept = replace(plain, prepare=prepare, compiled=lambda s: s["n"] in programs, compiling=6.0)
+
+    def measure(name, share):
+        return curve(kept if name == "kept" else plain, KNOB, seconds=share, clock=clock)
+
+    def settings_run(worth):
+        programs.clear()
+        begun = clock.now
+        first, _ = in_turn(["kept", "quick"], measure, seconds=60.0, worth=worth, clock=clock)
+        assert clock.now - begun <= 1.1 * 60.0
+        return len(first.trials)
+
+    assert settings_run(KEPT) > settings_run(WORTH)
 
 
 def test_work_in_time_is_that_of_the_caller(monkeypatch):

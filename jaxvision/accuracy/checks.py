@@ -14,7 +14,7 @@ from ..errors import InputError
 from .deadlines import OutOfTime, in_time
 from .norms import level_of
 from .records import Curve, Problem
-from .reference import DRAWS, FIRST_SEED, mean_of
+from .reference import DRAWS, FIRST_SEED, SURE, mean_of
 from .session import Clock, part_seconds, whole_seconds
 from .several import Combination, combined
 from .spread import next_error
@@ -124,7 +124,7 @@ def checked(
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(
-        one.reference.error
+        SURE * one.reference.error
         for one in curves
         if not one.knob.random and one.knob.name not in best.unknown
     )

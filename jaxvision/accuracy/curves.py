@@ -14,14 +14,21 @@ from .fitted import fit_order
 from .knobs import knob_named
 from .norms import check_norms, level_of, norms_of, relative_rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
-from .reference import PAIRED, UNITS, mean_of, paired_reference, random_reference, unlike
+from .reference import (
+    PAIRED,
+    SURE,
+    UNITS,
+    mean_of,
+    paired_reference,
+    random_reference,
+    unlike,
+)
 from .session import GRACE, Clock, Point, Session, whole_seconds
 from .spread import next_error
 
 FIRST_LOOK = 0.45  # of the time that is left, for two calls of one more setting
 LAST_LOOK = 0.9  # the same of a setting that is the finest reference, too
 HOLLOW = 3.0  # errors below so many of the reference's say little
-SURE = 1.5  # times the estimate of a reference's own error, within which it is taken to be
 CERTAIN = 0.99865  # that a reference and the finest setting beside it differ: 3 sigma
 LEAST = 2e-3  # s, below which nothing is begun
 REPEATS = 5  # of the time of a setting that is not random

@@ -11,6 +11,7 @@ from .records import Curve
 from .session import Clock
 
 WORTH = 1.5  # times its share, for a knob to be measured again
+KEPT = 0.5  # the same of a problem that keeps its programs
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
@@ -39,6 +40,7 @@ def in_turn(
     measure: Callable[[str, float], Curve],
     *,
     seconds: float,
+    worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
     """The curves of several knobs, the time shared equally; an interrupt keeps those there are.
@@ -50,6 +52,7 @@ def in_turn(
         names: of the knobs.
         measure: from a name and its share of the time, s, to the curve.
         seconds: s, for all.
+        worth: times its share, that must be left for a knob to be measured again.
         clock: seconds as a function; None: the machine's.
 
     Returns:
@@ -79,7 +82,7 @@ def in_turn(
             return tuple(found)
     for number in sorted(range(len(found)), key=lambda n: len(found[n].trials)):
         left, before = until - now(), found[number]
-        if before.stopped != "out of time" or left < WORTH * shares[number]:
+        if before.stopped != "out of time" or left < worth * shares[number]:
             continue
         again = measured(names[number], left)
         if again is None or len(again.trials) >= len(before.trials):

@@ -21,6 +21,7 @@ FIRST_SEED = 1_000_000  # of references; trials have smaller seeds
 PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
 UNITS = 4  # in the last place, to which no sum is right
 MOST_UNLIKE = 4.0  # times the error that the steps between settings tell
+SURE = 1.5  # times the estimate of a reference's own error, within which it is taken to be
 RUNGS = 4  # settings of a sequence: three tell its rate, a fourth by which law it falls
 MOST_TAIL = 6.0  # of the last step between two settings, for the rest of a sequence
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
@@ -179,26 +180,31 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
         for before, after in pairwise(ladder)
     ]
     last = _rms(steps[-1])
-    law = _steadiest(knob.law, settings, [_rms(step) for step in steps])
-    apart = [_apart(law, *pair) for pair in pairwise(settings)][-2:]
-    steps = steps[-2:]
+    laws = _laws(knob.law, settings, [_rms(step) for step in steps])
+    apart = [_apart(laws[0], *pair) for pair in pairwise(settings)]
     if len(steps) < 2:
         known = knob.order is not None and knob.law == "power"
         return last * max(1.0, 1 / np.expm1(abs(knob.order or 1.0) * apart[0])) if known else last
-    first = _rms(steps[0])
+    first = _rms(steps[-2])
     if first == 0 or last == 0:
         return last
-    alike = float(np.clip(np.mean(steps[0] * steps[1]) / (first * last), 0, 1))
-    bias = _bias_of_last(first / last, *apart)
-    chance = _chance_of_last(first / last, *apart)
-    return last * float(np.sqrt(alike * bias**2 + (1 - alike) * chance**2))
+    alike = float(np.clip(np.mean(steps[-2] * steps[-1]) / (first * last), 0, 1))
+    tails = []
+    for law in laws:
+        apart = [_apart(law, *pair) for pair in pairwise(settings)][-2:]
+        bias = _bias_of_last(first / last, *apart)
+        chance = _chance_of_last(first / last, *apart)
+        tails.append(last * float(np.sqrt(alike * bias**2 + (1 - alike) * chance**2)))
+    return max(tails)
 
 
-def _steadiest(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> Law:
-    """The law by which three steps fall at the steadiest rate; of fewer, and where a power is
-    declared, the declared one."""
-    if law == "power" or len(steps) < 3 or min(steps) == 0:
-        return law
+def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
+    """The laws that a sequence may follow: where none but a power is declared, that; else the one
+    at whose rate three steps fall most steadily, and of fewer steps, which do not tell, both."""
+    if law == "power":
+        return (law,)
+    if len(steps) < 3 or min(steps) == 0:
+        return law, "power"
 
     def unsteady(law: Law) -> float:
         apart = [_apart(law, *pair) for pair in pairwise(settings)]
@@ -206,7 +212,7 @@ def _steadiest(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> Law
         rates = [_bias_rate(*given) for given in zip(ratios, apart, apart[1:], strict=False)]
         return abs(np.log(rates[1] / rates[0])) if min(rates) > 0 else np.inf
 
-    return min((law, "power"), key=unsteady)
+    return (min((law, "power"), key=unsteady),)
 
 
 def _apart(law: Law, coarse: Any, fine: Any) -> float:

@@ -26,7 +26,7 @@ from .checks import settled
 from .curves import LEAST, curve
 from .deadlines import OutOfTime, in_time
 from .knobs import KNOBS
-from .knobs_in_turn import asked_knobs, in_turn
+from .knobs_in_turn import KEPT, WORTH, asked_knobs, in_turn
 from .records import Curve, Knob, Problem
 from .scenes import APART, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds
@@ -106,7 +106,8 @@ def measured(
         turned = _with_base(KNOBS[name], own.settings.get(name))
         return curve(own, turned, seconds=share, metrics=metrics, clock=clock)
 
-    return own, in_turn(chosen, measure, seconds=until - now(), clock=clock)
+    worth = WORTH if own.compiled is None else KEPT
+    return own, in_turn(chosen, measure, seconds=until - now(), worth=worth, clock=clock)
 
 
 def _with_base(knob: Knob, base: Any) -> Knob:
