@@ -299,7 +299,9 @@ def study(
 @command
 def check(
     options: Options,
-    kind: Annotated[Literal["brdf", "noise", "response"], typer.Argument(help="Fits to check.")],
+    kind: Annotated[
+        Literal["brdf", "joint", "noise", "response"], typer.Argument(help="Fits to check.")
+    ],
     simulations: Annotated[int, typer.Option(help="Of each case.", min=2)] = 200,
     workers: Workers = 0,
     scheduler: Scheduler = "",

@@ -5,19 +5,19 @@ from pathlib import Path
 
 from ..report.progress import Reporter
 from ..report.section import Section
-from . import noise, reflectance, response
+from . import joint, noise, reflectance, response
 from .coverage import coverage
 from .section import section
 from .simulations import simulated
 
-KINDS = {"brdf": reflectance, "noise": noise, "response": response}
+KINDS = {"brdf": reflectance, "joint": joint, "noise": noise, "response": response}
 
 
 def run(kind: str, simulations: int, kept: Path | None, reporter: Reporter) -> Section:
     """Checks every case of a kind.
 
     Args:
-        kind: of fit, "brdf", "noise" or "response".
+        kind: of fit, "brdf", "joint", "noise" or "response".
         simulations: fits of each case.
         kept: folder in which fits are kept, so that another run goes on from them; None for none.
         reporter: told of every fit.

@@ -54,7 +54,7 @@ class Sphere:
     @cached_property
     def signal(self) -> np.ndarray:
         """(lights, h, w) DN above black."""
-        normals, wi = _normals(), _directions(self.lights)
+        normals, wi = _normals(), directions(self.lights)
         diffuse, specular, exponent = self.truth
         cosine = np.einsum("hwc,lc->lhw", normals, wi)
         mirrored = 2 * cosine * normals[..., 2] - wi[:, None, None, 2]
@@ -66,7 +66,7 @@ class Sphere:
         """Photographs of the first seed, their samples and cells: all but the numbers of any."""
         observation = from_photographs(
             list(photographs(self, 0)),
-            _directions(self.lights),
+            directions(self.lights),
             camera=Camera(
                 bits=BITS,
                 black_level=self.black,
@@ -90,8 +90,10 @@ class Sphere:
         return observation, chosen, cells
 
 
+SPHERE = Sphere()
+
 CASES = {
-    "clean": Sphere(),
+    "clean": SPHERE,
     "lights off by .3 %": Sphere(light_sd=0.003),
     "lights off by 1 %": Sphere(light_sd=0.01),
     "PRNU 1 %": Sphere(prnu=0.01),
@@ -112,6 +114,22 @@ CASES = {
 }
 
 
+def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
+    """Poisson electrons and read noise, under lights and by pixels that err.
+
+    Args:
+        sphere: to photograph.
+        rng: of every draw.
+
+    Returns:
+        (lights, h, w) e-.
+    """
+    lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
+    pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
+    counted = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
+    return counted + sphere.read_noise * rng.standard_normal(counted.shape)
+
+
 def photographs(sphere: Sphere, seed: int) -> np.ndarray:
     """Poisson electrons, read noise, rounding and clipping.
 
@@ -123,10 +141,7 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
         (lights, h, w) DN.
     """
     rng = np.random.default_rng(seed)
-    lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
-    pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
-    electrons = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
-    noisy = electrons + sphere.read_noise * rng.standard_normal(electrons.shape)
+    noisy = electrons(sphere, rng)
     black = sphere.black + sphere.black_sd * rng.standard_normal()
     return np.clip(np.round(black + GAIN * noisy), 0, sphere.clip)
 
@@ -164,8 +179,15 @@ def _normals() -> np.ndarray:
     return np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
 
 
-def _directions(lights: int) -> np.ndarray:
-    """(lights, 3) unit vectors about the view, the same for equal numbers."""
+def directions(lights: int) -> np.ndarray:
+    """Unit vectors about the view, the same for equal numbers.
+
+    Args:
+        lights: how many.
+
+    Returns:
+        (lights, 3).
+    """
     rng = np.random.default_rng(0)
     z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
     azimuth = rng.uniform(0, 2 * np.pi, lights)

@@ -17,7 +17,7 @@ from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
-from ..reflectance.models import shape_of
+from ..reflectance.models import is_searched, shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
 from .left_out import small, widest, without
@@ -136,9 +136,22 @@ def fit_channel(
         chi_square=chi_square,
         cells=cells,
         unexplained=unexplained,
-        converged=bool(solution.converged),
+        converged=bool(solution.converged) and is_searched_shape(solution.vector, data),
         left_out=gone,
     )
+
+
+def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> bool:
+    """Whether the shape of the lobe lies where it is searched: beyond, no optimum is one.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        data: of the fit.
+    """
+    model = data.form.model
+    if model == "lambert":
+        return True
+    return is_searched(model, float(values_at(vector, data)[shape_of(model).name]))
 
 
 def _prepared(

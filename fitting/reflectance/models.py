@@ -164,6 +164,18 @@ def log_range(model: Model) -> tuple[float, float]:
     return float(np.log(low)), float(np.log(high))
 
 
+def is_searched(model: Model, shape: float) -> bool:
+    """Whether a shape lies where it is searched. Beyond, predictions hardly change with it: a
+    search that ends there has found a plateau, no optimum. A body without roughness is Lambert's.
+
+    Args:
+        model: any but Lambert's.
+        shape: natural.
+    """
+    low, high = shape_range(model)
+    return shape <= high and (low <= shape or not has_lobe(model))
+
+
 def unit_brdf(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:

@@ -22,9 +22,9 @@ from ...inference.clustering import Robustness, cluster_robust
 from ...inference.diagnostics import Identifiability, identifiability
 from ...inference.least_squares import minimise_residuals
 from ...inference.newton import minimise
-from ...inference.parameters import ParameterSpace, to_natural
+from ...inference.parameters import ParameterSpace, names, to_natural
 from ...inference.separable import SeparableFit, fit_amplitudes, fit_separable
-from ..models import has_lobe, log_range
+from ..models import has_lobe, is_searched, log_range, shape_of
 from .derivatives import scores_and_slopes, with_information
 from .geometry_cells import Grouping, average, saturated_only
 from .model import (
@@ -140,7 +140,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     samples = _weighted(first, samples, weights)
     near = minimise_residuals(residuals, first, average(samples, grouping)).vector
     near = _nearer(near, samples, grouping)
-    vector, information, converged = _optimum(near, samples)
+    vector, information, converged = optimum(near, samples)
 
     space = parameter_space(samples.form)
     information = np.asarray(information, np.float64)
@@ -345,10 +345,17 @@ def _cost_of_cells(vector: Array, data: tuple[Samples, Samples | None]) -> Array
     return -total_log_likelihood(vector, *data)
 
 
-def _optimum(vector: Array, samples: Samples) -> tuple[Array, Array, bool]:
-    """The optimum on all samples, the information there, and whether it was reached.
+def optimum(vector: Float[Array, " parameters"], samples: Samples) -> tuple[Array, Array, bool]:
+    """The optimum on all samples, by Newton's method from next to it; where saturated pixels lie in
+    between, by a bounded search first.
 
-    Newton's method from next to it; where saturated pixels lie in between, a bounded search first.
+    Args:
+        vector: (parameters,) to begin with, unconstrained.
+        samples: of one channel.
+
+    Returns:
+        The vector there, (parameters,), the information, (parameters, parameters), and whether
+        an optimum was reached, its shape within the range that is searched.
     """
     objective = negative_log_likelihood
     search = partial(minimise, derivatives=with_information, long=samples.dn.size > LONG)
@@ -363,4 +370,9 @@ def _optimum(vector: Array, samples: Samples) -> tuple[Array, Array, bool]:
             scale=float(samples.dn.size),
         )
         found = search(objective, box.vector, samples)
-    return found.vector, found.information, bool(found.converged)
+    form, known = samples.form, parameter_space(samples.form)
+    natural = dict(zip(names(known), np.asarray(to_natural(known, found.vector)), strict=True))
+    within = form.model == "lambert" or is_searched(
+        form.model, float(natural[shape_of(form.model).name])
+    )
+    return found.vector, found.information, bool(found.converged) and within

@@ -275,6 +275,7 @@ ELSEWHERE = (
         """
             fitting.checks.command.*
             fitting.checks.coverage.*
+            fitting.checks.joint.*
             fitting.checks.noise.*
             fitting.checks.problem.*
             fitting.checks.reflectance.*
@@ -589,7 +590,7 @@ ELSEWHERE = (
         """
             fitting.joint.calibration: calibrate is_determined
             fitting.joint.cells: cell_width local_geometry make_grid pixels_at reduce_images
-            fitting.joint.fit: fit_channel image_errors predicted_cells
+            fitting.joint.fit: fit_channel image_errors is_searched_shape predicted_cells
             fitting.joint.freedom: degrees_of_freedom laplace_miss
             fitting.joint.left_out: small widest without
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
@@ -609,6 +610,7 @@ ELSEWHERE = (
             fitting.reflectance.from_files.errors: weight_by_incidence
             fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
+            fitting.reflectance.models: is_searched
             fitting.reflectance.models: shape_of shape_range unit_brdf unit_shading
         """,
     ),
@@ -621,7 +623,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.comparison: compare comparison_table difference
             fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
             fitting.reflectance.from_images.comparison: squares_by_light verdict
-            fitting.reflectance.from_images.fit: fit_channel predicted_image project
+            fitting.reflectance.from_images.fit: fit_channel optimum predicted_image project
             fitting.reflectance.from_images.fit: robust_covariance
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
             fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope

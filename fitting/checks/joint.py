@@ -1,0 +1,100 @@
+"""Photographs of a glossy sphere by an uncalibrated camera, simulated in NumPy, and where joint
+fits of surface, encoding and sensor put the truth."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jaxvision.errors import InputError
+
+from ..joint.calibration import calibrate
+from ..joint.from_memory import from_photographs
+from ..joint.read import JointMeasurement
+from ..rig import Camera, SphereGeometry
+from .reflectance import BITS, GAIN, RADIUS, SIZE, WHITE, Sphere, directions, electrons
+from .simulations import places_in
+
+NAMES = ("diffuse", "specular", "exponent", "gamma", "system_gain", "read_noise")
+BLACK, BLACK_SD = 64.0, 0.5  # DN, and what the rig says of its error
+
+
+@dataclass(frozen=True)
+class Lab:
+    """What is simulated.
+
+    Attributes:
+        sphere: with its lights and their errors, which the fit is told.
+        gamma: of the encoding; 1 for a linear camera, whose gamma is known.
+    """
+
+    sphere: Sphere = field(default_factory=Sphere)
+    gamma: float = 2.2
+
+    @property
+    def truth(self) -> dict[str, float]:
+        values = (*self.sphere.truth, self.gamma, GAIN, self.sphere.read_noise)
+        return dict(zip(NAMES, values, strict=True))
+
+
+CASES = {
+    "exact lights": Lab(),
+    "linear camera": Lab(Sphere(light_sd=0.01), gamma=1.0),
+    "4 lights off by 1 %": Lab(Sphere(lights=4, light_sd=0.01)),
+    "6 lights off by 1 %": Lab(Sphere(lights=6, light_sd=0.01)),
+    "12 lights off by 1 %": Lab(Sphere(light_sd=0.01)),
+    "24 lights off by 1 %": Lab(Sphere(lights=24, light_sd=0.01)),
+    "12 lights off by 1 %, PRNU 1 %": Lab(Sphere(light_sd=0.01, prnu=0.01)),
+}
+
+
+def photographed(lab: Lab, seed: int) -> JointMeasurement:
+    """Photographs as a fit gets them.
+
+    Args:
+        lab: to simulate.
+        seed: of every draw.
+
+    Returns:
+        The measurement.
+    """
+    rng = np.random.default_rng(seed)
+    sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
+    linear = np.maximum(GAIN * electrons(sphere, rng), 0)
+    black = BLACK + BLACK_SD * rng.standard_normal()
+    encoded = black + full * (linear / full) ** (1 / lab.gamma)
+    measurement = from_photographs(
+        list(np.clip(np.round(encoded), 0, 2.0**BITS - 1)),
+        directions(sphere.lights),
+        camera=Camera(
+            bits=BITS,
+            black_level=BLACK,
+            black_sd=BLACK_SD,
+            prnu_sd=sphere.prnu or None,
+        ),
+        sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
+        intensities=np.full(sphere.lights, WHITE),
+        intensity_sd=sphere.light_sd or None,
+    )
+    every = np.zeros(sphere.lights, bool)
+    return replace(measurement, observation=replace(measurement.observation, held_out=every))
+
+
+def places(lab: Lab, seed: int) -> np.ndarray:
+    """Where one fit puts the truth.
+
+    Args:
+        lab: to simulate.
+        seed: of the photographs.
+
+    Returns:
+        (parameters,) cumulative probabilities of `NAMES`; NaN for what is known.
+
+    Raises:
+        InputError: where the fit prints no interval.
+    """
+    found = calibrate(photographed(lab, seed), fit_gamma=lab.gamma != 1, seed=seed)
+    if not found.posteriors:
+        raise InputError("the data leave a parameter open.")
+    (posterior,) = found.posteriors.values()
+    known = places_in(posterior, lab.truth)
+    return np.array([known.get(name, np.nan) for name in NAMES])
