@@ -333,11 +333,13 @@ def accuracy(
     """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
     a hundredth and a thousandth of a standard error. An interrupt ends it and keeps what was
     measured; --json prints one object, with a key for each fit."""
+    begun = time.perf_counter()
     from .rig import load_rig
 
     described = load_rig(rig)
     keep_programs()
     from jaxvision.accuracy.console import check_request, keep, print_json, repeating, show
+    from jaxvision.accuracy.curves import LEAST
     from jaxvision.accuracy.knobs_in_turn import asked_knobs
 
     from .accuracy import measured, problems
@@ -345,8 +347,13 @@ def accuracy(
 
     check_request(seconds, out)
     names = asked_knobs(str(rig), knob, RIG_KNOBS)
-    begun = time.perf_counter()
-    found = problems(described, seconds=seconds)
+    left = seconds - (time.perf_counter() - begun)
+    if left <= LEAST:
+        raise InputError(
+            f"--seconds {seconds:g}: libraries and rig took {seconds - left:.2g} s to load; allow "
+            "more."
+        )
+    found = problems(described, seconds=left)
     left = seconds - (time.perf_counter() - begun) / len(found)
     if knob:
         asked_knobs(str(rig), names, [name for _, known in found.values() for name in known])

@@ -82,7 +82,7 @@ def problems(
     except OutOfTime:
         raise InputError(
             f"{rig.folder}: the calibration that errors are measured by takes longer than "
-            f"{seconds:g} s; allow more."
+            f"{seconds:.3g} s; allow more."
         ) from None
 
 
