@@ -101,6 +101,9 @@ def test_a_rig_without_anything_to_fit_is_a_sentence(tmp_path):
     status, _, error = called(app, "accuracy", tmp_path, "--seconds", 0)
     assert status == 2
     assert "give a time above 0" in error
+    status, _, error = called(app, "accuracy", tmp_path, "--seconds", 1e-4)
+    assert status == 2
+    assert "--seconds 0.0001: libraries and rig took" in error
 
 
 def test_the_command_measures_a_rig(lab, tmp_path):
