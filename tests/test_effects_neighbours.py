@@ -46,6 +46,16 @@ def test_what_overflows_gathers_in_the_pixels_between(blooming):
     assert dimmer <= response.dn(np.array([0.02 * brightest]), frozenset()) + rounding
 
 
+def test_wells_that_are_filled_on_the_way_pass_all_of_a_change_on():
+    """A bright pixel in a column with little room, and one dark pixel at its end."""
+    light = jnp.full((14, 1, 1), 9.9).at[0].set(0).at[13].set(20.0)
+    sensor = s.Sensor(dark_current=0.004, full_well=10.0, blooming=1.0, gain=1.0)
+    whole = jv.raw_image(None, sensor, light)
+    change = jnp.abs(jv.raw_image(None, replace(sensor, dark_current=None), light) - whole).max()
+    bound = on_sensor(sensor, 20.0, (14, 1))[0]["sensor.dark_current"].bound
+    assert 8 * 0.004 < change <= bound
+
+
 @pytest.mark.parametrize(
     "more",
     [

@@ -283,11 +283,12 @@ class Pixel:
 
     def read(self, by: float) -> float:
         """DN by which a number moves where every charge moves by so many electrons before the
-        wells. What overflows gathers in the pixels between, which move by the sum of all shares, or
-        by what they receive before and after."""
+        wells. What overflows gathers in the pixels between: half of each change comes by either
+        way where it spills, all of it where a well is filled on the way. That moves a number by no
+        more than it receives before and after, either."""
         if self.received == 0:
             return self.behind_charge * by
-        return self.behind_charge * min(by * (1 + self.flood.all), by + 2 * self.received)
+        return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
 
     @cached_property
     def reach(self) -> float:
