@@ -33,6 +33,13 @@ def test_right_places_are_not_flagged():
     assert np.sum(flagged) <= 5
 
 
+def test_a_gamma_is_printed_where_the_shutter_shows_nothing():
+    """The posterior is nearly flat in ln tau: it has no curvature there, yet an interval."""
+    for seed in (70000, 70012):
+        found = response.places(response.CASES["three exposures off by 1 %"], seed)
+        assert np.isfinite(found).all()
+
+
 @pytest.mark.parametrize("fault", [{"sd": 1.25}, {"sd": 0.8}, {"mean": 0.2}])
 def test_planted_faults_are_flagged(fault):
     """Errors that are .8 and 1.25 times what they should be, and a bias of a fifth of one."""

@@ -172,10 +172,11 @@ def fit_gamma(
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
-    start = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
     space = space_of(sums.td.size)
-    mode = _mode(to_unconstrained(space, start), sums)
-    found = laplace(log_density, space, mode, sums, seed=seed)
+    likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
+    mode = to_unconstrained(space, likeliest)
+    spread = _spread(given, log_tau, weights)
+    found = laplace(log_density, space, mode, sums, covariance=spread, seed=seed)
     if sampling is not None:
         found = sample(
             log_density, space, mode, found.covariance, sums, options=sampling, seed=seed
@@ -266,15 +267,15 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
     )
 
 
-@jax.jit
-def _mode(start: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, " parameters"]:
-    """Newton's method from a start already within a grid cell of the mode."""
-    gradient, hessian = jax.grad(log_density), jax.hessian(log_density)
-
-    def step(_: Array, x: Array) -> Array:
-        return x - jnp.clip(jnp.linalg.solve(hessian(x, sums), gradient(x, sums)), -0.3, 0.3)
-
-    return jax.lax.fori_loop(0, 20, step, start)
+def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Covariance of (ln gamma, ln tau): where the shutter shows no error, the density is nearly
+    flat in ln tau and has no curvature to tell it by."""
+    mean = np.asarray(given.mean)
+    away = np.stack([np.log(mean), log_tau])
+    away -= (away @ weights)[:, None]
+    covariance = weights * away @ away.T
+    covariance[0, 0] += weights @ (np.asarray(given.variance) / mean**2)
+    return covariance
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
