@@ -54,9 +54,7 @@ def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) ->
         starts = np.arange(first, last + 2)
     else:
         even = np.linspace(0, np.sqrt(last + 1 - first), count + 1)
-        widths = np.diff(np.unique(np.round(first + even**2).astype(int)))
-        # Widths that alternate would be taken for their mean, and the curve would ripple.
-        starts = first + np.append(0, np.cumsum(np.sort(widths)))
+        starts = np.unique(np.round(first + even**2).astype(int))
     lookup = np.searchsorted(starts, np.arange(2**bits), side="right") - 1
     lookup[starts[-1] :] = -1
     return CodeBins(starts - 0.5, lookup.astype(np.int32), black)

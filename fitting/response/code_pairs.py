@@ -9,12 +9,9 @@ eliminating ln E_i leaves the energy
 g being the curve's mean over each bin of codes and s the log exposure times: A holds all that the
 pixels say about any curve. Its expected gradient at the true curve, the score b, is not zero:
 
-- noise in a code moves its own g along: E[w r h(z)] = (1 - w / sum w) (noise share) h' / g', and
-  more where residuals are negative, for logarithms of noise are skewed: their Stein kernel (Ley,
-  Reinert & Swan, Probability Surveys 14, 2017) is variance + (third cumulant) r / (2 variance);
+- noise in a code moves its own g along: E[w r h(z)] = (1 - w / sum w) (noise share) h' / g' ;
 - noise before the curve lowers a logarithm, on average by half its variance;
-- light and weights that change across an interval of codes favour one of its ends: rounding of
-  variance v then has the mean m(z) = -v (ln density)', which adds A m.
+- a weight that changes across an interval of codes favours one of its ends.
 
 Codes are DN; log exposures are relative.
 """
@@ -25,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Integer
 
-from .code_bins import CodeBins, interval_variance
+from .code_bins import CodeBins
 from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
@@ -82,9 +79,6 @@ def pair_statistics(
     # A noise model may be off in scale; the score is measured in the variance that is there.
     scale = sums.chi_square / np.maximum(sums.free, 1)
     score = [_pull_of_noise(scale @ sums.noisy, means) + scale @ sums.bias, scale @ sums.time_bias]
-    if rule.weight is not None:
-        rounding = _mean_rounding(sums.weights, means)
-        score = [score[0] + curve @ rounding, score[1] + sums.mixed.T @ rounding]
     return PairStatistics(
         matrix=np.block([[curve, sums.mixed], [sums.mixed.T, sums.times]]),
         score=np.concatenate(score),
@@ -117,7 +111,6 @@ class _Sums:
         self.curve = np.zeros((bins, bins))
         self.mixed = np.zeros((bins, exposures))
         self.times = np.zeros((exposures, exposures))
-        self.weights = np.zeros(bins)
         self.noisy = np.zeros((classes, bins))
         self.bias = np.zeros((classes, bins))
         self.time_bias = np.zeros((classes, exposures))
@@ -137,7 +130,6 @@ def _count_pairs(sums: _Sums, seen: Observations) -> None:
     sums.free += np.bincount(seen.classes, np.count_nonzero(used, axis=0) - 1.0, classes)
     shares = seen.weights / np.sqrt(seen.total)
     for j in range(exposures):
-        sums.weights += np.bincount(seen.binned[j], seen.weights[j], bins)
         own = np.bincount(seen.binned[j], seen.weights[j] - shares[j] ** 2, bins)
         sums.curve[np.diag_indices(bins)] += own
         sums.mixed[:, j] -= own
@@ -159,12 +151,10 @@ def _count_pairs(sums: _Sums, seen: Observations) -> None:
 
 def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
     assert rule.share is not None
-    assert rule.skew is not None
     assert rule.bias is not None
     used = seen.weights > 0
     leverage = seen.weights / seen.total
-    share, skew = rule.share.ravel()[seen.cells], rule.skew.ravel()[seen.cells]
-    noisy = np.where(used, share * (1 - leverage) - skew * seen.residuals, 0)
+    noisy = np.where(used, rule.share.ravel()[seen.cells] * (1 - leverage), 0)
     bias = np.where(used, rule.bias.ravel()[seen.cells], 0)
     bias -= leverage * bias.sum(axis=0)
     classes, bins = sums.noisy.shape
@@ -177,17 +167,8 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
 
 def _pull_of_noise(noisy: np.ndarray, means: np.ndarray) -> np.ndarray:
     """sum (noise share) h' / g' as a vector over h, h' being taken between neighbouring bins that
-    both hold observations, as many as their geometric mean: tails fall exponentially."""
-    return -_differences(np.maximum(noisy, 0), means)
-
-
-def _mean_rounding(weights: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Mean over the light within each bin of g(z) - ln X."""
-    some = np.where(weights > 0, weights, 1)
-    return -interval_variance(means) * _differences(weights, means) / some
-
-
-def _differences(held: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Of the density in ln X between the two ends of each bin."""
-    between = np.sqrt(held[:-1] * held[1:]) / np.diff(means)
-    return np.diff(between, prepend=0, append=0)
+    both hold observations."""
+    below, above = noisy[:-1], noisy[1:]
+    both = below + above
+    between = 2 * below * above / np.where(both > 0, both, 1) / np.diff(means)
+    return -np.diff(between, prepend=0, append=0)

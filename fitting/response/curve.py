@@ -11,9 +11,10 @@ A pure least-squares fit would shrink the curve, because g multiplies noisy code
 what its gradient amounts to at the true curve (the corrected score of Nakamura, Biometrika 77,
 1990). Errors of all shutters in common, delta ~ 1 or delta ~ ln t, are indistinguishable from
 another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
-sum (ln t - mean)^2, is added to the posterior. So is, of the slope, half of that variance of ln X
-which does not fall with the light. It comes from misregistration and compression, which are not
-noise of single codes, so that the right share of it in the score is open.
+sum (ln t - mean)^2, is added to the posterior. So are, code by code, a tenth of the variance of
+ln X itself, what the score leaves of the bias of noisy logarithms; and of the slope, half of that
+variance which does not fall with the light. It comes from misregistration and compression, which
+are not noise of single codes, so that the right share of it in the score is open.
 
 Of a photograph, no more is believed than repeats: where tiles of the picture or exposures of the
 stack differ by more than this posterior allows, their jackknife (`repeats.py`) sets the error.
@@ -46,6 +47,7 @@ PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a
 PILOT_BINS = 140
 FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed twice: fewer may all be hot pixels
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
+UNCORRECTED = 0.1  # of the variance of ln X, the bias that the score may leave
 DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
 
 
@@ -278,6 +280,7 @@ def _curve(
     g = at_centres(found.means, middle)
     covariance = at_centres(found.covariance[:size, :size], middle)
     covariance = at_centres(covariance.T, middle).T
+    covariance += np.diag((UNCORRECTED * noise_variance(noise, g)) ** 2 * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
     likely = found.suggested.shutter_error if len(found.free) else 0.0
     shutter = Shutter(g**2 * likely**2 / spread_of_times(exposures), len(found.free))

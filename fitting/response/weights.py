@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from .code_bins import CodeBins, interval_variance
 from .pixel_noise import NoiseModel, noise_variance
 
-LOOSEST = 0.2  # log standard deviation up to which terms of fourth order are a few percent
+LOOSEST = 0.2  # log standard deviation up to which terms of second order are a few percent
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
@@ -35,8 +35,7 @@ class WeightRule:
         step: between cells.
         weight: (classes, cells); None where `by_bin` is the only weight.
         share: (classes, cells) share of the variance that is noise.
-        skew: (classes, cells) -1/2 weight times noise's third cumulant, over its variance.
-        bias: (classes, cells) mean that noise gives to weight times residual.
+        bias: (classes, cells) mean of weight times residual.
     """
 
     by_bin: Float[np.ndarray, "classes bins"]
@@ -44,7 +43,6 @@ class WeightRule:
     step: float = 1.0
     weight: Float[np.ndarray, "classes cells"] | None = None
     share: Float[np.ndarray, "classes cells"] | None = None
-    skew: Float[np.ndarray, "classes cells"] | None = None
     bias: Float[np.ndarray, "classes cells"] | None = None
 
 
@@ -101,29 +99,28 @@ def noise_rule(
         The rule.
     """
     grid = np.linspace(means[0], means[-1], 4 * len(means))
-    absent = np.zeros(len(means)), np.zeros((4, len(grid) + 2))
+    absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(3))
     rows = [absent if noise is None else _of_class(noise, means, grid) for noise in noises]
-    by_bin, tables = (np.stack(column) for column in zip(*rows, strict=True))
-    return WeightRule(by_bin, grid[0], grid[1] - grid[0], *np.swapaxes(tables, 0, 1))
+    by_bin, weight, share, bias = (np.stack(column) for column in zip(*rows, strict=True))
+    return WeightRule(by_bin, grid[0], grid[1] - grid[0], weight, share, bias)
 
 
 def _of_class(
     noise: NoiseModel, means: np.ndarray, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     interval = np.interp(grid, means, interval_variance(means))
-    random = np.minimum(noise_variance(noise, grid), 1e6)  # it grows as X^-2
-    variance = random + interval
+    variance = np.minimum(noise_variance(noise, grid) + interval, 1e6)  # it grows as X^-2
     reach = MARGIN * np.sqrt(variance)
     sharp = variance < LOOSEST**2
     lowest = grid[np.argmax(sharp)]
     inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
-    weight, share = 1 / variance, random / variance
-    cumulant = (noise.shot * np.exp(-grid)) ** 2 - 3 * random**2  # third, of ln(1 + n)
-    skew = -weight * cumulant / (2 * np.maximum(random, 1e-12))
-    tables = np.where(inside, np.stack([weight, share, skew, -share / 2]), 0)
+    share = 1 - interval / variance
+    bias = interval * np.gradient(variance, grid) / variance**2 - share / 2
+    weight, share, bias = (
+        np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)
+    )
     of_bins = noise_variance(noise, means) + interval_variance(means)
-    rough = np.where(of_bins < LOOSEST**2, 1 / of_bins, 0)
-    return rough, np.pad(tables, ((0, 0), (1, 1)))
+    return np.where(of_bins < LOOSEST**2, 1 / of_bins, 0), weight, share, bias
 
 
 def observe(
