@@ -14,6 +14,7 @@ from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
 from .fit import JointFit, fit_channel
 from .freedom import degrees_of_freedom, laplace_miss
+from .misfit import over_images, stretched, stretched_log_density
 from .model import Form, log_posterior
 from .read import JointMeasurement
 
@@ -87,6 +88,21 @@ def is_determined(fit: JointFit) -> bool:
 
 def _posterior(fit: JointFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
     covariance, mode = np.linalg.inv(fit.information), jnp.asarray(fit.vector)
+    robust = over_images(fit)
+    if robust is not None:
+        wider = robust.gaussian_covariance
+        data = stretched(fit, wider)
+        if sampling is not None:
+            own = for_group(sampling, fit.channel)
+            return sample(
+                stretched_log_density, fit.space, mode, wider, data, options=own, seed=seed
+            )
+        return laplace_where_it_holds(
+            *(stretched_log_density, fit.space, mode, robust.covariance, data),
+            seed=seed,
+            freedom=robust.freedom,
+            wider=wider,
+        )
     if sampling is not None:
         own = for_group(sampling, fit.channel)
         return sample(log_posterior, fit.space, mode, covariance, fit.data, options=own, seed=seed)

@@ -52,6 +52,13 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
     if posterior is None:
         found.append("The data and the rig leave a direction open, so there are no intervals.")
         return [f"{name}{sentence}" for sentence in found]
+    if fit.unexplained is not None and "prnu" not in fit.values:
+        wider = posterior.covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
+        found.append(
+            "What the model misses goes together within an image, so the intervals take images, "
+            f"not cells, for independent data: {np.sqrt(np.median(wider)):.1f} times wider in the "
+            "median over the parameters."
+        )
     found += _prior_alone(posterior)
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
