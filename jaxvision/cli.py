@@ -262,10 +262,11 @@ def accuracy(
             f"--seconds {seconds:g}: libraries and scene took {seconds - left:.2g} s to load; "
             "allow more."
         )
-    found = measured_together(source, names=knob, seconds=left, metrics=norms)
+    problem, curves, together = measured_together(source, names=knob, seconds=left, metrics=norms)
     command = repeating("jaxvision accuracy", scene, knobs=knob or (), seconds=seconds, out=out)
-    sheet = show(*found, command=command, as_json=as_json)
-    keep(out, *found, command=command, as_json=as_json)
+    said: dict[str, Any] = {"together": together, "command": command, "as_json": as_json}
+    sheet = show(problem, curves, **said)
+    keep(out, problem, curves, **said)
     if as_json:
         print_json(sheet)
 

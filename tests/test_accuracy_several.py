@@ -210,8 +210,8 @@ def test_the_settings_of_all_knobs_together_are_run_as_one():
         errors = [np.sqrt(np.mean((compute(10**7 + n) - 1) ** 2)) for n in range(40)]
         assert np.mean(np.array(errors) <= tolerance) >= 0.95
         assert one.combination.error <= tolerance
-    assert "(not checked)" not in " ".join(rows(problem, curves, found)[-1])
-    assert any("run as one with fresh seeds" in note for note in notes(curves, found))
+    assert "(not checked)" not in " ".join(rows(problem, curves, together=found)[-1])
+    assert any("run as one with fresh seeds" in note for note in notes(curves, together=found))
 
 
 @pytest.mark.parametrize("seconds", [0.0, 1e-6])
@@ -219,9 +219,9 @@ def test_settings_of_all_knobs_that_time_leaves_unchecked_say_so(seconds):
     problem, curves = beside_the_curves()
     found = all_together(problem, curves, seconds=seconds)
     assert not any(one.checked for one in found)
-    cells = rows(problem, curves, found)[-1]
+    cells = rows(problem, curves, together=found)[-1]
     assert cells[2].endswith("s (not checked)")
-    sheet = as_dict(problem, curves, found)
+    sheet = as_dict(problem, curves, together=found)
     assert sheet["within"]["10 %"]["checked"] is False
     assert sheet["within"]["0.1 %"] is None
     assert "not checked, for want of time" in sheet["notes"][-1]

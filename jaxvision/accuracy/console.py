@@ -66,8 +66,8 @@ def repeating(
 def show(
     problem: Problem,
     curves: Sequence[Curve],
-    together: Sequence[Together] = (),
     *,
+    together: Sequence[Together] = (),
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
@@ -93,17 +93,17 @@ def show(
         )
     if not as_json:
         print(f"{problem.name}; {machine()}", problem.about, sep="\n")
-        print(in_columns(rows(problem, curves, together)))
-        print("\n".join(notes(curves, together)), flush=True)
-    return as_dict(problem, curves, together, machine=machine(), command=command)
+        print(in_columns(rows(problem, curves, together=together)))
+        print("\n".join(notes(curves, together=together)), flush=True)
+    return as_dict(problem, curves, together=together, machine=machine(), command=command)
 
 
 def keep(
     out: Path | None,
     problem: Problem,
     curves: Sequence[Curve],
-    together: Sequence[Together] = (),
     *,
+    together: Sequence[Together] = (),
     command: str,
     as_json: bool = False,
 ) -> None:

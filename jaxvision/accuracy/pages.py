@@ -54,8 +54,8 @@ def page(
         drawn.append(("every knob with the others at rest", _svg(curves)))
     return environment.get_template("accuracy.html.j2").render(
         title=problem.name,
-        rows=rows(problem, curves, together),
-        notes=notes(curves, together),
+        rows=rows(problem, curves, together=together),
+        notes=notes(curves, together=together),
         figures=[(about, Markup(svg)) for about, svg in drawn],
         machine=machine(),
         command=command,
@@ -101,7 +101,7 @@ def write_page(
     Returns:
         Paths of `accuracy.html` and `accuracy.json`, each written as soon as it is known.
     """
-    sheet = as_dict(problem, curves, together, machine=machine(), command=command)
+    sheet = as_dict(problem, curves, together=together, machine=machine(), command=command)
     folder.mkdir(parents=True, exist_ok=True)
     numbers, drawn = folder / "accuracy.json", folder / "accuracy.html"
     _write(numbers, json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False))

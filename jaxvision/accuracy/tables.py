@@ -29,7 +29,7 @@ def reached(curve: Curve) -> list[Trial | None]:
 
 
 def rows(
-    problem: Problem, curves: Sequence[Curve], together: Sequence[Together] | None = None
+    problem: Problem, curves: Sequence[Curve], *, together: Sequence[Together] | None = None
 ) -> list[tuple[str, ...]]:
     """Cells of the table, the heads first.
 
@@ -106,7 +106,7 @@ def in_percent(error: float) -> str:
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
 
-def notes(curves: Sequence[Curve], together: Sequence[Together] = ()) -> list[str]:
+def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list[str]:
     """Sentences below the table: references, what was not run, and what was not checked.
 
     Args:
@@ -149,6 +149,7 @@ def notes(curves: Sequence[Curve], together: Sequence[Together] = ()) -> list[st
 def as_dict(
     problem: Problem,
     curves: Sequence[Curve],
+    *,
     together: Sequence[Together] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
@@ -165,7 +166,7 @@ def as_dict(
     """
     sheet: dict[str, Any] = {"problem": problem.name, **more, "knobs": [], "within": {}}
     together = all_together(problem, curves) if together is None else together
-    sheet["notes"] = notes(curves, together)
+    sheet["notes"] = notes(curves, together=together)
     for curve in curves:
         sheet["knobs"].append(
             {
