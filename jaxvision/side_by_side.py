@@ -59,16 +59,16 @@ def side_by_side(
         What they return, in their order.
 
     Raises:
-        Exception: the first of a piece; pieces not yet begun are left out.
+        Exception: the first of a piece, at once; pieces not yet begun are left out, and those that
+            run go on to their end unheard.
     """
-    with ThreadPoolExecutor(min(cores(), len(pieces)) or 1) as threads:
-        waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
-        try:
-            for count, ended in enumerate(as_completed(waiting), 1):
-                ended.result()
-                if progress is not None:
-                    progress(count, len(pieces))
-        except BaseException:
-            threads.shutdown(wait=False, cancel_futures=True)
-            raise
+    threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
+    waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
+    try:
+        for count, ended in enumerate(as_completed(waiting), 1):
+            ended.result()
+            if progress is not None:
+                progress(count, len(pieces))
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)
     return [piece.result() for piece in waiting]

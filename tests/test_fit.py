@@ -261,3 +261,31 @@ def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
         assert found.converged
         exponent = found.draws["scene.surfaces[0].material.exponent"]
         assert abs(exponent.mean() - 25) < 4 * exponent.std() < 8
+
+
+def test_one_of_many_optima_is_no_success():
+    """A sine of unknown frequency in noise of its own size: the likelihood has some forty optima.
+    A fit finds the truth, or says that it may have missed it."""
+    rng = np.random.default_rng(5)
+    time = np.sort(rng.uniform(0, 10, 120))
+    data = 0.2 + 0.8 * np.sin(2 * np.pi * 3.3 * time + 0.7) + rng.standard_normal(120)
+
+    def sine(inputs, amplitude, frequency, phase, offset):
+        return offset + amplitude * jnp.sin(2 * jnp.pi * frequency * inputs + phase)
+
+    free = {
+        "amplitude": Parameter(lower=0, upper=5),
+        "frequency": Parameter(lower=0.05, upper=10),
+        "phase": Parameter(lower=-4, upper=4),
+        "offset": Parameter(lower=-5, upper=5),
+    }
+    problem = Problem(free, sine, Gaussian(1.0), data, inputs=time)
+    near = fit(problem, start={"amplitude": 0.8, "frequency": 3.3, "phase": 0.7, "offset": 0.2})
+    assert near.converged
+    said = 0
+    for seed in range(6):
+        found = fit(problem, seed=seed)
+        assert not found.converged or found.optimum.cost < near.optimum.cost + 0.02, seed
+        said += any("a deeper one may have been missed" in failure for failure in found.failures)
+        assert len(found.optimum.costs) in (16, 32, 48, 64)
+    assert said

@@ -83,7 +83,7 @@ def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
     faults = [
         f"{q:.0%} intervals hold {share:.0%}".replace("%", " %")
         for q, share, (low, high) in zip(LEVELS, held, band, strict=True)
-        if not low <= share <= high
+        if count and not low <= share <= high
     ]
     if departure > allowed:
         faults.append(f"ranks depart by {departure:.3f}, {allowed:.3f} by chance")

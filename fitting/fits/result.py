@@ -301,7 +301,7 @@ class Fit:
         p = f" ({format_p(checks.p)})" if np.isfinite(checks.p) else ""
         return (
             f"chi-square {checks.chi_square:.5g} for {checks.dof:.5g} degrees of freedom{p}; "
-            f"{agreeing(self.optimum)} of {starts} starts reached this optimum"
+            f"{agreeing(self.optimum)} of {starts} starts ended as deep"
         )
 
     def _heading(self) -> str:

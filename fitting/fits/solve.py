@@ -19,13 +19,15 @@ from ..inference.nuts import NutsOptions, nuts, require_blackjax
 from ..inference.parameters import log_prior
 from ..inference.posterior import Posterior, laplace, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
-from ..inference.search import Optimum, search, spread_starts, start_at
+from ..inference.search import Optimum, joined, search, spread_starts, start_at
 from ..inference.search_read import derivatives, search_read
 from ..inference.streams import Advance
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
-from .words import about_posterior, about_search, verdict
+from .words import about_posterior, about_search, is_confirmed, verdict
 
+ROUNDS = 4  # of starts, as long as the best of all stands alone
+OTHER_SEED = 1_000_003  # between the seeds of rounds
 SINGLE_ROUNDING = 1e-6  # of a scaled eigenvalue computed with 7 digits
 Options = SamplingOptions | NutsOptions
 
@@ -55,7 +57,8 @@ def fit(
         problem: parameters, model, likelihood and data.
         start: natural values by name, in their units, from which the only search begins; None for
             `starts` of them.
-        starts: searches spread over bounds and priors, of which the best is kept.
+        starts: searches spread over bounds and priors, of which the best is kept; up to four times
+            as many where no other ends where the best one does. If none does then, the fit fails.
         posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or draws from
             the exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
             chains follow the gradient: for many parameters, and where `predict` is smooth (the
@@ -107,10 +110,10 @@ def fit(
         raise InputError("There is nothing to fit: all data are missing (NaN).")
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
         if after is None:
-            begin = (
-                _given(problem, start)[None] if start else spread_starts(problem, starts, seed=seed)
-            )
-            optimum = search(problem, begin)
+            if start:
+                optimum = search(problem, _given(problem, start)[None])
+            else:
+                optimum = _searched(problem, starts, seed)
             if problem.stream is not None:
                 optimum = search_read(problem, optimum, advance)
             optimum = _determined(problem, optimum, advance)
@@ -143,6 +146,17 @@ def fit(
         noise=wide.noise,
         settings=settings,
     )
+
+
+def _searched(problem: Problem, starts: int, seed: int) -> Optimum:
+    """The best of many searches; of more, where none of them ends where the best one does."""
+    optimum = search(problem, spread_starts(problem, starts, seed=seed))
+    for again in range(1, ROUNDS):
+        if starts == 1 or is_confirmed(optimum):
+            break
+        others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
+        optimum = joined(optimum, search(problem, others))
+    return optimum
 
 
 def _numbers(options: Options | None) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from ..inference.search import SAME_PLACE, Optimum
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
+SAME_END = 0.02  # rise in cost above which two searches ended apart: of many optima, some are near
+MANY_OPTIMA = 0.5  # share of searches that end alone
 APART = 5.0  # standard deviations between two optima
 NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need not agree
 # Standard deviations from a bound to the median: .7 for a density that falls off from the bound,
@@ -51,6 +53,12 @@ def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
             f"The search stopped before a maximum: {promise}; try more starts, narrower bounds, or "
             "transform='log' for a number whose size is unknown."
         )
+    if len(optimum.costs) > 1 and not is_confirmed(optimum):
+        failures.append(
+            f"Of {len(optimum.costs)} starts {agreeing(optimum)} ended at this optimum, the others "
+            "at shallower ones: a deeper one may have been missed; give more starts, narrower "
+            "bounds or a start."
+        )
     if not explained:
         failures += checks.faults
     elif checks.faults and agreeing(optimum) < 2:
@@ -63,7 +71,25 @@ def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
 
 def agreeing(optimum: Optimum) -> int:
     """How many searches ended as deep as the best."""
-    return int(np.sum(optimum.costs < SAME_PLACE))
+    return int(np.sum(optimum.costs < SAME_END))
+
+
+def is_confirmed(optimum: Optimum) -> bool:
+    """Whether searches from several starts speak for the best of their ends: two that end there,
+    or four where most searches end each at an optimum of its own. The share of these estimates
+    the chance that one more search finds an optimum that none has seen.
+
+    Args:
+        optimum: where they ended.
+
+    Source:
+        Good, "The population frequencies of species and the estimation of population parameters",
+        Biometrika 40, 1953.
+    """
+    depths = np.sort(optimum.costs)
+    apart = np.diff(depths, prepend=-np.inf, append=np.inf) > SAME_END
+    alone = np.mean(apart[1:] & apart[:-1])
+    return agreeing(optimum) >= (2 if alone < MANY_OPTIMA else 4)
 
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:

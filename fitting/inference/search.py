@@ -23,7 +23,7 @@ three problems in 100 of 100 fits. For the ball under Student's t of known scale
 is hardly curved far from the optimum, it was 30 of 30 fits, and 55 of 100 without the surrogate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -245,6 +245,24 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
         stationary=bool(found.converged),
         ends=vectors,
         costs=costs - costs[best],
+    )
+
+
+def joined(one: Optimum, other: Optimum) -> Optimum:
+    """The better of two optima of a problem, with the ends of the searches of both.
+
+    Args:
+        one: of some starts.
+        other: of others.
+
+    Returns:
+        The optimum.
+    """
+    costs = np.concatenate([one.cost + one.costs, other.cost + other.costs])
+    return replace(
+        one if one.cost <= other.cost else other,
+        ends=np.concatenate([one.ends, other.ends]),
+        costs=costs - costs.min(),
     )
 
 

@@ -193,7 +193,9 @@ def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
     known = [
         (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
         for fit in fits
-        if fit.robustness is not None and "specular" in [p.name for p in fit.space]
+        if fit.robustness is not None
+        and np.isfinite(fit.robustness.by_light)  # else their errors are not known
+        and "specular" in [p.name for p in fit.space]
     ]
     if len(fits) != 3 or len(known) != 3:
         return None

@@ -55,8 +55,7 @@ from .stated import StatedErrors, stated_errors, with_stated_errors
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
-LONG = 300_000  # samples from which optimisation costs less time than it saves
-MANY = 8  # samples a cell from which cells save time
+LONG = 300_000  # samples from which more programs, and optimised ones, save time
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
 
@@ -335,7 +334,7 @@ def _weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
 def _nearer(vector: Array, samples: Samples, grouping: Grouping) -> Array:
     """Of many samples, the optimum of cells that predict what their pixels do, and of saturated
     samples: all but the last two steps of the search, in a fraction of its time."""
-    if samples.dn.size < MANY * grouping.count:
+    if samples.dn.size < LONG:
         return vector
     cells = average(samples, grouping, exact_at=vector)
     return minimise(_cost_of_cells, vector, (cells, saturated_only(samples))).vector
@@ -358,7 +357,7 @@ def optimum(vector: Float[Array, " parameters"], samples: Samples) -> tuple[Arra
         an optimum was reached, its shape within the range that is searched.
     """
     objective = negative_log_likelihood
-    search = partial(minimise, derivatives=with_information, long=samples.dn.size > LONG)
+    search = partial(minimise, derivatives=with_information, long=samples.dn.size >= LONG)
     found = search(objective, vector, samples)
     if not found.converged:
         box = minimise_in_box(

@@ -453,7 +453,8 @@ ELSEWHERE = (
             fitting.inference.bounded: minimise_in_box
             fitting.inference.least_squares: minimise_residuals
             fitting.inference.newton: minimise
-            fitting.inference.search: given_start negative_log_density search spread_starts start_at
+            fitting.inference.search: given_start joined negative_log_density search spread_starts
+            fitting.inference.search: start_at
             fitting.inference.separable: first_knots fit_amplitudes fit_separable
             fitting.inference.separable: non_negative_amplitudes
         """,
