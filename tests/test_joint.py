@@ -25,6 +25,7 @@ from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.start import parameters, scatter_scales
+from fitting.joint.unequal_pixels import unequal_pixels
 from fitting.rig import Camera, SphereGeometry, load_rig
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
@@ -544,3 +545,25 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
     )
     assert np.abs(z).max() < 3
     assert np.abs(too_large).max() > 3
+
+
+@pytest.mark.parametrize("prnu", [0.0, 0.01])
+def test_pixels_of_unequal_gains_are_named(prnu):
+    """Their size, from a fit that takes pixels for alike, and no word where they are."""
+    rng = np.random.default_rng(12)
+    images, lights = photographs(rng, lights=4, scatter=0.0, gamma=1, size=90, prnu=prnu)
+    given: dict[str, Any] = {
+        "sphere": SphereGeometry(centre=(44.5, 44.5), radius=0.45 * 90),
+        "camera": Camera(bits=12, black_level=BLACK),
+        "intensities": np.full(4, LIGHT),
+        "held_out": [3],
+    }
+    found = calibrate(from_photographs(images, lights, **given))
+    (seen,) = [unequal_pixels(fit) for fit in found.fits]
+    said = [s for s in findings(found) if "give the rig camera.prnu_sd" in s]
+    if prnu:
+        assert abs(seen.size / prnu - 1) < 0.25
+        assert len(said) == 1
+    else:
+        assert abs(seen.deviations) < 4
+        assert not said

@@ -12,8 +12,10 @@ from .calibration import JointCalibration
 from .fit import JointFit, image_errors
 from .model import MISFIT_AT
 from .prediction import Score
+from .unequal_pixels import unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
+BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 
@@ -42,11 +44,8 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             "explains them: a surface that is not the model's, "
             "or an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give."
         )
-    if "system_gain" not in fit.data.known and fit.data.levels is None:
-        found.append(
-            "The gain is read off the scatter of the object's pixels: texture of the surface, or "
-            "unequal pixels without a prnu_sd, would raise it; flats in the rig tell them apart."
-        )
+    if "prnu" not in fit.values:
+        found += _gain_findings(fit)
     found += fit.identifiability.sentences
     posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
@@ -63,6 +62,24 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
+
+
+def _gain_findings(fit: JointFit) -> list[str]:
+    """Whether gain and read noise explain how pixels scatter."""
+    seen = unequal_pixels(fit)
+    if seen.deviations > BEYOND_CHANCE:
+        return [
+            "The variance of pixels grows with the square of their signal, which neither photons "
+            f"nor read-out make: unequal pixels, or a texture, of about {seen.size:.2%} "
+            f"({seen.deviations:.0f} standard errors from none). Do not use the gain and the read "
+            f"noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
+        ]
+    if "system_gain" in fit.data.known or fit.data.levels is not None:
+        return []
+    return [
+        "The gain is read off the scatter of the object's pixels, which shows no unequal pixels "
+        "and no texture."
+    ]
 
 
 def _misfit_in_words(fit: JointFit) -> str:
