@@ -108,7 +108,7 @@ def brdf(
         bool, typer.Option("--fit-gamma", help="Rig: fit the encoding exponent of the images.")
     ] = False,
     minimum_cosine: Annotated[
-        float, typer.Option(help="Rig: leave out samples lit at a smaller n.l.", min=0.0)
+        float, typer.Option(help="Rig: leave out samples lit at a smaller n.l.", min=0.0, max=0.99)
     ] = 0.0,
     objective: Annotated[
         Objective | None,
@@ -174,9 +174,10 @@ def plan(
         refuse_mcmc(options, "lights are ranked by Laplace's approximation")
         rig = folders.read_rig(path, "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
-        from .reflectance.from_images.plan import plan_section
+        from .reflectance.from_images.plan import check_target, plan_section
         from .reflectance.from_images.read import read_reflectance_observation
 
+        check_target(target, model)
         with reporter.step("reading images"):
             observation = read_reflectance_observation(rig)
         with reporter.step("fitting reflectance"):

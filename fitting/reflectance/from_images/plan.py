@@ -18,10 +18,18 @@ from ...inference.design import Plan, ranked
 from ...inference.parameters import names
 from ...report.section import Section, Table
 from ..models import LABELS
+from ..names import Model
 from .calibration import ReflectanceCalibration
 from .derivatives import scores_and_slopes
 from .fit import ChannelFit
-from .model import encoding_gamma, encoding_slope, linear_signal, predicted_dn
+from .model import (
+    Form,
+    encoding_gamma,
+    encoding_slope,
+    linear_signal,
+    parameter_space,
+    predicted_dn,
+)
 from .read import ReflectanceObservation, angles
 from .samples import Selection, make_samples
 from .spread import variance
@@ -68,6 +76,18 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     if not plans:
         raise InputError("The images do not determine the model: read what `brdf` says of them.")
     return plans
+
+
+def check_target(target: str, model: Model) -> None:
+    """`InputError` for a target that a model has not.
+
+    Args:
+        target: name of a parameter.
+        model: of the surface.
+    """
+    known = names(parameter_space(Form(model)))
+    if target not in known:
+        raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")
 
 
 def added_information(

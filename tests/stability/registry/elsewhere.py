@@ -634,7 +634,8 @@ ELSEWHERE = (
             fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
             fitting.reflectance.from_images.model: predicted_dn residuals total_log_likelihood
             fitting.reflectance.from_images.derivatives: scores_and_slopes with_information
-            fitting.reflectance.from_images.plan: added_information plan plan_section
+            fitting.reflectance.from_images.plan: added_information check_target plan
+            fitting.reflectance.from_images.plan: plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
             fitting.reflectance.from_images.posterior: composite_log_density
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
