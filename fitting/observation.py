@@ -57,13 +57,17 @@ def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:
         raise InputError(f"{len(given)} {what} for {len(others)} {as_}; give one for each.")
 
 
-def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.ndarray:
+def read_frame(
+    path: Path, camera: Camera, *, load: Load = read_image, mask: np.ndarray | None = None
+) -> np.ndarray:
     """Digital numbers of one image.
 
     Args:
         path: of the image.
         camera: whose bits the numbers must fit.
         load: how an image is had by its path.
+        mask: (h, w), false where NaN and infinite numbers do no harm: they become 0; None for
+            nowhere.
 
     Returns:
         (h, w) or (h, w, 3) DN, float64, as stored.
@@ -91,8 +95,12 @@ def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.nda
         )
     frame = stored.astype(np.float64)
     if not np.isfinite(frame).all():
-        bad = int(np.size(frame) - np.isfinite(frame).sum())
-        raise InputError(f"{path}: {bad} pixels are NaN or infinite; repair or mask them.")
+        wrong = ~np.isfinite(frame)
+        if mask is not None and mask.shape == frame.shape[:2]:
+            frame = np.where(wrong & ~mask.reshape(*mask.shape, *[1] * (frame.ndim - 2)), 0, frame)
+            wrong = ~np.isfinite(frame)
+        if bad := int((wrong.any(axis=-1) if wrong.ndim == 3 else wrong).sum()):
+            raise InputError(f"{path}: {bad} pixels are NaN or infinite; repair or mask them.")
     if frame.max() > camera.full_scale or frame.min() < 0:
         raise InputError(
             f"{path}: values from {frame.min():g} to {frame.max():g} do not fit a "
@@ -101,13 +109,16 @@ def read_frame(path: Path, camera: Camera, *, load: Load = read_image) -> np.nda
     return frame
 
 
-def read_stack(rig: Rig, files: Sequence[str], *, load: Load = read_image) -> np.ndarray:
+def read_stack(
+    rig: Rig, files: Sequence[str], *, load: Load = read_image, mask: np.ndarray | None = None
+) -> np.ndarray:
     """Frames of one size.
 
     Args:
         rig: that names them.
         files: names within the rig.
         load: how an image is had by its path.
+        mask: as in `read_frame`.
 
     Returns:
         (frames, h, w) or (frames, h, w, 3) DN.
@@ -115,7 +126,7 @@ def read_stack(rig: Rig, files: Sequence[str], *, load: Load = read_image) -> np
     Raises:
         InputError: for frames of different size, and as `read_frame` does.
     """
-    frames = [read_frame(rig.path(name), rig.camera, load=load) for name in files]
+    frames = [read_frame(rig.path(name), rig.camera, load=load, mask=mask) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
             raise InputError(
@@ -147,12 +158,14 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     }
 
 
-def read_mask(path: Path, shape: tuple[int, int], *, load: Load = read_image) -> np.ndarray:
+def read_mask(
+    path: Path, *, shape: tuple[int, int] | None = None, load: Load = read_image
+) -> np.ndarray:
     """A mask of pixels.
 
     Args:
         path: of the image.
-        shape: (h, w) that it must have.
+        shape: (h, w) that it must have; None for any.
         load: how an image is had by its path.
 
     Returns:
@@ -163,6 +176,6 @@ def read_mask(path: Path, shape: tuple[int, int], *, load: Load = read_image) ->
     """
     mask = load(path) != 0
     mask = mask.any(axis=-1) if mask.ndim == 3 else mask
-    if mask.shape != shape:
+    if shape is not None and mask.shape != shape:
         raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")
     return mask

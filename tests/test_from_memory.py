@@ -143,6 +143,21 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
     assert_equal(ours, theirs)
 
 
+def test_nan_under_the_mask_does_no_harm():
+    """Pixels that the mask leaves out may hold anything; one that it keeps may not."""
+    normals = normals_of_the_sphere()
+    images = [64 + 2000.0 * np.maximum(normals @ v, 0) for v in LIGHTS]
+    mask = normals[..., 2] > 0.5
+    given = {"camera": CAMERA, "normals": normals, "mask": mask}
+    whole = from_photographs(images, LIGHTS, **given)
+    for outside in (np.nan, np.inf):
+        holed = [np.where(mask, image, outside) for image in images]
+        assert_equal(from_photographs(holed, LIGHTS, **given), whole)
+    images[1][15, 15] = np.nan
+    with pytest.raises(InputError, match=r"1 pixels are NaN or infinite"):
+        from_photographs(images, LIGHTS, **given)
+
+
 def loaded(rig, names):
     return [read_image(rig.path(name)) for name in names]
 

@@ -169,7 +169,7 @@ RNG_FRAME = np.random.default_rng(0).random((3, 4, 3))
 
 def test_masks(tmp_path):
     write_image(tmp_path / "m.png", np.array([[0, 255], [1, 0]], np.uint8))
-    mask = read_mask(tmp_path / "m.png", (2, 2))
+    mask = read_mask(tmp_path / "m.png", shape=(2, 2))
     np.testing.assert_array_equal(mask, [[False, True], [True, False]])
     with pytest.raises(InputError, match=r"the mask is \(2, 2\), the images are \(3, 3\)"):
-        read_mask(tmp_path / "m.png", (3, 3))
+        read_mask(tmp_path / "m.png", shape=(3, 3))

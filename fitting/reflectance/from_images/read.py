@@ -158,7 +158,9 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
 
 
 def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w"]:
-    stack = read_stack(rig, [light.file for light in rig.light], load=load)
+    named = None if rig.geometry is None else rig.geometry.mask
+    mask = None if named is None else read_mask(rig.path(named), load=load)
+    stack = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
     if stack.ndim == 3:
         return stack[None]
     return np.moveaxis(stack, 3, 0)
@@ -170,7 +172,7 @@ def _surface(
     """Rows, columns and unit normals of the pixels that show the object."""
     mask = None
     if geometry.mask is not None:
-        mask = read_mask(rig.path(geometry.mask), shape, load=load)
+        mask = read_mask(rig.path(geometry.mask), shape=shape, load=load)
     if geometry.sphere is not None:
         normals, seen = _sphere_normals(geometry.sphere, shape)
     else:
