@@ -17,6 +17,8 @@ from jaxtyping import Array
 from .fit import JointFit
 from .model import JointData, predicted, values_at
 
+ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is rounding below it
+
 
 @dataclass(frozen=True)
 class UnequalPixels:
@@ -51,6 +53,8 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
     column = relative[used] ** 2 * weight
     known = slopes[:, used].T * weight[:, None]
     left = column - known @ np.linalg.lstsq(known, column)[0]
+    if left @ left <= ALONE * (column @ column):  # too few cells of several pixels to tell
+        return UnequalPixels(0.0, 0.0)
     square = float(left @ beyond / (left @ left))
     return UnequalPixels(max(square, 0.0) ** 0.5, square * float(np.linalg.norm(left)))
 
