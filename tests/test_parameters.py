@@ -128,12 +128,32 @@ def test_names_keep_their_order():
         ({"lower": 2.0, "upper": 1.0}, "not below upper"),
         ({"lower": (0.0, 2.0), "upper": 1.0}, "not below upper"),
         ({"transform": "log", "upper": -1.0}, "a log parameter is positive"),
+        ({"transform": "log", "lower": -1.0}, "a log parameter is positive, lower is -1.0"),
+        ({"transform": "log", "start": 0.0}, "start 0.0 lies outside its range"),
         ({"upper": -1.0, "prior": HalfNormal(1.0)}, "leaves nothing within the bounds"),
+        ({"lower": 5.0, "prior": Normal(2.0, 0.1)}, "leaves nothing within the bounds"),
+        ({"lower": 0.0, "upper": 1.0, "start": 2.0}, "start 2.0 lies outside its range, 0.0 to 1"),
+        ({"start": np.nan}, "start is nan"),
+        ({"lower": (0.0, 1.0), "upper": (1.0, 2.0, 3.0)}, "different shapes"),
     ],
 )
 def test_contradictory_parameters_are_refused(options, expected):
-    with pytest.raises(ValueError, match=expected):
+    with pytest.raises(InputError, match=f"^x: .*{expected}"):
         Parameter("x", symbol="x", unit="1", **options)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "prior", "law"),
+    [
+        ((0.0, 1.0), Normal(0.0, 1e6), stats.truncnorm(0, 1e-6, 0, 1e6)),
+        ((1.0, np.inf), Normal(0.0, 0.25), stats.truncnorm(4, np.inf, 0, 0.25)),
+        ((-np.inf, np.inf), Gamma(2.0, 3.0), stats.gamma(2.0, scale=3.0)),
+    ],
+)
+def test_a_prior_within_bounds_is_spread_as_it_lies_there(bounds, prior, law):
+    found = prior_values(Parameter("x", lower=bounds[0], upper=bounds[1], prior=prior))
+    assert found is not None
+    np.testing.assert_allclose(found, law.ppf((np.arange(400) + 0.5) / 400), rtol=1e-5)
 
 
 @pytest.mark.parametrize(

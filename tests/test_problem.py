@@ -18,6 +18,7 @@ from jaxvision.errors import InputError
 
 RNG = np.random.default_rng(3)
 TIME = np.linspace(0.0, 3.0, 60)
+RECORD = {"a": np.zeros(3), "b": np.ones(3)}
 HEIGHT, RATE = 2.0, 1.3
 DECAY = HEIGHT * np.exp(-RATE * TIME) + 0.02 * RNG.standard_normal(60)
 BOXED = {
@@ -205,7 +206,7 @@ def test_a_path_replaces_a_leaf_and_nothing_else():
     [
         ("scne.lights[0].position", "no record 'scne'; the nearest is 'scene'"),
         ("scene.light[0].position", "scene has no 'light'; there is surfaces, lights"),
-        ("scene.lights[1].position", r"scene.lights has no 1; there is 1 of them, \[0\] to \[0\]"),
+        ("scene.lights[1].position", r"scene.lights has no 1; there is \[0\] alone"),
         ("scene.lights[0]", r"is no number; there is position, intensity"),
         ("scene.lights[0].position[3]", "has 3 numbers"),
         ("scene.lights[0]position", "is no path"),
@@ -233,14 +234,23 @@ def test_a_wrong_path_is_told_what_is_there(name, expected):
         ),
         (
             {"parameters": {"a": Parameter(shape=(3,), lower=(0, 1))}},
-            "bounds and priors do not fit a value of shape",
+            "bounds, priors and start do not fit a value of shape",
+        ),
+        (
+            {"parameters": {"a": Parameter(shape=(3,), start=(0, 1))}},
+            "bounds, priors and start do not fit a value of shape",
+        ),
+        (
+            {"parameters": {"b": Parameter(), "r['a']": np.ones(2)}, "records": {"r": RECORD}},
+            r"r\['a'\]: shape \(2,\) does not fit, the record's is \(3,\)",
         ),
     ],
 )
 def test_a_problem_that_cannot_be_is_refused(change, expected):
+    predict = (lambda b, r: b * r["a"]) if "records" in change else (lambda a: a * jnp.ones(3))
     whole = {
         "parameters": {"a": Parameter()},
-        "predict": lambda a: a * jnp.ones(3),
+        "predict": predict,
         "likelihood": Gaussian(sd=1.0),
         "data": np.zeros(3),
     }
@@ -254,6 +264,21 @@ def test_a_fit_that_cannot_begin_says_why():
         fit(problem)
     with pytest.raises(InputError, match="'b' is no free parameter"):
         fit(problem, start={"b": 1.0})
+    with pytest.raises(InputError, match="a: its bounds, priors and start do not fit"):
+        fit(problem, start={"a": [1.0, 2.0]})
+    with pytest.raises(InputError, match="a: start is nan"):
+        fit(problem, start={"a": np.nan})
+
+
+def test_a_record_s_value_begins_the_search_inside_the_bounds():
+    parameters = {"r['a']": Parameter(lower=2.0, upper=3.0), "r['b']": 2.0}
+    records = {"r": {"a": np.array([0.0, 2.5, np.inf]), "b": np.zeros(3)}}
+    seen = Problem(
+        parameters, lambda r: r["a"] + r["b"], Gaussian(sd=1.0), np.zeros(3), records=records
+    )
+    assert seen.free[0].start is None  # one of them is not finite
+    records["r"]["a"] = np.array([0.0, 2.5, 7.0])
+    assert seen.with_records(records).free[0].start == (2.0, 2.5, 3.0)
 
 
 def test_a_wrong_optimum_is_no_success(fitted):

@@ -16,7 +16,7 @@ from ..inference.emcee_run import SamplingOptions
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import judge_sums, sums
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
-from ..inference.parameters import log_prior
+from ..inference.parameters import log_prior, scalars
 from ..inference.posterior import Posterior, laplace, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
 from ..inference.search import Optimum, joined, search, spread_starts, start_at
@@ -223,10 +223,11 @@ def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
             continue
         what = "is no free parameter" if name in start else "has no value"
         raise InputError(f"start: {name!r} {what}; give one of each: {', '.join(wanted)}.")
-    parts = [
-        np.broadcast_to(np.asarray(start[p.name], np.float64), p.shape or ()).ravel()
-        for p in problem.free
-    ]
+    parts = []
+    for parameter in problem.free:
+        stated, shape = replace(parameter, start=start[parameter.name]), parameter.shape or ()
+        scalars(stated, shape)  # refuses a start of another shape
+        parts.append(np.broadcast_to(np.asarray(stated.start), shape).ravel())
     return start_at(problem.space, np.concatenate(parts))
 
 

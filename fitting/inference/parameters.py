@@ -36,6 +36,7 @@ from .priors import Prior, support
 Vector = Float[Array, "... parameters"]
 Transform = Literal["identity", "log"]
 Bound = float | tuple[Any, ...]
+LEAST_PRIOR = 1e-9  # probability within the bounds, below which prior and bounds contradict
 FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is read off
 
 
@@ -65,7 +66,8 @@ class Parameter(eqx.Module):
         start: where a search begins, in its unit; None leaves it to the bounds or the prior.
 
     Raises:
-        ValueError: for bounds that are not ascending, or that leave nothing to a prior.
+        InputError: for bounds that are not ascending or leave nothing to a prior, and for a start
+            that is not finite or outside them.
 
     Example:
         >>> from fitting import Normal, Parameter
@@ -83,17 +85,38 @@ class Parameter(eqx.Module):
     start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_frozen)
 
     def __check_init__(self) -> None:
-        lower, upper = np.broadcast_arrays(np.asarray(self.lower), np.asarray(self.upper))
-        if not (lower < upper).all():
-            raise ValueError(f"{self.name}: lower {self.lower} is not below upper {self.upper}.")
-        if self.transform == "log" and not (upper > 0).all():
-            raise ValueError(f"{self.name}: a log parameter is positive, upper is {self.upper}.")
-        for prior in _objects(self.prior).ravel():
-            if not (prior is None or isinstance(prior, Prior)):
-                raise ValueError(f"{self.name}: {prior!r} is no prior: use Normal(...) or another.")
-            low, high = (-np.inf, np.inf) if prior is None else support(prior)
-            if not ((lower < high) & (upper > low)).all():
-                raise ValueError(f"{self.name}: {prior} leaves nothing within the bounds.")
+        if fault := _fault(self):
+            raise InputError(f"{self.name or 'Parameter'}: {fault}.")
+
+
+def _fault(parameter: Parameter) -> str | None:
+    """What is wrong with a statement, if anything is."""
+    logarithm, start = parameter.transform == "log", parameter.start
+    given = (parameter.lower, parameter.upper, parameter.lower if start is None else start)
+    try:
+        lower, upper, begin = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in given))
+    except ValueError:
+        return "its bounds and start have different shapes: give one for all, or one each"
+    if not (lower < upper).all():
+        return f"lower {parameter.lower} is not below upper {parameter.upper}"
+    if logarithm and not (upper > 0).all():
+        return f"a log parameter is positive, upper is {parameter.upper}"
+    if logarithm and ((lower < 0) & np.isfinite(lower)).any():
+        return f"a log parameter is positive, lower is {parameter.lower}: give 0 or more"
+    if start is not None and not np.isfinite(begin).all():
+        return f"start is {start}: give finite numbers, or leave it out"
+    if start is not None and ((begin < lower) | (begin > upper) | (logarithm & (begin <= 0))).any():
+        ends = f"{parameter.lower} to {parameter.upper}"
+        return f"start {start} lies outside its range, {ends}{' and positive' * logarithm}"
+    for prior in _objects(parameter.prior).ravel():
+        if not (prior is None or isinstance(prior, Prior)):
+            return f"{prior!r} is no prior: use Normal(...) or another"
+        if prior is None:
+            continue
+        low, high = (float(prior.quantile(np.array(p))) for p in (LEAST_PRIOR, 1 - LEAST_PRIOR))
+        if not ((lower < high) & (upper > low)).all():
+            return f"{prior} leaves nothing within the bounds"
+    return None
 
 
 ParameterSpace = tuple[Parameter, ...]
@@ -124,16 +147,17 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
         One parameter each; `position` of three becomes `position[0]` and so on.
 
     Raises:
-        InputError: for bounds or priors of another shape.
+        InputError: for bounds, priors or a start of another shape.
     """
     short = parameter.symbol or parameter.name.rpartition(".")[2]
-    each = parameter.lower, parameter.upper, _objects(parameter.prior)
+    start = np.nan if parameter.start is None else np.asarray(parameter.start)
+    each = parameter.lower, parameter.upper, _objects(parameter.prior), start
     try:
-        lower, upper, priors = (np.broadcast_to(part, shape) for part in each)
+        lower, upper, priors, _ = (np.broadcast_to(part, shape) for part in each)
     except ValueError as error:
         raise InputError(
-            f"{parameter.name}: its bounds and priors do not fit a value of shape {shape}: give "
-            "one for all, or one each."
+            f"{parameter.name}: its bounds, priors and start do not fit a value of shape {shape}: "
+            "give one for all, or one each."
         ) from error
     found = []
     for index in np.ndindex(shape):
@@ -319,16 +343,23 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
     Returns:
         (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it.
     """
-    lower, upper = ends(parameter)
-    if parameter.prior is not None:
-        fine = parameter.prior.quantile((np.arange(20_000) + 0.5) / 20_000)
-        inside = fine[(fine > lower) & (fine < upper)]
-        return None if len(inside) < 2 else np.quantile(inside, FLAT_QUANTILES)
+    if (prior := parameter.prior) is not None:
+        low, high = (_share_below(prior, end) for end in ends(parameter))
+        return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))
     a, b = scaled_ends(parameter)
     if not np.isfinite([a, b]).all():
         return None
     v = a + (b - a) * FLAT_QUANTILES
     return v if parameter.transform == "identity" else np.exp(v)
+
+
+def _share_below(prior: Prior, x: float) -> float:
+    """The probability below x, from the quantiles by bisection."""
+    low, high = 0.0, 1.0
+    while high - low > LEAST_PRIOR / 1e6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if prior.quantile(np.array(middle)) < x else (low, middle)
+    return low
 
 
 Kind = tuple[Parameter, list[int]]

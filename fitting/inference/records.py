@@ -61,7 +61,7 @@ def _offers(value: Any) -> str:
     if not there:
         return "nothing that can be fitted" if value is not None else "None: it is switched off"
     if all(isinstance(key, int) for key in there):
-        return f"{len(there)} of them, [0] to [{len(there) - 1}]"
+        return f"{len(there)} of them, from [0]" if len(there) > 1 else "[0] alone"
     return ", ".join(str(key) for key, part in there.items() if part is not None) or "nothing"
 
 
@@ -120,15 +120,23 @@ def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[st
 
     Args:
         records: by name.
-        values: by path, each of the shape of what it replaces.
+        values: by path, each of the shape of what it replaces, or one number for all of it.
 
     Returns:
         New records.
+
+    Raises:
+        InputError: for a value of another shape.
     """
     new = dict(records)
     for path, value in values.items():
         name = head(path)
-        new[name] = _with(new[name], _steps(path), value)
+        there = jnp.shape(read(new, path))
+        if jnp.shape(value) not in ((), there):
+            raise InputError(
+                f"{path}: shape {jnp.shape(value)} does not fit, the record's is {there}."
+            )
+        new[name] = _with(new[name], _steps(path), jnp.broadcast_to(value, there))
     return new
 
 

@@ -57,15 +57,27 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
             raise InputError(
                 f"{name}: shape {parameter.shape} does not fit, the record's is {known.shape}."
             )
-    start = parameter.start if parameter.start is not None else known
+    parameter = replace(parameter, name=name)
     if known is not None:
-        if start is not None:
-            start = np.broadcast_to(start, known.shape)
-        return replace(parameter, name=name, shape=known.shape, start=start)
+        start = parameter.start
+        if start is None and np.isfinite(known).all():
+            start = _within(parameter, known)
+        return replace(parameter, shape=known.shape, start=start)
+    start = parameter.start
     shape = parameter.shape
     if shape is None:
         shape = np.shape(start) if start is not None else np.shape(parameter.lower)
-    return replace(parameter, name=name, shape=tuple(shape), start=start)
+    return replace(parameter, shape=tuple(shape))
+
+
+def _within(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
+    """A record's own value as a start, moved into the bounds; None where it cannot be one."""
+    if parameter.transform == "log" and not (known > 0).all():
+        return None
+    try:
+        return np.clip(known, parameter.lower, parameter.upper)
+    except ValueError:  # bounds of another shape, which are refused in words elsewhere
+        return None
 
 
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
