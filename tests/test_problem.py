@@ -347,6 +347,23 @@ def test_arviz_and_the_report(fitted, tmp_path):
     assert "Before and after the data" in (tmp_path / "report.html").read_text()
 
 
+def test_the_file_of_draws_holds_what_arviz_is_given(tmp_path):
+    arviz = pytest.importorskip("arviz")
+    found = fit(
+        Problem(
+            {"a": Parameter(shape=(2, 2), start=1.0), "b": 0.0},
+            lambda a, b: jnp.repeat((a + b).ravel(), 5),
+            Gaussian(sd=0.1),
+            np.repeat(np.arange(4.0), 5),
+        ),
+        starts=1,
+    )
+    found.write(tmp_path)
+    given, kept = found.to_arviz(), arviz.from_netcdf(tmp_path / "fit_chains.nc")
+    assert kept.posterior["a"].dims == given.posterior["a"].dims
+    np.testing.assert_array_equal(kept.posterior["a"], given.posterior["a"])
+
+
 def coverage(count):
     """How often the 68 and 95 % intervals of both parameters hold the truth."""
     inside = np.zeros((2, 2))

@@ -213,6 +213,7 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
     )
     columns = curve_columns([SimpleNamespace(curve=curve, plane=SimpleNamespace(label=""))])
     np.testing.assert_allclose(columns["upper_95"], [np.exp(0.196), np.inf], rtol=1e-4)
+    np.testing.assert_allclose(columns["lower_95"], [np.exp(-0.196), 0.0], rtol=1e-4)
 
 
 def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):

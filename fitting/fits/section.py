@@ -54,6 +54,7 @@ def section(fit: "Fit", title: str) -> Section:
         pictures=(picture,),
         tables=(table, *gone),
         posteriors={"": fit.posterior},
+        arrays={p.name: p.shape for p in fit.problem.free if p.shape},
     )
 
 

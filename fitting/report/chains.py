@@ -11,7 +11,7 @@ from matplotlib.ticker import ScalarFormatter
 
 from jaxvision.io import replaced_on_success
 
-from ..inference.parameters import names
+from ..inference.parameters import Parameter, names, scalars
 from ..inference.posterior import Posterior
 from .colours import BLUE, OF_CHANNEL, RED
 from .formatting import format_axis
@@ -109,7 +109,11 @@ def trace_figure(posterior: Posterior) -> Figure:
 
 
 def write_chains(
-    path: Path, posteriors: dict[str, Posterior], *, data: Mapping[str, Columns] | None = None
+    path: Path,
+    posteriors: dict[str, Posterior],
+    *,
+    arrays: Mapping[str, tuple[int, ...]] | None = None,
+    data: Mapping[str, Columns] | None = None,
 ) -> None:
     """Draws of every posterior in one NetCDF file of ArviZ' layout.
 
@@ -121,6 +125,8 @@ def write_chains(
     Args:
         path: of the file, replaced once it is complete.
         posteriors: by name.
+        arrays: shapes of parameters whose numbers stand one by one in the posteriors, by name; each
+            becomes one variable with dimensions of its own.
         data: columns of numbers, each record of them a group of its own.
     """
     import xarray
@@ -144,6 +150,12 @@ def write_chains(
         )
         for label, parameter in parameters.items()
     }
+    for name, shape in (arrays or {}).items():
+        parts = [variables.pop(number.name) for number in scalars(Parameter(name), shape)]
+        own = tuple(f"{name}_dim_{axis}" for axis in range(len(shape)))
+        numbers = np.stack([values for _, values, _ in parts], axis=-1)
+        values = numbers.reshape(*numbers.shape[:-1], *shape)
+        variables[name] = (dimensions + own, values, parts[0][2])
     densities = [p.log_density for p in posteriors.values()]
     known = [x[:chains, -kept:] for x in densities if x is not None]
     attributes = {

@@ -108,7 +108,7 @@ def write_report(
     for section in sections:
         if section.posteriors:
             path = folder / f"{section.kind}_chains.nc"
-            write_chains(path, section.posteriors, data=section.data)
+            write_chains(path, section.posteriors, arrays=section.arrays, data=section.data)
             written.append(path)
         for name, columns in section.data.items():
             path = folder / f"{name}.csv"

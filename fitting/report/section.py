@@ -81,6 +81,7 @@ class Section:
         pictures: the most telling one first.
         tables: beside the estimates.
         posteriors: by group.
+        arrays: shapes of parameters whose numbers stand one by one in the posteriors, by name.
         settings: everything needed to repeat the fit.
         about: one line under the heading: what was measured.
         headings: names of estimates under the headings of their table, in its order.
@@ -98,6 +99,7 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
     posteriors: dict[str, Posterior] = field(default_factory=dict)
+    arrays: dict[str, tuple[int, ...]] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     about: str = ""
     headings: dict[str, tuple[str, ...]] = field(default_factory=dict)

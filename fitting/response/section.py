@@ -14,6 +14,8 @@ from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .findings import PURE, findings, largest_departure
 from .gamma import GAMMA, SHUTTER_ERROR
 
+UNKNOWN = 1e6  # factor by which a curve may err at a code of which nothing is known
+
 
 def section(calibration: ResponseCalibration) -> Section:
     """A calibrated response as its reader sees it.
@@ -60,22 +62,22 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
 
     Returns:
         channel; code, DN; exposure, relative to mid-scale, with its standard error and its 95 %
-        band; and whether pixels were seen there or the prior extrapolates.
+        band, 0 to infinity where it is wider than a factor of UNKNOWN both ways; and whether pixels
+        were seen there or the prior extrapolates.
     """
     curves = [channel.curve for channel in channels]
     labels = [channel.plane.label or "grey" for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
     error = np.concatenate([curve.standard_error for curve in curves])
     exposure, half = np.exp(log_exposure), np.concatenate([c.half_width for c in curves])
-    with np.errstate(over="ignore"):  # far beyond all pixels there is no upper bound: inf
-        upper = np.exp(log_exposure + half)
+    half = np.where(half > np.log(UNKNOWN), np.inf, half)  # far beyond all pixels
     return {
         "channel": np.repeat(labels, [len(curve.codes) for curve in curves]),
         "code": np.concatenate([curve.codes for curve in curves]),
         "exposure": exposure,
         "standard_error": exposure * error,
         "lower_95": np.exp(log_exposure - half),
-        "upper_95": upper,
+        "upper_95": np.exp(log_exposure + half),
         "seen": np.concatenate([curve.seen for curve in curves]),
     }
 
