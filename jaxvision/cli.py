@@ -35,7 +35,8 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,
     typer.Argument(
-        help="Scene file, TOML or Mitsuba's XML, or the name of a shipped scene.", metavar="SCENE"
+        help="Scene file, TOML, Mitsuba's XML or glTF, or the name of a shipped scene.",
+        metavar="SCENE",
     ),
 ]
 

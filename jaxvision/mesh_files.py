@@ -8,6 +8,7 @@ taken as metres. Every failure is an `InputError` of one sentence.
 import os
 import warnings
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ import numpy as np
 
 from .errors import InputError
 from .geometry.checks import faces_without_area
+from .gltf_files import Gltf, primitive_of, read_gltf
 from .scene import TriangleMesh
 
 Vector = Sequence[float | int] | np.ndarray
@@ -31,6 +33,7 @@ def read_mesh(
     matrix: Affine | None = None,
     smooth: bool = False,
     flip: bool = False,
+    primitive: tuple[int, int] | None = None,
     dtype: str | np.dtype | None = None,
 ) -> TriangleMesh:
     """Reads the triangles of a file, in its order.
@@ -49,6 +52,8 @@ def read_mesh(
         smooth: take the file's normals at the vertices or, if it has none, the means of the
             adjacent triangles weighted by their angles; otherwise triangles are flat.
         flip: reverse every triangle and every normal.
+        primitive: of a glTF file the numbers, from 0, of a mesh and of a primitive in it, taken as
+            it lies in the file; None: all meshes, each placed as in the file's scene.
         dtype: floating dtype; None is JAX's default.
 
     Returns:
@@ -61,7 +66,7 @@ def read_mesh(
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such mesh file; check the name and the folder.")
-    loaded = _load(file)
+    loaded = _load(file) if primitive is None else _primitive(file, *primitive)
     loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
     vertices = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
@@ -117,15 +122,36 @@ def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarra
     return faces[~flat]
 
 
-def _load(file: Path):
-    """One trimesh mesh, its vertices merged only where the file shares them."""
+def _primitive(file: Path, mesh: int, primitive: int):
+    """The same of one primitive of a glTF file."""
+    part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive)
+    return _trimesh(file).Trimesh(
+        part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
+    )
+
+
+@lru_cache(maxsize=1)
+def _gltf(file: Path, _changed: int) -> Gltf:
+    """The file as it was last changed, kept for its next primitive."""
+    return read_gltf(file)
+
+
+def _trimesh(file: Path):
+    """The package, for a file of meshes."""
     try:
         import trimesh
-        from trimesh.exchange.load import mesh_formats
     except ImportError as error:
         raise InputError(
             f"{file}: reading meshes needs trimesh; install it with `pip install jaxvision[mesh]`."
         ) from error
+    return trimesh
+
+
+def _load(file: Path):
+    """One trimesh mesh, its vertices merged only where the file shares them."""
+    trimesh = _trimesh(file)
+    from trimesh.exchange.load import mesh_formats
+
     if file.suffix.lower().lstrip(".") not in mesh_formats():
         raise InputError(
             f"{file}: {file.suffix!r} is not a mesh format that trimesh reads; convert the file to "

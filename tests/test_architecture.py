@@ -38,7 +38,7 @@ FLOORS = [
     {"shot", "scene_checks", "interrupts"},
     {"_shipped", "raw_files"},
     {"image_settings"},
-    {"io", "toml_files", "command_line", "tasks"},
+    {"io", "toml_files", "gltf_files", "command_line", "tasks"},
     {"record_files"},
     {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
     {"scene_files"},

@@ -28,10 +28,10 @@ from jaxvision.errors import InputError
 COUNT = int(os.environ.get("JAXVISION_FUZZ", "200"))
 LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s of CPU, bytes, characters of a message
 NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
-NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba")
+NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba", "gltf")
 
 
-TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml")
+TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml", ".gltf")
 
 
 def content(name, kind, number):

@@ -1,5 +1,5 @@
 """Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
-Mitsuba, of whose XML `mitsuba` says what is read.
+Mitsuba and of glTF, of which `mitsuba` and `gltf` say what is read.
 
 `schema` documents the format. Eager; every mistake is an `InputError` of one sentence that names
 the file and the object. The scenes that ship with the library are read by their names.
@@ -22,6 +22,7 @@ from .._types import as_dtype
 from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
 from ..geometry import problems
+from ..gltf_files import SUFFIXES as GLTF
 from ..scene import AmbientLight, Material, Scene, Surface, View
 from ..scene_checks import lost_numbers, scene_problems
 from ..toml_files import checked, read_toml
@@ -73,7 +74,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     """Reads and checks a scene file, or a shipped scene by its name.
 
     Args:
-        path: the file, TOML or Mitsuba's XML, or one of `shipped_scenes`.
+        path: the file, TOML, Mitsuba's XML or glTF, or one of `shipped_scenes`.
 
     Returns:
         The scene and how to render it.
@@ -127,13 +128,14 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """The tables of a TOML file, or those that a scene of Mitsuba amounts to."""
-    if file.suffix.lower() != ".xml":
+    """The tables of a TOML file, or those that a scene of Mitsuba or glTF amounts to."""
+    suffix = file.suffix.lower()
+    if suffix not in (".xml", *GLTF):
         return read_toml(file, "scene")
-    from .mitsuba import scene_of
+    from . import gltf, mitsuba
 
     with _named(file, ""):
-        return scene_of(file)
+        return (mitsuba if suffix == ".xml" else gltf).scene_of(file)
 
 
 def _digest(*records: object) -> str:

@@ -71,6 +71,7 @@ def shape_of(entry: surface_schema.Surface, folder: Folder, dtype: str) -> Shape
                 matrix=entry.matrix,
                 smooth=entry.smooth,
                 flip=entry.flip,
+                primitive=entry.primitive,
                 dtype=dtype,
             )
 

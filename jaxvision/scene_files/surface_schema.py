@@ -112,6 +112,7 @@ class BoxEntry(_Surface):
     rotation: Axes | None = None
 
 
+_Number = Annotated[int, Field(strict=True, ge=0)]
 _Row = tuple[Finite, Finite, Finite, Finite]
 
 
@@ -128,6 +129,8 @@ class MeshEntry(_Surface):
             instead of scale, rotation and position.
         smooth: shade with normals interpolated between vertices.
         flip: turn the surface inside out.
+        primitive: of a glTF file the numbers of a mesh and of a primitive in it, from 0; absent:
+            the whole file.
     """
 
     shape: Literal["mesh"]
@@ -138,6 +141,7 @@ class MeshEntry(_Surface):
     matrix: tuple[_Row, _Row, _Row] | None = None
     smooth: bool = False
     flip: bool = False
+    primitive: tuple[_Number, _Number] | None = None
 
     @model_validator(mode="after")
     def _placed_once(self) -> "MeshEntry":

@@ -1,10 +1,12 @@
 """Sound files of every kind that the library reads, small, and what reads them."""
 
 import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import gltf_contents
 import numpy as np
 from oracles import measured, mitsuba_pictures
 
@@ -129,6 +131,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     mitsuba_pictures.write_scenes(folder)
     write_image(folder / "sky.exr", mitsuba_pictures.sky())
     mitsuba = tuple(text.encode() for text in mitsuba_pictures.SCENES.values())
+    gltf = json.dumps(gltf_contents.content(), indent=1).encode()
     merl = measured.merl_bytes(
         lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
     )
@@ -147,6 +150,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
         "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene, finite=False),
         "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene, finite=False),
+        "gltf": Kind(".gltf", (gltf,), lambda file: read_scene(file).scene, finite=False),
         "material": Kind(".toml", (material,), read_material),
         "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),
         "levels": Kind(".csv", (TABLE.encode(),), lambda file: read_table(file, None)),

@@ -115,8 +115,9 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
-        "test_mesh_files",
+        "test_mesh_files test_gltf_files",
         """
+            gltf_files.*
             mesh_files.*
             geometry.checks.*
         """,
