@@ -210,6 +210,44 @@ def test_impulse_response_is_the_kernel():
         np.testing.assert_allclose(seen, expected, atol=1e-14)
 
 
+@pytest.mark.parametrize("border", ["zero", "clamp", "mirror", "reflect_101", "wrap"])
+@pytest.mark.parametrize(("taps", "anchor"), [(3, None), (4, None), (4, (0,))])
+def test_signals_and_their_matrices(border, taps, anchor):
+    """scipy's correlation in one dimension, numpy's convolution inside, and H f."""
+    f, kernel = RNG.normal(size=11), RNG.normal(size=taps)
+    origin = 0 if anchor is None else anchor[0] - taps // 2
+    expected = ndimage.correlate1d(f, kernel, mode=SCIPY[border], origin=origin)
+    options = {"border": border, "anchor": anchor}
+    np.testing.assert_allclose(filters.correlate(f, kernel, **options), expected, atol=1e-12)
+    form = filters.filter_matrix(kernel, shape=(11,), **options)
+    assert form.matrix.shape == (11, 11)
+    np.testing.assert_allclose(form.matrix @ f, expected, atol=1e-12)
+    spread = filters.convolve(f, kernel, border=border, anchor=anchor)
+    first = taps // 2 if anchor is None else anchor[0]
+    np.testing.assert_allclose(
+        spread[4:-4], np.convolve(f, kernel)[first : first + 11][4:-4], atol=1e-12
+    )
+
+
+def test_signals_otherwise():
+    """Impulse response, transpose and offset; shapes that do not fit are refused."""
+    kernel, f = jnp.array([1.0, 2.0, 4.0]), jnp.arange(5.0)
+    blur = partial(filters.convolve, kernel=kernel, border="zero")
+    seen = filters.impulse_response(jnp.asarray(1.0), operator=blur, shape=(5,))
+    np.testing.assert_array_equal(seen, [0, 1, 2, 4, 0])
+    np.testing.assert_array_equal(
+        filters.adjoint(f, operator=blur), filters.correlate(f, kernel, border="zero")
+    )
+    form = filters.filter_matrix(kernel, shape=(5,), border="constant", fill=3.0)
+    np.testing.assert_array_equal(
+        form.matrix @ f + form.offset, filters.correlate(f, kernel, border="constant", fill=3.0)
+    )
+    with pytest.raises(ValueError, match=r"takes a kernel \(k,\)"):
+        filters.correlate(f, jnp.ones((3, 3)))
+    with pytest.raises(ValueError, match=r"\(n,\) with \(k,\)"):
+        filters.filter_matrix(kernel, shape=(5, 5))
+
+
 @pytest.mark.parametrize("border", LINEAR)
 def test_superposition(border):
     kernel = np.abs(KERNELS[4, 3])

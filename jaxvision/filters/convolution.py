@@ -6,6 +6,7 @@ become floating numbers of the same value and are never scaled. Kernels are (kh,
 (kh, kw, bands) with one kernel a band; they may be larger than the picture. `anchor` is the entry
 of the kernel that lies on the pixel of the result: by default (kh // 2, kw // 2), the middle of an
 odd kernel and the second of the two middle entries of an even one, as in scipy and OpenCV.
+`correlate` and `convolve` also take a signal (n,) with a kernel (k,) and an anchor (entry,).
 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
 filter(f) / filter(1), both with border "zero": a weighted mean of the pixels inside, for kernels
@@ -68,9 +69,10 @@ def correlate(
     The kernel lies on the picture as it is written.
 
     Args:
-        picture: (h, w) or (..., h, w, bands), any unit.
-        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band; no unit, or any.
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
+            or any.
+        anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: "auto", "separable", "conv", "direct" or "fft".
@@ -85,11 +87,14 @@ def correlate(
             (factor it by `low_rank`) or not finite.
 
     Example:
-        >>> rise = jv.filters.correlate(jnp.arange(5.0)[None], [[-0.5, 0.0, 0.5]], border="extend")
-        >>> print(rise[0])
+        >>> print(jv.filters.correlate(jnp.arange(5.0), [-0.5, 0.0, 0.5], border="extend"))
         [1. 1. 1. 1. 1.]
     """
     picture, weights = _as_array(picture), _as_array(kernel)
+    if _is_signal(picture, weights):
+        row = None if anchor is None else (0, *anchor)
+        beside = {"anchor": row, "border": border, "fill": fill, "method": method}
+        return correlate(picture[None], weights[None], **beside)[0]
     check_picture(picture)
     size = _size(weights)
     if weights.ndim == 3:
@@ -115,9 +120,11 @@ def convolve(
     Each pixel spreads into a copy of the kernel, which is the response to an impulse.
 
     Args:
-        picture: (h, w) or (..., h, w, bands), any unit.
-        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band; no unit, or any.
-        anchor: (row, column) of the entry that lands on the pixel itself; None takes the middle.
+        picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
+            or any.
+        anchor: (row, column), or (entry,), of the entry that lands on the pixel itself; None takes
+            the middle.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate`.
@@ -127,8 +134,16 @@ def convolve(
 
     Raises:
         ValueError: as for `correlate`.
+
+    Example:
+        >>> print(jv.filters.convolve([0.0, 0, 1, 0, 0], [1.0, 2.0, 3.0]))
+        [0. 1. 2. 3. 0.]
     """
-    weights = _as_array(kernel)
+    picture, weights = _as_array(picture), _as_array(kernel)
+    if _is_signal(picture, weights):
+        row = None if anchor is None else (0, *anchor)
+        beside = {"anchor": row, "border": border, "fill": fill, "method": method}
+        return convolve(picture[None], weights[None], **beside)[0]
     kh, kw = _size(weights)
     top, left = _anchor(anchor, (kh, kw))
     turned = (kh - 1 - top, kw - 1 - left)
@@ -226,6 +241,16 @@ def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
     u, s, v = _singular(kernel, picture)
     down, along = u * np.sqrt(s)[:, None], v * np.sqrt(s)[:, :, None]
     return tuple(Separable(down[:, :, k].T, along[:, k].T) for k in range(s.shape[1]))
+
+
+def _is_signal(picture: Picture, kernel: AnyKernel) -> bool:
+    """Whether both have one axis; `ValueError` where only the picture has."""
+    if picture.ndim == 1 and kernel.ndim != 1:
+        raise ValueError(
+            "a picture is (h, w) or (..., h, w, bands), and a signal (n,) takes a kernel (k,), got "
+            f"{picture.shape} and {kernel.shape}."
+        )
+    return picture.ndim == 1
 
 
 def _size(kernel: AnyKernel) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from ..padding import check_border, ghosts
 from ._terms import Fill, Settings, filtered
 from .convolution import _anchor
 
-Kernel = Float[Array | np.ndarray, "kh kw"]
+Kernel = Float[Array | np.ndarray, "kh kw"] | Float[Array | np.ndarray, " k"]
 print_by_name(globals(), "Kernel")
 
 
@@ -40,20 +40,20 @@ class MatrixForm(eqx.Module):
 def filter_matrix(
     kernel: Kernel,
     *,
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> MatrixForm:
-    """The matrix of `correlate` on one plane.
+    """The matrix of `correlate` on one plane, or on a signal.
 
     Every entry is one number of the kernel times one coefficient of the border. Entries at one
     place are not yet added up; `sum_duplicates` does that.
 
     Args:
-        kernel: (kh, kw), no unit.
-        shape: (h, w) of the planes.
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        kernel: (kh, kw), or (k,) for signals, no unit.
+        shape: (h, w) of the planes, or (n,) of the signals.
+        anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
         border: a key of `padding.BORDERS`.
         fill: () in the picture's unit: the value outside with border "constant".
 
@@ -61,10 +61,29 @@ def filter_matrix(
         The matrix (h w, h w) and, with border "constant", the offset (h w,) in the unit of `fill`.
 
     Raises:
-        ValueError: for an unknown border or an anchor outside the kernel.
+        ValueError: for an unknown border, an anchor outside the kernel, and a shape that has not
+            the axes of the kernel.
+
+    Example:
+        >>> form = jv.filters.filter_matrix(jnp.array([1.0, 2.0, 1.0]), shape=(4,), border="zero")
+        >>> print(form.matrix.todense())
+        [[2. 1. 0. 0.]
+         [1. 2. 1. 0.]
+         [0. 1. 2. 1.]
+         [0. 0. 1. 2.]]
     """
     check_border(border)
-    kernel, (h, w) = as_float(kernel), shape
+    kernel = as_float(kernel)
+    if len(shape) != kernel.ndim or kernel.ndim not in (1, 2):
+        raise ValueError(
+            f"shape must be (h, w) with a kernel (kh, kw), or (n,) with (k,), got {shape} and "
+            f"{kernel.shape}."
+        )
+    if kernel.ndim == 1:
+        row = None if anchor is None else (0, *anchor)
+        beside = {"anchor": row, "border": border, "fill": fill}
+        return filter_matrix(kernel[None], shape=(1, *shape), **beside)
+    h, w = shape
     anchor = _anchor(anchor, (kernel.shape[0], kernel.shape[1]))
     stack = jnp.broadcast_to(kernel[:, :, None, None], (*kernel.shape, h, w))
     outer = "zero" if border in ("constant", "normalised_zero") else border

@@ -26,13 +26,15 @@ def impulse_response(
     Args:
         height: () value of the middle pixel (h // 2, w // 2), any unit; all others are 0.
         operator: the filter.
-        shape: (h, w) or (..., h, w, bands) of the picture.
+        shape: (h, w) or (..., h, w, bands) of the picture, or (n,) of a signal.
 
     Returns:
         The result of the filter, of the given shape.
     """
-    rows, columns = shape if len(shape) == 2 else shape[-3:-1]
     height = as_float(height)
+    if len(shape) == 1:
+        return operator(jnp.zeros(shape, height.dtype).at[shape[0] // 2].set(height))
+    rows, columns = shape if len(shape) == 2 else shape[-3:-1]
     plane = jnp.zeros((rows, columns), height.dtype).at[rows // 2, columns // 2].set(height)
     return operator(jnp.broadcast_to(plane if len(shape) == 2 else plane[..., None], shape))
 
