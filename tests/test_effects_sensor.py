@@ -11,7 +11,9 @@ from oracles.sensors import EVERY_EFFECT
 from random_sensors import SHAPE, draw, without
 from scipy import stats
 
+import jaxvision as jv
 from jaxvision import scene as s
+from jaxvision.effects import prune
 from jaxvision.effects.overflow import Charge, excess
 from jaxvision.effects.pixel import pixel_of
 from jaxvision.effects.sensor import BOUNDS, ELSEWHERE, SCALES, sensor_stage
@@ -339,3 +341,40 @@ def test_the_pixel_is_made_without_what_is_gone():
     pixel = pixel_of(ends, np.ones(3), (6, 8), gone)
     assert {"dsnu", "read_noise"} & pixel.variances.high.keys() == set()
     assert pixel.dark == pytest.approx(500 * 2 ** (10 / 8) * 0.02)
+
+
+@pytest.mark.parametrize(("rms", "most"), [(1.0, 1.03), (0.5, 1.3), (0.2, 2.0)])
+def test_counts_beside_noise_are_as_far_apart_as_their_moments_or_little_farther(rms, most):
+    """Wasserstein's distance of Poisson counts beside Gaussian noise, by their quantiles."""
+    tail = np.geomspace(1e-12, 1e-3, 500)
+    u = np.concatenate([tail, np.linspace(1e-3, 1 - 1e-3, 5001)[1:-1], 1 - tail[::-1]])
+    x = np.linspace(-9 * rms, 60, 20001)[:, None]
+
+    def quantiles(mean):
+        n = np.arange(60)
+        below = (stats.norm.cdf((x - n) / rms) * stats.poisson.pmf(n, mean)).sum(1)
+        return np.interp(u, below, x[:, 0])
+
+    sensor = s.Sensor(read_noise=rms, shot_noise=s.PoissonShotNoise())
+    _, response = sensor_stage(Ends(sensor, sensor), np.array([20.0]), shape=SHAPE)
+    ratios = []
+    for mean, more in ((0.0, 0.01), (0.0, 0.1), (0.1, 1.0), (2.0, 0.1), (10.0, 5.0)):
+        apart = (quantiles(mean + more) - quantiles(mean)) ** 2
+        found = math.sqrt(np.trapezoid(apart, u))
+        ratios.append(found / response.dn(np.array([more]), frozenset()))
+    assert 0.98 * most <= max(ratios) <= most
+
+
+def test_what_a_distance_in_dn_is_stands_in_every_certificate():
+    """That it is one of moments holds of light that goes, too."""
+    floor = s.Surface(s.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
+    lamps = jv.PointLight([0.0, 0, 2], [1.0]), jv.PointLight([0.0, 0, 2], [1e-6])
+    view = s.Pinhole([0, 0, 3.0], np.diag([1.0, -1, -1]), 1.0, 0.1, resolution=(4, 4))
+    camera = s.Camera(view, s.Sensor(shot_noise=s.PoissonShotNoise(), full_well=1e9))
+    for tolerance in ("0.1DN", "0.1sigma"):
+        left = prune(s.Scene(floor, lamps), camera, tolerance).certificate
+        assert [e.name for e in left.dropped]
+        assert any("mean and rms" in note for note in left.assumptions)
+    assert not any(
+        "rms" in n for n in prune(s.Scene(floor, lamps), view, "1%").certificate.assumptions
+    )

@@ -1,11 +1,12 @@
 """What was kept, what was dropped, and what that can do to a picture at most.
 
-Bounds are suprema over all pixels of one number: the 2-Wasserstein distance between the law of a
-pixel before rounding with an effect and without it. A mean moved by d is d; noise that is dropped
-is the difference of two standard deviations. The distance obeys the triangle inequality, so the
-bounds of successive drops add. Beside it stands `place`, the most by which anything moves in the
-picture, in pixels: at an edge no bound on the value of a pixel follows from it. Bounds are of the
-exact integrals, whatever rule samples a light.
+Bounds are suprema over all pixels of one number, how far apart the laws of a pixel before rounding
+are with an effect and without it: sqrt((m_1 - m_2)^2 + (s_1 - s_2)^2) of their means and standard
+deviations, the 2-Wasserstein distance where they are Gaussian (`pixel` says what it is of others).
+A mean moved by d is d; noise that is dropped is the difference of two standard deviations. The
+distance obeys the triangle inequality, so the bounds of successive drops add. Beside it stands
+`place`, the most by which anything moves in the picture, in pixels: at an edge no bound on the
+value of a pixel follows from it. Bounds are of the exact integrals, whatever rule samples a light.
 """
 
 import math

@@ -16,6 +16,7 @@ from ..lights import DirectionalLight, PointLight, SmallLight
 from ..scene import Camera, Scene, TriangleMesh, View
 from .boxes import keeps
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
+from .pixel import ASSUMED
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
 
@@ -208,6 +209,8 @@ class Choice:
                     told = replace(told, why=f"{told.why}; {self.all_bands}")
                 kept.append(told)
         assumed = dict.fromkeys(row.assumes for row in self.gone if row.assumes)
+        if self.gone and self.level is None and self.chain.dn is not None:
+            assumed[ASSUMED] = None
         assumed |= dict.fromkeys(_assumed_of(self.records[0]))
         return Certificate(
             tuple(kept),

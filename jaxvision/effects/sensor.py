@@ -52,10 +52,6 @@ _ASSUMES = {
     "full_well": "Numbers of electrons in different pixels are independent.",
     "blooming": "Numbers of electrons in different pixels are independent.",
 }
-ASSUMED = (
-    "Distances in DN are those of mean and rms: 2-Wasserstein where laws are Gaussian, a lower "
-    "bound of it otherwise."
-)
 
 
 def sensor_stage(
@@ -158,7 +154,7 @@ def _row(
         np.asarray(dn),
         None if fixed else drop,
         after,
-        _ASSUMES.get(name, ASSUMED),
+        _ASSUMES.get(name, ""),
         _SAVES.get(name, 0.02),
         needs=needs,
     )
@@ -188,8 +184,7 @@ def _faster(
         np.asarray(effect.bound),
         drop,
         after,
-        ASSUMED,
-        0.25,
+        saves=0.25,
         instead_of=frozenset(others),
     )
 
