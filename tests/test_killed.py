@@ -2,6 +2,7 @@
 are one sentence each, and leave what was there."""
 
 import resource
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -25,16 +26,18 @@ def test_a_killed_command_tears_nothing_and_goes_on(tmp_path, name, moments):
         job.killed_at(moment)
 
 
-@pytest.fixture
+@contextmanager
 def full_disk():
-    """No file grows beyond 1000 bytes, as on a disk that is full."""
+    """No file grows beyond 1000 bytes, as on a disk that is full; the report of the tests may."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.usefixtures("full_disk")
+@full_disk()
 def test_a_full_disk_is_a_sentence_that_names_the_file(tmp_path):
     picture = np.random.default_rng(0).uniform(size=(40, 40, 3)).astype(np.float32)
     for suffix in (".exr", ".png", ".hdr"):
@@ -49,7 +52,7 @@ def test_a_full_disk_is_a_sentence_that_names_the_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.usefixtures("full_disk")
+@full_disk()
 def test_a_render_on_a_full_disk_keeps_its_tiles(tmp_path):
     """And names the file; with room again, it goes on."""
     key = {"scene": "ball"}

@@ -1,9 +1,10 @@
-"""An image shown as numbers: the picture, a histogram of each channel, a scan line, the grid of
-values about a pixel, and the surface over the plane (Szeliski, Computer Vision, fig. 3.3).
+"""Results drawn: an image as five views (Szeliski, Computer Vision, fig. 3.3), as a picture, a map
+in false colour or a histogram; spectra and lobes; curves with their bands, errors against time, and
+posteriors beside the truth.
 
 This is the edge of the library: eager, NumPy in, with matplotlib loaded on first use. Values are DN
-(integer images) or relative (floating images). An image that cannot be shown raises `InputError`,
-one sentence.
+(integer images) or relative (floating images). What cannot be shown raises `InputError`, one
+sentence. Each plot of one axes takes `axes=`, of `matplotlib.pyplot.subplots` or any figure.
 """
 
 import lazy_loader

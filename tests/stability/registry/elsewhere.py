@@ -236,7 +236,7 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FIGURES,
-        "test_report test_inspect",
+        "test_report test_inspect test_plots",
         """
             fitting.*.figures.*
             plots.*

@@ -1,0 +1,131 @@
+"""An image, or a map of any quantity, on one axes."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError
+from . import _views as views
+from ._axes import new_axes
+from ._pixels import checked, white_level
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NO_NUMBER = "magenta"  # where a map is NaN
+
+
+def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
+    """An image as a picture: codes and values up to white as they are, radiance in sRGB.
+
+    Args:
+        image: (h, w) or (h, w, bands), DN or relative; other than 1 to 4 bands show their mean.
+        white: value that is shown white, as for `summarise`; floating images that exceed it, such
+            as radiance, are scaled to their 99th percentile instead and encoded, which the title
+            says.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes; NaN is magenta.
+
+    Raises:
+        InputError: for an array that is no image.
+
+    Example:
+        >>> axes = jv.plots.picture(np.linspace(0, 3, 12).reshape(3, 4))
+        >>> print(axes.get_title())
+        sRGB of value / 2.97, brightest cut
+    """
+    pixels = checked(image)
+    shown, how = views.as_picture(pixels, white_level(pixels, white))
+    axes = new_axes(axes)
+    axes.imshow(shown, interpolation="nearest" if max(shown.shape) < 200 else "antialiased")
+    axes.set_title(how, fontsize=9)
+    axes.set_axis_off()
+    return axes
+
+
+def false_colour(
+    values: np.ndarray,
+    *,
+    unit: str = "",
+    label: str = "",
+    logarithmic: bool = False,
+    limits: tuple[float, float] | None = None,
+    axes: "Axes | None" = None,
+) -> "Axes":
+    """A map of one quantity in colours that run evenly from dark to light, with its scale.
+
+    Args:
+        values: (h, w) or (h, w, 1), any unit.
+        unit: of the values.
+        label: what they are, "irradiance".
+        logarithmic: decades of equal width; values <= 0 are then shown like the lowest.
+        limits: least and largest value of the scale; None takes all finite values.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes; NaN is magenta, and what lies beyond the limits has the colour of the nearest.
+
+    Raises:
+        InputError: for several bands, no finite value, and limits that have no scale.
+
+    Example:
+        >>> axes = jv.plots.false_colour(np.eye(3), unit="W m$^{-2}$", label="irradiance")
+        >>> print(axes.images[0].get_clim(), axes.images[0].colorbar.ax.get_ylabel())
+        (0.0, 1.0) irradiance [W m$^{-2}$]
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm, Normalize
+
+    pixels = checked(values).astype(float)
+    if pixels.shape[2] != 1:
+        raise InputError(f"a map is (h, w), one quantity, got {pixels.shape[2]} bands; choose one.")
+    plane = pixels[..., 0]
+    known = plane[np.isfinite(plane) & ((plane > 0) if logarithmic else True)]
+    if limits is None and not known.size:
+        raise InputError("a map needs a finite value, above 0 on a logarithmic scale.")
+    low, high = (known.min(), known.max()) if limits is None else limits
+    if not low <= high or (logarithmic and low <= 0):
+        raise InputError(f"limits {low:g} and {high:g} make no scale; give the lower one first.")
+    scale = (LogNorm if logarithmic else Normalize)(low, high)
+    if logarithmic:
+        plane = np.where(plane < low, low, plane)
+    axes = new_axes(axes)
+    colours = colormaps["viridis"].with_extremes(bad=NO_NUMBER)
+    image = axes.imshow(plane, norm=scale, cmap=colours, interpolation="nearest")
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85)
+    bar.set_label(f"{label} [{unit}]" if label and unit else label or unit)
+    axes.set(xlabel="column", ylabel="row")
+    return axes
+
+
+def histogram(
+    image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None
+) -> "Axes":
+    """Counts of the values of each channel, in bins of equal width; of log10 of the values where
+    they span more than three decades.
+
+    Args:
+        image: (h, w) or (h, w, bands), DN or relative.
+        white: the largest value of an integer image, as for `summarise`.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: for an array that is no image.
+
+    Example:
+        >>> axes = jv.plots.histogram(np.arange(256, dtype=np.uint8).reshape(16, 16))
+        >>> print(axes.get_xlabel(), axes.get_ylabel())
+        value (DN) pixels per bin of 1
+    """
+    pixels = checked(image)
+    axes = new_axes(axes)
+    views.draw_histogram(axes, pixels, white_level(pixels, white))
+    axes.set_title("")
+    if 1 < pixels.shape[2] <= views.MOST_NOTES and not axes.texts:  # which name the bands, too
+        axes.legend(fontsize=8)
+    return axes

@@ -1,0 +1,124 @@
+"""Light and its reflection: spectra over wavelength, lobes over angle."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..brdf import evaluate
+from ..errors import InputError
+from ..scene import Material
+from ._axes import new_axes, tidy
+from ._views import INK, OTHER_INKS
+from .summary import band_names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def spectrum(
+    wavelengths: np.ndarray,
+    values: np.ndarray | Mapping[str, np.ndarray],
+    *,
+    unit: str = "",
+    label: str = "",
+    axes: "Axes | None" = None,
+) -> "Axes":
+    """Spectra over wavelength, as light, reflectance or the sensitivity of a camera.
+
+    Args:
+        wavelengths: (bands,) m, ascending.
+        values: (bands,), or (bands, spectra), or spectra of (bands,) by name; three without names
+            are red, green and blue.
+        unit: of the values.
+        label: what they are.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes; wavelength in nm.
+
+    Raises:
+        InputError: for another number of values than wavelengths.
+
+    Example:
+        >>> grid = np.linspace(400e-9, 700e-9, 31)
+        >>> axes = jv.plots.spectrum(grid, {"D65": jv.colour_data.illuminant("D65", grid)})
+        >>> print(axes.get_xlabel(), axes.get_xlim()[1] > 690)
+        wavelength [nm] True
+    """
+    grid = np.asarray(wavelengths, float)
+    if isinstance(values, Mapping):
+        named = {name: np.asarray(one, float) for name, one in values.items()}
+    else:
+        columns = np.asarray(values, float).reshape(len(values), -1)
+        names = band_names(columns.shape[1])
+        named = {name: columns[:, i] for i, name in enumerate(names)}
+    axes = new_axes(axes)
+    for i, (name, one) in enumerate(named.items()):
+        if grid.ndim != 1 or one.shape != grid.shape:
+            raise InputError(
+                f"spectrum {name!r} has shape {one.shape} where there are {grid.shape} wavelengths."
+            )
+        axes.plot(grid * 1e9, one, color=INK.get(name, OTHER_INKS[i % len(OTHER_INKS)]), label=name)
+    axes.set_xlabel("wavelength [nm]")
+    axes.set_ylabel(f"{label} [{unit}]" if label and unit else label or unit)
+    axes.margins(x=0)
+    if len(named) > 1 or isinstance(values, Mapping):
+        axes.legend(fontsize=8)
+    tidy(axes)
+    return axes
+
+
+def lobe(
+    materials: Material | Mapping[str, Material],
+    *,
+    incidence: float = np.pi / 4,
+    band: int = 0,
+    shape_only: bool = False,
+    axes: "Axes | None" = None,
+) -> "Axes":
+    """What materials reflect of one ray into each direction of the plane of incidence.
+
+    Args:
+        materials: one, or several by name.
+        incidence: rad from the normal, below pi / 2; the light comes from the left, dotted.
+        band: of the materials that is drawn.
+        shape_only: each lobe over its largest value.
+        axes: polar ones of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes: radius in sr^-1, or relative; angle from the normal, the mirror's side right.
+
+    Raises:
+        InputError: for an angle of incidence outside of [0, pi / 2).
+
+    Example:
+        >>> axes = jv.plots.lobe({"chalk": jv.Lambert([0.3])})
+        >>> print(axes.lines[0].get_ydata()[[60, 90]])
+        [0.3 0.3]
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    if not 0 <= incidence < np.pi / 2:
+        raise InputError(f"incidence is an angle from 0 to below pi / 2 rad, got {incidence:g}.")
+    several = materials if isinstance(materials, Mapping) else {"": materials}
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 361)[1:-1:2]  # 180 directions above the horizon
+    dtype = jnp.result_type(float)
+    viewers = jnp.asarray(np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1), dtype)
+    light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
+    axes = new_axes(axes, polar=True)
+    for name, material in several.items():
+        seen = jax.vmap(lambda wo, m=material: evaluate(m, light, wo))(viewers)
+        radius = np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
+        axes.plot(angle, radius / radius.max() if shape_only else radius, label=name or None)
+    axes.plot([-incidence, -incidence], [0, axes.get_ylim()[1]], color="0.5", ls=":", lw=1.5)
+    axes.set(theta_zero_location="N", theta_direction=-1, thetamin=-90, thetamax=90)  # type: ignore[call-arg]
+    axes.set_ylim(bottom=0)
+    ticks = MaxNLocator(3).tick_values(*axes.get_ylim())
+    axes.set_yticks([r for r in ticks if 0 < r <= axes.get_ylim()[1]])
+    axes.tick_params(labelsize=8)
+    if len(several) > 1 or "" not in several:
+        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.12))
+    return axes

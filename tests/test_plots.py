@@ -1,0 +1,128 @@
+"""Plots of results show the numbers that they were given."""
+
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision import plots
+from jaxvision.accuracy import Trial
+from jaxvision.errors import InputError
+
+RNG = np.random.default_rng(4)
+GRID = np.linspace(400e-9, 700e-9, 7)
+
+
+def test_a_picture_is_its_codes_and_marks_what_is_no_number():
+    codes = RNG.integers(0, 256, (5, 4, 3), dtype=np.uint8)
+    shown = plots.picture(codes).images[0].get_array()
+    np.testing.assert_allclose(shown, codes / 255, rtol=1e-6)
+    radiance = np.array([[0.0, 1.0], [np.nan, 4.0]])
+    shown = np.asarray(plots.picture(radiance).images[0].get_array())
+    np.testing.assert_allclose(shown[1, 0], (1, 0, 1))
+    assert shown[1, 1, 0] == 1
+
+
+def test_false_colour_has_a_scale_in_its_unit():
+    depth = np.array([[0.1, 1.0], [np.nan, 10.0]])
+    axes = plots.false_colour(depth, unit="m", label="depth", logarithmic=True)
+    image = axes.images[0]
+    assert image.colorbar.ax.get_ylabel() == "depth [m]"
+    np.testing.assert_allclose(image.norm(depth[0]), [0, 0.5], atol=1e-12)
+    assert image.cmap.get_bad().tolist() == [1, 0, 1, 1]
+    flat = plots.false_colour(np.full((2, 2), 3.0))  # one value has a colour, too
+    assert np.isfinite(flat.images[0].norm(3.0))
+
+
+def test_a_histogram_counts_what_numpy_counts():
+    codes = RNG.integers(0, 256, (40, 50), dtype=np.uint8)
+    steps = plots.histogram(codes).patches[0].get_data()
+    np.testing.assert_array_equal(steps.values, np.histogram(codes, np.arange(257))[0])
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        (GRID * 1e9, []),
+        (RNG.uniform(size=(7, 3)), ["red", "green", "blue"]),
+        ({"lamp": GRID, "sky": 2 * GRID}, ["lamp", "sky"]),
+    ],
+)
+def test_spectra_are_over_nanometres(values, names):
+    axes = plots.spectrum(GRID, values, unit="1", label="power")
+    wanted = values.values() if isinstance(values, dict) else values.reshape(7, -1).T
+    for line, one in zip(axes.lines, wanted, strict=True):
+        np.testing.assert_allclose(line.get_xdata(), [400, 450, 500, 550, 600, 650, 700])
+        np.testing.assert_array_equal(line.get_ydata(), one)
+    legend = axes.get_legend()
+    assert names == ([] if legend is None else [text.get_text() for text in legend.get_texts()])
+
+
+def test_a_lobe_peaks_at_the_mirror_direction():
+    """Phong's, k_s (n + 2) / (2 pi) there, by hand."""
+    shiny = jv.NormalisedPhong([0.0, 0.0], [0.5, 0.25], 40.0)
+    axes = plots.lobe({"shiny": shiny}, incidence=np.radians(45), band=1)
+    angle, radius = axes.lines[0].get_data()
+    assert np.degrees(angle[radius.argmax()]) == pytest.approx(45, abs=0.6)
+    expected = 0.25 * 42 / (2 * np.pi) * np.maximum(np.cos(angle - np.pi / 4), 0) ** 40
+    np.testing.assert_allclose(radius, expected, atol=1e-5)
+    relative = plots.lobe(shiny, shape_only=True).lines[0].get_ydata()
+    assert relative.max() == 1
+
+
+def test_a_curve_has_its_band_and_its_truth():
+    x = np.linspace(0, 1, 4)
+    axes = plots.curve(x, x, band=(x - 1, x + 2), truth=2 * x, names=("code", "light"))
+    found, true = axes.lines
+    np.testing.assert_array_equal(found.get_ydata(), x)
+    np.testing.assert_array_equal(true.get_ydata(), 2 * x)
+    extent = axes.collections[0].get_paths()[0].get_extents()
+    assert (extent.y0, extent.y1) == (-1, 3)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("code", "light")
+
+
+def trial(setting, seconds, error):
+    return Trial(setting, error, error, error, seconds, seconds, seconds, seconds)
+
+
+def test_the_line_of_settings_leaves_out_what_another_beats():
+    trials = [
+        trial("fast", 1, 0.1),
+        trial("beaten", 2, 0.2),
+        trial("good", 4, 0.01),
+        trial("exact", 9, 0.0),
+    ]
+    axes = plots.error_against_time(trials)
+    points, line = axes.lines
+    np.testing.assert_array_equal(points.get_xdata(), [1, 2, 4])
+    np.testing.assert_array_equal(line.get_xdata(), [1, 4])
+    assert [text.get_text() for text in axes.texts] == ["fast", "beaten", "good"]
+
+
+def test_a_corner_shows_truths_where_they_are():
+    draws = {"gain": RNG.normal(2, 0.1, 800), "place": RNG.normal([1, 5], 0.2, (800, 2))}
+    figure = plots.corner(draws, truth={"place": [1.0, 5.0]})
+    assert len(figure.axes) == 9
+    labels = [axes.get_xlabel() for axes in figure.axes[6:]]
+    assert labels == ["gain", "place[0]", "place[1]"]
+    diagonal = figure.axes[8]
+    assert [line.get_xdata()[0] for line in diagonal.lines][-1] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("draw", "words"),
+    [
+        (lambda: plots.false_colour(np.ones((2, 2, 3))), "one quantity"),
+        (lambda: plots.false_colour(np.full((2, 2), np.nan)), "finite value"),
+        (lambda: plots.false_colour(np.ones((2, 2)), limits=(2, 1)), "lower one first"),
+        (lambda: plots.spectrum(GRID, np.ones(3)), "wavelengths"),
+        (lambda: plots.lobe(jv.Lambert([0.1]), incidence=2.0), "pi / 2"),
+        (lambda: plots.curve(GRID, np.ones(3)), "one length"),
+        (lambda: plots.error_against_time([trial("exact", 1, 0.0)]), "no trial"),
+        (lambda: plots.corner({}), "at least one"),
+        (lambda: plots.corner({"a": np.ones(9)}), "all the same"),
+        (lambda: plots.corner({"a": RNG.normal(size=9)}, truth={"b": 1.0}), "'b'"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(draw, words):
+    with pytest.raises(InputError, match=words):
+        draw()
