@@ -48,6 +48,18 @@ def test_per_pixel_by_hand(border):
     np.testing.assert_allclose(got[1, :, :, 2], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("anchor", [None, (0, 2)])
+def test_convolution_per_pixel_turns_each_kernel(anchor):
+    """One product at a time, of the pixel across the anchor, under the border "wrap"."""
+    kh, kw = STACK.shape[:2]
+    top, left = (kh // 2, kw // 2) if anchor is None else anchor
+    expected = np.zeros((H, W))
+    for y, x, i, j in np.ndindex(H, W, kh, kw):
+        expected[y, x] += STACK[i, j, y, x] * PLANE[(y - i + top) % H, (x - j + left) % W]
+    got = filters.convolve_per_pixel(PLANE, STACK, anchor=anchor, border="wrap")
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
 def test_one_kernel_everywhere_is_correlation():
     stack = jnp.broadcast_to(jnp.asarray(KERNEL)[:, :, None, None], (4, 3, H, W))
     got = filters.correlate_per_pixel(IMAGE, stack)

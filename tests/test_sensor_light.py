@@ -14,9 +14,11 @@ from jaxvision._types import as_dtype
 from jaxvision.colour_filters import bayer
 from jaxvision.sensor import (
     aperture_mtf,
+    at_iso,
     bloomed,
     collect,
     dark_rate,
+    digitise,
     drifted,
     exposed,
     exposure_slots,
@@ -405,3 +407,13 @@ def test_a_traced_sensor_is_not_checked():
     gains = jnp.asarray([1.0, -1.0])
     light = jnp.full((2, 1), 5.0)
     np.testing.assert_allclose(jax.vmap(jax.jit(shoot))(gains, light)[:, 0], [5.0, -5.0])
+
+
+def test_iso_doubles_the_numbers_and_halves_the_exposure_that_fills_them():
+    """Saturation by ISO 12232: as many times the gain, as many times less light."""
+    base = s.Sensor(gain=0.25, bits=12, offset=10.0)
+    fast = at_iso(base, 800, base_iso=200)
+    electrons = np.array([[[(4095 - 10) / 0.25]]])
+    np.testing.assert_allclose(digitise(base, electrons), 4095)
+    np.testing.assert_allclose(digitise(fast, electrons / 4), 4095)
+    assert at_iso(s.Sensor(), 50).gain == 0.5

@@ -53,6 +53,7 @@ from .pyramid import (
 from .resampling import resize as resize, warp as warp
 from .scipy_operators import scipy_matrix as scipy_matrix, scipy_operator as scipy_operator
 from .shift_variant import (
+    convolve_per_pixel as convolve_per_pixel,
     correlate_bank as correlate_bank,
     correlate_per_pixel as correlate_per_pixel,
     disk_profile as disk_profile,

@@ -105,6 +105,49 @@ def correlate_per_pixel(
 
 
 @takes_numbers
+def convolve_per_pixel(
+    picture: Picture,
+    kernels: Kernels | np.ndarray,
+    *,
+    anchor: Sequence[int] | None = None,
+    border: str = "mirror",
+) -> Filtered:
+    """Convolution with one kernel a pixel: g[p] = sum over i of kernels[i, p] f[p - i + anchor].
+
+    A kernel belongs to the pixel of the result. Where it is what the light of a pixel of the
+    picture spreads into, `adjoint` of `correlate_per_pixel` is the blur.
+
+    Args:
+        picture: (h, w) or (..., h, w, bands), any unit.
+        kernels: (kh, kw, h, w), each tap a map of weights; no unit, or any.
+        anchor: (row, column) of the entry that lands on the pixel itself; None takes the middle.
+        border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
+
+    Returns:
+        The picture's shape; its unit times the kernels'.
+
+    Raises:
+        ValueError: as for `correlate_per_pixel`.
+
+    Example:
+        Each row looks one pixel further to the left.
+
+        >>> kernels = jnp.broadcast_to(jnp.eye(3)[None, :, :, None], (1, 3, 3, 4))
+        >>> picture = jnp.broadcast_to(jnp.arange(4.0), (3, 4))
+        >>> print(jv.filters.convolve_per_pixel(picture, kernels, anchor=(0, 0), border="clamp"))
+        [[0. 1. 2. 3.]
+         [0. 0. 1. 2.]
+         [0. 0. 0. 1.]]
+    """
+    if kernels.ndim != 4 or 0 in kernels.shape:
+        raise ValueError(f"kernels must be (kh, kw, h, w), got {kernels.shape}.")
+    kh, kw = kernels.shape[:2]
+    top, left = _anchor(anchor, (kh, kw))
+    turned = (kh - 1 - top, kw - 1 - left)
+    return correlate_per_pixel(picture, kernels[::-1, ::-1], anchor=turned, border=border)
+
+
+@takes_numbers
 def correlate_bank(
     picture: Picture,
     bank: Float[Array | np.ndarray, "..."],

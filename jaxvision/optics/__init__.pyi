@@ -51,6 +51,7 @@ from .thin_lens import (
 from .views import (
     Projection as Projection,
     camera_ray as camera_ray,
+    chip_size as chip_size,
     chief_slope as chief_slope,
     cos_to_axis as cos_to_axis,
     focus_vergence as focus_vergence,

@@ -46,6 +46,24 @@ def look_at(
     return jnp.stack([right, jnp.cross(forward, right), forward])
 
 
+def chip_size(view: View) -> Float[Array, "2"]:
+    """Height and width of the light-sensitive area: pixels times their pitch.
+
+    Args:
+        view: a pinhole or a thin lens; of a parallel projection the pitch lies in the scene, and so
+            does the size.
+
+    Returns:
+        (2,) m; its norm is the diagonal.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 6e-6, resolution=(4000, 6000))
+        >>> print(jv.optics.chip_size(view))  # full frame
+        [0.024 0.036]
+    """
+    return jnp.asarray(view.resolution, view.pixel_pitch.dtype) * view.pixel_pitch
+
+
 def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
     """Pixel coordinates of the whole picture, in the view's dtype.
 

@@ -10,6 +10,7 @@ from .ccd import bloomed as bloomed, transferred as transferred
 from .dark import dark_rate as dark_rate
 from .expectation import expected_of_count as expected_of_count
 from .exposure import (
+    at_iso as at_iso,
     drifted as drifted,
     expected_charge as expected_charge,
     filtered as filtered,

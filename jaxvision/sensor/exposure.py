@@ -6,6 +6,8 @@ act here, before electrons are counted: each electron moves independently, so th
 arrives from elsewhere is Poisson too and only its expectation changes.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,6 +53,30 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
     """
     per_joule = wavelength / (PLANCK * SPEED_OF_LIGHT)
     return irradiance * _over_bands("wavelength", pixel_area * per_joule, irradiance)
+
+
+@takes_numbers
+def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
+    """The sensor at another ISO setting: its gain grows in proportion.
+
+    ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC, S = 78
+    / H, which is as many times smaller as the gain is larger. Noise before the amplifier keeps its
+    electrons, so that in DN it grows too; the well keeps what it holds.
+
+    Args:
+        sensor: as it is at `base_iso`.
+        iso: () ISO speed, > 0.
+        base_iso: () ISO speed of the given sensor.
+
+    Returns:
+        The sensor with another gain; a gain of None counts as 1 DN per electron.
+
+    Example:
+        >>> print(jv.sensor.at_iso(jv.Sensor(gain=0.25, bits=12), 400).gain)
+        1.0
+    """
+    gain = 1.0 if sensor.gain is None else sensor.gain
+    return replace(sensor, gain=gain * (iso / base_iso))
 
 
 @takes_numbers

@@ -46,6 +46,7 @@ EXAMPLES = {
     "filters.resampling.resize": ((X,), {"size": (2, 5)}),
     "filters.resampling.warp": ((X, ROWS, COLUMNS), {"samples": 2}),
     "filters.shift_variant.correlate_bank": ((X, BANK, SIGMAS - 0.5), {}),
+    "filters.shift_variant.convolve_per_pixel": ((X, STACK), {}),
     "filters.shift_variant.correlate_per_pixel": ((X, STACK), {}),
     "filters.shift_variant.disk_profile": ((ONE, SIGMAS), {}),
     "filters.shift_variant.gaussian_profile": ((ONE, SIGMAS), {}),

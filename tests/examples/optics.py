@@ -71,6 +71,7 @@ EXAMPLES = {
     "optics.thin_lens.working_f_number": ((F_NUMBER, Z, F), {}),
     "optics.vignetting.clear_fraction": ((LENS, ONE, TWO), {}),
     "optics.views.camera_ray": ((PINHOLE, ONE, TWO), {}),
+    "optics.views.chip_size": ((PINHOLE,), {}),
     "optics.views.chief_slope": ((LENS, ONE, TWO), {}),
     "optics.views.cos_to_axis": ((PINHOLE, ONE, TWO), {}),
     "optics.views.focus_vergence": ((LENS,), {}),

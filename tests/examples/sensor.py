@@ -76,6 +76,7 @@ EXAMPLES = {
     "sensor.ccd.counted_variance": ((ELECTRONS, ELECTRONS, TRANSFER), {}),
     "sensor.ccd.transfer_noise": ((KEY, ELECTRONS, TRANSFER), {}),
     "sensor.dark.dark_rate": ((DARK,), {}),
+    "sensor.exposure.at_iso": ((SENSOR, 400 * ONE), {}),
     "sensor.exposure.photon_rate": ((X, 1e-6 * X[0, 0], ONE), {}),
     "sensor.exposure.mean_photoelectrons": ((SENSOR, X), {}),
     "sensor.exposure.expected_charge": ((SENSOR, X), {}),
