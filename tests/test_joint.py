@@ -2,6 +2,7 @@
 the likelihood, and simulated labs against their truth."""
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from fitting.cli import app
 from fitting.demo.lab import sphere_lights
+from fitting.inference.clustering import Robustness
 from fitting.inference.importance import TOLERATED
 from fitting.inference.parameters import names, to_unconstrained
 from fitting.joint import calibrate, from_photographs, marginal, read_joint_measurement
@@ -22,6 +24,7 @@ from fitting.joint.cells import make_grid
 from fitting.joint.findings import findings
 from fitting.joint.fit import fit_channel
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
+from fitting.joint.halves import Halves, widened
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.start import parameters, scatter_scales
@@ -545,6 +548,54 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
     )
     assert np.abs(z).max() < 3
     assert np.abs(too_large).max() > 3
+
+
+@pytest.mark.slow
+def test_halves_of_the_images_are_fitted_and_told():
+    """Two surfaces in turns under unequal lights, fitted as one: the halves tell one each, a
+    sentence gives both, and the interval holds both."""
+    given: dict[str, Any] = {"scatter": 0.03, "gamma": 1, "size": 80, "lights": 17}
+    truth = (12.0, 60.0)
+    images, others = (
+        photographs(np.random.default_rng(6), exponent=exponent, **given)[0] for exponent in truth
+    )
+    lights = photographs(np.random.default_rng(6), **given)[1]
+    measured = from_photographs(
+        [(images, others)[i % 2][i] for i in range(17)],
+        lights,
+        sphere=SphereGeometry(centre=(39.5, 39.5), radius=36.0),
+        camera=Camera(bits=12, black_level=BLACK),
+        intensities=np.full(17, LIGHT),
+        held_out=[16],
+    )
+    found = calibrate(measured)
+    (fit,) = found.fits
+    halves, posterior = found.halves["grey"], found.posteriors["grey"]
+    at = halves.names.index("exponent")
+    np.testing.assert_allclose(halves.values[:, at], truth, rtol=0.05)
+    assert any("exponent (12.2 and 59.6)" in sentence for sentence in findings(found))
+    middle, sd = fit.vector[at], math.sqrt(posterior.covariance[at, at])
+    low, high = np.exp([middle - 1.96 * sd, middle + 1.96 * sd])
+    assert low < truth[0] < truth[1] < high
+    equal = replace(halves, deviations=halves.deviations / 10)
+    told = findings(replace(found, halves={"grey": equal}))
+    assert any("agree within these intervals" in sentence for sentence in told)
+
+
+def test_halves_that_differ_are_two_random_groups():
+    """The variance of a mean by two groups is a quarter of their squared difference (Wolter)."""
+    rng = np.random.default_rng(2)
+    covariance = np.diag(rng.uniform(1, 2, 3)) * 1e-4
+    robust = Robustness(covariance, np.full(3, np.inf), math.nan, math.nan, 1.0)
+    values = rng.standard_normal((2, 3))
+    difference = values[0] - values[1]
+    deviations = difference / (2 * np.sqrt(np.diagonal(covariance)))
+    halves = Halves(("a", "b", "c"), values, difference, deviations)
+    assert not halves.agree
+    groups = np.cov(values.T, ddof=1) / 2
+    np.testing.assert_allclose(widened(robust, halves).covariance, covariance + groups)
+    close = Halves(("a", "b", "c"), values, difference * 0, deviations * 0)
+    assert widened(robust, close) is robust
 
 
 @pytest.mark.parametrize("prnu", [0.0, 0.01])

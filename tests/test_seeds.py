@@ -154,11 +154,12 @@ def test_the_draws_of_a_fit_are_those_of_its_seed():
 def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     seeds = []
 
-    def posterior(fit, sampling, seed):
+    def posterior(fit, robust, sampling, seed):
         seeds.append((fit.channel, seed))
 
     monkeypatch.setattr(joint, "fit_channel", lambda _, i, *__, **___: SimpleNamespace(channel=i))
     monkeypatch.setattr(joint, "is_determined", lambda fit: True)
+    monkeypatch.setattr(joint, "over_images", lambda fit: None)
     monkeypatch.setattr(joint, "_posterior", posterior)
     measurement = SimpleNamespace(observation=SimpleNamespace(channels=("red", "green")))
     joint.calibrate(cast(JointMeasurement, measurement), seed=7)

@@ -1,10 +1,11 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 import numpy as np
 
+from ..inference.clustering import Robustness
 from ..inference.emcee_run import SamplingOptions, for_group
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
@@ -14,6 +15,7 @@ from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
 from .fit import JointFit, fit_channel
 from .freedom import degrees_of_freedom, laplace_miss
+from .halves import Halves, by_halves, widened
 from .misfit import over_images, stretched, stretched_log_density
 from .model import Form, log_posterior
 from .read import JointMeasurement
@@ -28,12 +30,14 @@ class JointCalibration(ShownInNotebooks):
         model: of the surface, as asked for.
         fits: of the channels.
         posteriors: by channel, where the data with the priors determine every parameter.
+        halves: by channel, fits of the halves of the images where the model misses the surface.
     """
 
     measurement: JointMeasurement
     model: Model
     fits: tuple[JointFit, ...]
     posteriors: dict[str, Posterior]
+    halves: dict[str, Halves] = field(default_factory=dict)
 
 
 def calibrate(
@@ -66,15 +70,20 @@ def calibrate(
     check_index(index)
     form = Form(model, index)
     channels = len(measurement.observation.channels)
-    fits, posteriors = [], {}
+    fits, posteriors, halves = [], {}, {}
     for channel in range(channels):
         if progress is not None:
             progress(channel, channels)
         fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
         fits.append(fit)
-        if is_determined(fit):
-            posteriors[fit.channel] = _posterior(fit, sampling, seed)
-    return JointCalibration(measurement, model, tuple(fits), posteriors)
+        if not is_determined(fit):
+            continue
+        robust = over_images(fit)
+        apart = None if robust is None else by_halves(measurement, channel, fit, robust)
+        if robust is not None and apart is not None:
+            halves[fit.channel], robust = apart, widened(robust, apart)
+        posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)
+    return JointCalibration(measurement, model, tuple(fits), posteriors, halves)
 
 
 def is_determined(fit: JointFit) -> bool:
@@ -86,9 +95,10 @@ def is_determined(fit: JointFit) -> bool:
     return fit.converged and bool(np.linalg.eigvalsh(fit.information)[0] > 0)
 
 
-def _posterior(fit: JointFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
+def _posterior(
+    fit: JointFit, robust: Robustness | None, sampling: SamplingOptions | None, seed: int
+) -> Posterior:
     covariance, mode = np.linalg.inv(fit.information), jnp.asarray(fit.vector)
-    robust = over_images(fit)
     if robust is not None:
         wider = robust.gaussian_covariance
         data = stretched(fit, wider)

@@ -10,6 +10,7 @@ from ..reflectance.from_images.shading_check import contradictions
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
+from .halves import APART
 from .model import MISFIT_AT
 from .prediction import Score
 from .unequal_pixels import unequal_pixels
@@ -58,10 +59,32 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             f"not cells, for independent data: {np.sqrt(np.median(wider)):.1f} times wider in the "
             "median over the parameters."
         )
+        found += _halves_findings(calibration, fit)
     found += _prior_alone(posterior)
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
+
+
+def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
+    """Whether halves of the images tell the same."""
+    halves = calibration.halves.get(fit.channel)
+    if halves is None:
+        return [
+            "Halves of the images are too few to fit, or fit nothing, so that none checks this."
+        ]
+    if halves.agree:
+        return ["The even and the odd images, fitted alone, agree within these intervals."]
+    even, odd = halves.values
+    worst = int(np.argmax(np.abs(halves.deviations)))
+    apart = np.flatnonzero(np.abs(halves.deviations) >= APART)
+    told = listed([f"{halves.names[i]} ({even[i]:.3g} and {odd[i]:.3g})" for i in apart])
+    return [
+        f"The even and the odd images, fitted alone, differ in {told}, by up to "
+        f"{abs(halves.deviations[worst]):.0f} standard deviations: which images there are decides "
+        "the answer, for the model misses the surface. The intervals hold half of the difference; "
+        "try another model."
+    ]
 
 
 def _gain_findings(fit: JointFit) -> list[str]:

@@ -36,8 +36,6 @@ from .model import (
 )
 from .read import JointMeasurement, UniformLevels
 from .start import (
-    GAIN,
-    READ_NOISE,
     SCATTERS,
     first_noise,
     first_reflectance,
@@ -47,7 +45,7 @@ from .start import (
 
 FEWEST_CELLS = 50
 EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
-MOST_ROUNDS = 8
+MOST_ROUNDS = 24
 FREE_ROUNDS = 2  # after which no cell is taken in again: one at an end of the scale may come and go
 AT_REST = 0.05  # standard deviations by which the reference may miss the best model
 MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0, upper=1.0)
@@ -116,12 +114,13 @@ def fit_channel(
     if not set(SCATTERS).isdisjoint(names(data.space)):
         gone = small(data, *_predicted(widest(start, data.space), data))
     data, start = without(data, start, gone)
+    about_start = data
     data, solution = _rounds(measurement, channel, grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        data, vector = _with_misfit(data, solution.vector, start)
+        data, vector = _with_misfit(about_start, start)
         data, solution = _rounds(measurement, channel, grid, data, vector)
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = _prior_information(solution.vector, data.space)
@@ -192,11 +191,14 @@ def _prepared(
     return grid, data, vector
 
 
-def _with_misfit(data: JointData, vector: Array, start: Array) -> tuple[JointData, Array]:
-    """The data and a model with a misfit, as large as the cells' residuals say, and with the noise
-    of the start: without a misfit, gain and read noise stand for it, as far as they can."""
-    noise = np.isin(names(data.space), (GAIN.name, READ_NOISE.name))
-    vector = jnp.where(noise, start, vector)
+def _with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
+    """The data and a model with a misfit, as large as the cells' residuals say.
+
+    Args:
+        data: with cells about the start: about the best model without a misfit they lack what its
+            gain and read noise, which stand for the misfit as far as they can, take for noise.
+        vector: the start, unconstrained.
+    """
     data = replace(data, space=(*data.space, MISFIT))
 
     def starting(size: float) -> Array:
@@ -226,8 +228,8 @@ def _rounds(
             break
         moved = np.asarray(solution.vector - reference)
         if moved @ np.asarray(solution.information) @ moved < AT_REST**2:
-            break
-    return data, solution
+            return data, solution
+    return data, replace(solution, converged=jnp.asarray(False))
 
 
 def _reduced(

@@ -142,7 +142,7 @@ def write_chains(
         return np.stack(columns, axis=-1) if channels else columns[0]
 
     absent = np.full((chains, kept), np.nan)
-    variables = {
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {
         label: (
             dimensions,
             beside([_draws_of(p, label, absent) for p in posteriors.values()]),

@@ -596,6 +596,7 @@ ELSEWHERE = (
             fitting.joint.freedom: degrees_of_freedom laplace_miss
             fitting.joint.left_out: small widest without
             fitting.joint.unequal_pixels: unequal_pixels
+            fitting.joint.halves: by_halves widened
             fitting.joint.misfit: over_images stretched stretched_log_density
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
             fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted signal

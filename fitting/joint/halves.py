@@ -1,0 +1,112 @@
+"""Whether halves of the images tell the same surface, where the model misses it.
+
+What a model misses may pull its shape to one side under some lights and to another under others, by
+steps that no curvature at one optimum foretells. Two halves of independent images differ by twice
+the standard deviation of the whole; where they differ by far more, half of their difference is the
+standard deviation that they show, the random-groups estimate of two groups.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.side_by_side import side_by_side
+
+from ..inference.clustering import Robustness
+from ..inference.parameters import names, to_natural
+from .fit import MISFIT, JointFit, fit_channel
+from .read import JointMeasurement
+
+FEWEST_IMAGES = 12  # of which the halves still tell a surface
+APART = 3.0  # standard deviations between halves from which they do not agree
+
+
+@dataclass(frozen=True)
+class Halves:
+    """The same fit by the even and by the odd images.
+
+    Attributes:
+        names: of the parameters.
+        values: (2, P) in their units.
+        difference: (P,) of the two, unconstrained.
+        deviations: (P,) the same in standard deviations of such a difference; 0 for the size of the
+            misfit, which may differ between them.
+
+    Source:
+        Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
+    """
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, "halves parameters"]
+    difference: Float[np.ndarray, " parameters"]
+    deviations: Float[np.ndarray, " parameters"]
+
+    @property
+    def agree(self) -> bool:
+        return bool((np.abs(self.deviations) < APART).all())
+
+
+def by_halves(
+    measurement: JointMeasurement, channel: int, fit: JointFit, robust: Robustness
+) -> Halves | None:
+    """Fits the halves of the images of one channel.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        fit: of all images, which needed a misfit.
+        robust: its covariance over images.
+
+    Returns:
+        What they find; None of fewer than `FEWEST_IMAGES` images, and where a half tells nothing.
+    """
+    images = np.flatnonzero(~measurement.observation.held_out)
+    if len(images) < FEWEST_IMAGES:
+        return None
+    fits = side_by_side(
+        [partial(_of_images, measurement, channel, fit, images[half::2]) for half in (0, 1)]
+    )
+    if not all(half.converged and half.space == fit.space for half in fits):
+        return None
+    vectors = np.stack([half.vector for half in fits])
+    difference = vectors[0] - vectors[1]
+    surface = np.array(names(fit.space)) != MISFIT.name
+    return Halves(
+        names(fit.space),
+        np.asarray(to_natural(fit.space, jnp.asarray(vectors))),
+        difference,
+        surface * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
+    )
+
+
+def widened(robust: Robustness, halves: Halves) -> Robustness:
+    """A covariance that holds the difference of halves that do not agree.
+
+    Args:
+        robust: covariance over images.
+        halves: of the images.
+
+    Returns:
+        The covariance, as it is where they agree.
+    """
+    if halves.agree:
+        return robust
+    shown = np.outer(halves.difference, halves.difference) / 4
+    return replace(robust, covariance=robust.covariance + shown)
+
+
+def _of_images(
+    measurement: JointMeasurement, channel: int, fit: JointFit, images: np.ndarray
+) -> JointFit:
+    others = np.ones(len(measurement.observation.held_out), bool)
+    others[images] = False
+    observation = replace(measurement.observation, held_out=others)
+    return fit_channel(
+        replace(measurement, observation=observation),
+        channel,
+        fit.data.form,
+        fit_gamma="gamma" in names(fit.space),
+    )
