@@ -209,6 +209,7 @@ from .material_files import (
 from .measured_files import (
     read_measured as read_measured,
 )
+from .io import read_image as read_image, write_image as write_image
 from .memory import keep_memory as keep_memory
 from .optics import (
     camera_ray as camera_ray,

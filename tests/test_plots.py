@@ -99,7 +99,7 @@ def test_the_line_of_settings_leaves_out_what_another_beats():
 
 
 def test_a_corner_shows_truths_where_they_are():
-    draws = {"gain": RNG.normal(2, 0.1, 800), "place": RNG.normal([1, 5], 0.2, (800, 2))}
+    draws = {"gain": RNG.normal(2, 0.1, 800), "place": RNG.normal([1, 5], 0.2, (8, 100, 2))}
     figure = plots.corner(draws, truth={"place": [1.0, 5.0]})
     assert len(figure.axes) == 9
     labels = [axes.get_xlabel() for axes in figure.axes[6:]]

@@ -25,8 +25,10 @@ from fitting.inference.estimates import (
 )
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
+from fitting.report.console import section_text
 from fitting.report.formatting import format_interval, format_number, format_p, format_value
 from fitting.report.inputs import MOST_PICTURES, inputs_of
+from fitting.report.notebook import ShownInNotebooks
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
 from fitting.report.sentences import said_once
@@ -313,3 +315,14 @@ def test_channels_of_unequal_chains_and_parameters_share_a_file(section, tmp_pat
         assert found["channel"].values.tolist() == ["red", "red", "green"]
     lines = (tmp_path / "curve.csv").read_text().splitlines()
     assert lines == ["code,channel", "0.0,red", "1.0,red", "2.0,green"]
+
+
+def test_a_calibration_is_printed_by_its_estimates(section):
+    text = section_text(section)
+    assert text.startswith(section.title)
+    for estimate in section.estimates:
+        assert estimate.reason in text if estimate.reason else format_value(estimate) in text
+    for finding in said_once(section.findings):
+        assert finding in text
+    assert not any(line.endswith(" ") for line in text.splitlines())
+    assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())

@@ -21,7 +21,7 @@ from .model import Form, log_posterior
 from .read import JointMeasurement
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class JointCalibration(ShownInNotebooks):
     """One posterior a channel, of surface, response and sensor together.
 

@@ -5,7 +5,10 @@ from .across_settings.read import read_by_setting as read_by_setting
 from .across_settings.sensor import sensor_at as sensor_at
 from .across_settings.setting import FramesOfSetting as FramesOfSetting
 from .calibration import calibrate as calibrate
-from .from_memory import darks_from_frames as darks_from_frames
-from .from_memory import from_frames as from_frames
+from .from_memory import (
+    Camera as Camera,
+    darks_from_frames as darks_from_frames,
+    from_frames as from_frames,
+)
 from .read import read_photon_transfer as read_photon_transfer
 from .settings import Setting as Setting

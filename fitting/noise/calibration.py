@@ -36,7 +36,7 @@ STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class NoiseCalibration(ShownInNotebooks):
     """A calibrated camera, which findings, figures and report read.
 

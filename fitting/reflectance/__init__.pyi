@@ -1,5 +1,6 @@
 # What `fitting.reflectance` offers, each name where it is defined.
 
+from .from_images.calibration import calibrate as calibrate
 from .from_images.from_memory import (
     Camera as Camera,
     SphereGeometry as SphereGeometry,

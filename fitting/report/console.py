@@ -1,7 +1,9 @@
 """Results as tables and sentences on standard output."""
 
+import io
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -33,6 +35,21 @@ def print_section(console: Console, section: Section) -> None:
         console.print(plain_table(table))
     for finding in said_once(section.findings):
         console.print(f"• {finding}", soft_wrap=True)
+
+
+def section_text(section: Section) -> str:
+    """Estimates and findings of a calibration, as `print` shows them.
+
+    Args:
+        section: of a report.
+
+    Returns:
+        Lines, without the end of the last.
+    """
+    console = Console(file=io.StringIO(), width=PLAIN_WIDTH, highlight=False, color_system=None)
+    with console.capture() as printed:
+        print_section(console, replace(section, tables=()))
+    return "\n".join(line.rstrip() for line in printed.get().strip().splitlines())
 
 
 def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:

@@ -1,4 +1,4 @@
-"""What a notebook shows of a calibration: its estimates with intervals, and its findings."""
+"""What notebooks and `print` show of a calibration: its estimates with intervals, its findings."""
 
 from html import escape
 from importlib import import_module
@@ -9,12 +9,20 @@ from .sheet import Cell, sheet
 
 
 class ShownInNotebooks:
-    """A calibration that a notebook shows by the section of its report, which the module `section`
-    beside its own makes."""
+    """A calibration that a notebook and `print` show by the section of its report, which the module
+    `section` beside its own makes."""
+
+    def _section(self) -> Section:
+        module = import_module(type(self).__module__.rpartition(".")[0] + ".section")
+        return module.section(self)
 
     def _repr_html_(self) -> str:
-        module = import_module(type(self).__module__.rpartition(".")[0] + ".section")
-        return section_html(module.section(self))
+        return section_html(self._section())
+
+    def __repr__(self) -> str:
+        from .console import section_text  # rich, which no calibration needs
+
+        return section_text(self._section())
 
 
 def section_html(section: Section) -> str:

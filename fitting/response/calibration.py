@@ -38,7 +38,7 @@ class ChannelResponse:
     clear: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ResponseCalibration(ShownInNotebooks):
     """A calibrated stack.
 

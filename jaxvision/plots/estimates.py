@@ -123,8 +123,8 @@ def corner(
     """Draws of a posterior: each parameter, and each pair with its 68 and 95 % regions.
 
     Args:
-        draws: numbers by the parameter's name, of one length, as `Fit.draws`; an array of several
-            numbers a draw gives a row each.
+        draws: by the parameter's name (draws,), or (chains, draws, ...) as in `Fit.draws`, where
+            each of several numbers has a row.
         truth: what is true, by the same names, red; None, or a name that is missing: not drawn.
 
     Returns:
@@ -147,7 +147,8 @@ def corner(
         raise InputError(f"{min(unknown)!r} is true of nothing that was drawn; correct its name.")
     columns, values, lengths = {}, [], set()
     for name, drawn in draws.items():
-        flat = np.asarray(drawn, float).reshape(len(drawn), -1)
+        whole = np.asarray(drawn, float)
+        flat = whole.reshape(int(np.prod(whole.shape[:2])), -1)
         lengths.add(len(flat))
         true = np.broadcast_to(np.ravel((truth or {}).get(name, np.nan)), flat.shape[1])
         for i in range(flat.shape[1]):

@@ -21,7 +21,7 @@ from .pooled import Pooled, full_well, pattern
 from .setting import FramesOfSetting, Told, told_by_calibration, told_by_darks
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CameraCalibration(ShownInNotebooks):
     """A camera calibrated over its settings.
 

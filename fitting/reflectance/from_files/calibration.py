@@ -50,7 +50,7 @@ class Amplitudes:
     specular_error: Float[np.ndarray, " bands"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BRDFCalibration(ShownInNotebooks):
     """Every model fitted to one material, one of them reported in full.
 

@@ -28,7 +28,7 @@ FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow-ggx")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReflectanceCalibration(ShownInNotebooks):
     """Fits of several models to the lights of a rig, one of them reported in full.
 
