@@ -47,10 +47,18 @@ class Options:
         bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
     ] = False
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
-    steps: Annotated[int, typer.Option(help="Most steps of a chain (--mcmc).", min=1)] = 20_000
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Most steps of a chain (--mcmc).", min=1, show_default="20000"),
+    ] = None
     walkers: Annotated[
-        int, typer.Option(help="Walkers (--mcmc), at the least 2 a parameter and 2.", min=4)
-    ] = 64
+        int | None,
+        typer.Option(
+            help="Walkers (--mcmc): twice the number of parameters and two more, or more.",
+            min=4,
+            show_default="64",
+        ),
+    ] = None
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
         """How a calibration samples, None for Laplace, and the seed of its draws."""
@@ -58,10 +66,11 @@ class Options:
 
         if not self.mcmc:
             return {"sampling": None, "seed": self.seed}
+        steps = self.steps or 20_000
         sampling = SamplingOptions(
-            walkers=self.walkers,
-            steps=self.steps,
-            block=min(100, self.steps),
+            walkers=self.walkers or 64,
+            steps=steps,
+            block=min(100, steps),
             checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
             progress=progress,
         )
@@ -121,6 +130,9 @@ def run(
         compile_quickly()
     keep_programs()
     with failures(), reporting() as reporter:
+        for name in ("steps", "walkers"):
+            if getattr(options, name) is not None and not options.mcmc:
+                raise InputError(f"--{name}: only a chain takes it; add --mcmc, or leave it out.")
         if options.out is not None and options.out.exists() and not options.out.is_dir():
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):

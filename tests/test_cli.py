@@ -61,6 +61,7 @@ def test_unknown_options_and_models_exit_with_2(tmp_path):
     assert run("noise", tmp_path, "--nonsense")[0] == 2
     assert run("brdf", tmp_path, "--model", "mirror")[0] == 2
     assert run("noise", tmp_path, "--mcmc", "--walkers", "2")[0] == 2
+    assert "--steps: only a chain takes it; add --mcmc" in run("noise", tmp_path, "--steps", "9")[2]
 
 
 @pytest.mark.slow

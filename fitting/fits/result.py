@@ -306,7 +306,9 @@ class Fit:
 
     def _heading(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"
-        return f"Fit of {len(self.problem.space)} parameters to {self.misfit.count} data: {state}"
+        count = len(self.problem.space)
+        free = f"{count} parameter{'s' * (count > 1)}"
+        return f"Fit of {free} to {self.misfit.count} data: {state}"
 
     def _rows(self) -> list[tuple[str, ...]]:
         before, _ = prior_share(self.problem.space, self.posterior)

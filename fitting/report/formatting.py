@@ -61,18 +61,27 @@ def format_number(value: float, decimals: int | None, *, beside: float | None = 
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
+def format_with_error(value: float, error: float) -> str:
+    """`value ± error`, both to two digits of the error.
+
+    Args:
+        value: to print.
+        error: its standard error, in the same unit.
+
+    Returns:
+        The text.
+    """
+    places = decimals_for(error)
+    return f"{format_number(value, places)} ± {format_number(error, places, beside=value)}"
+
+
 def format_value(estimate: Estimate) -> str:
     """`value ± standard error` without the unit, or a dash where it is not determined."""
     if estimate.value is None:
         return "–"
     if estimate.standard_error is None:
         return f"{estimate.value:.6g}"
-    places = decimals_for(estimate.standard_error)
-    value, error = (
-        format_number(x, places, beside=estimate.value)
-        for x in (estimate.value, estimate.standard_error)
-    )
-    return f"{value} ± {error}"
+    return format_with_error(estimate.value, estimate.standard_error)
 
 
 def format_interval(estimate: Estimate, level: int) -> str:

@@ -91,6 +91,8 @@ def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
     """The folders by name; what cannot be read is found when its turn comes."""
     if not paths:
         raise InputError("a study needs folders; name at least one.")
+    if not any(path.exists() for path in paths):
+        raise InputError(f"{paths[0]}: no such folder{', nor the others' * (len(paths) > 1)}.")
     names = [path.resolve().name if path.is_dir() else path.stem for path in paths]
     for name in names:
         if names.count(name) > 1:

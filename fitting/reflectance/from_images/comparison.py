@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t
 
+from ...report.formatting import format_with_error
 from ...report.section import Table
 from ..models import LABELS
 from ..names import Model
@@ -320,7 +321,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
 def _gaps(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
     """Differences in percentage points with their standard errors, by channel."""
     gaps = [difference(a, b) for a, b in zip(own, best, strict=True)]
-    return " / ".join(f"{100 * gap.value:.2f} ± {100 * gap.error:.2f}" for gap in gaps)
+    return " / ".join(format_with_error(100 * gap.value, 100 * gap.error) for gap in gaps)
 
 
 def _sum(values: Iterable[float]) -> float:

@@ -16,6 +16,7 @@ from jaxvision.errors import InputError, nearest
 
 from ...inference.design import Plan, ranked
 from ...inference.parameters import names
+from ...report.formatting import format_with_error
 from ...report.section import Section, Table
 from ..models import LABELS
 from ..names import Model
@@ -170,8 +171,9 @@ def plan_section(calibration: ReflectanceCalibration, target: str) -> Section:
     for channel, found in plans.items():
         first, of = found.candidates[0], f" of {channel}" if len(plans) > 1 else ""
         findings.append(
-            f"{target}{of} is {found.value:.4g} ± {found.sd:.2g}; {first.name} would bring it to "
-            f"± {first.sd:.2g}, and its variance down by {100 * first.fall:.0f} %."
+            f"{target}{of} is {format_with_error(found.value, found.sd)}; {first.name} would bring "
+            f"its standard deviation from {found.sd:.3g} to {first.sd:.3g}, its variance down by "
+            f"{100 * first.fall:.2g} %."
         )
         rows = tuple((c.name, c.sd, 100 * c.fall, c.gain) for c in found.candidates[:SHOWN])
         heads = ("image", f"expected s.d. of {target}", "variance less [%]", "all parameters [nat]")
