@@ -10,11 +10,13 @@ from scipy.optimize import nnls
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects.blocking import may_block
+from jaxvision.effects.angles import cos_seen
+from jaxvision.effects.blocking import is_convex, may_block
 from jaxvision.effects.bodies import body_of, gap, is_closed, stacked
 from jaxvision.effects.cells import cells_of, eye_of, in_view
 from jaxvision.effects.illumination import source_of
 from jaxvision.effects.stages import Ends
+from jaxvision.effects.umbra import hidden, shaded
 
 WHOLE = 1e4  # weight of "the shares sum to 1" in least squares
 
@@ -246,3 +248,52 @@ SIDES += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 def test_which_meshes_bound_a_body(vertices, faces, closed):
     assert is_closed(twice(jv.TriangleMesh(vertices, faces))) is closed
     assert not is_closed(twice(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0])))
+
+
+def tilted(vertices):
+    """Turned, and rounded to float32."""
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    return (np.asarray(vertices) @ (turn * np.sign(np.linalg.det(turn))) + 3).astype(np.float32)
+
+
+DENTED = np.where((CUBE == 1).all(1)[:, None], 0.6, CUBE)  # a corner pushed in
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "convex"),
+    [
+        (CUBE, SIDES, True),
+        (tilted(CUBE), SIDES, True),
+        (DENTED, SIDES, False),
+        (CUBE, SIDES[1:], False),
+        (CUBE, [face[::-1] for face in SIDES], False),
+        (np.concatenate([CUBE, CUBE + 2]), [*SIDES, *(np.array(SIDES) + 8)], False),
+    ],
+)
+def test_the_outer_side_of_a_convex_mesh_lies_in_no_shadow_of_its_own(vertices, faces, convex):
+    mesh = jv.TriangleMesh(vertices, faces)
+    assert is_convex(twice(mesh)) is convex
+    lamp = source_of(twice(jv.PointLight([9.0, 8, 7], [1.0])))
+    view = jv.Pinhole([0.5, 0.5, -9], np.eye(3), 1.0, 0.1, resolution=(9, 9))
+    for two_sided in (False, True):
+        own = [twice(jv.Surface(mesh, jv.Lambert([0.1]), two_sided=two_sided))]
+        may = may_block([lamp], own)
+        assert may[0, 0, 0] == (two_sided or not convex)
+        cells = cells_of(own, about=np.zeros(3))
+        seen = cos_seen(cells, eye_of(twice(view)))[1] > 0
+        seen &= ~hidden(own, cells, eye_of(twice(view)))
+        assert seen.any()
+        dark = shaded([lamp], own, cells, may=may, wanted=seen[None])
+        assert not (convex and dark.any())
+    if convex:
+        surface, light = jv.Surface(mesh, jv.Lambert([0.1])), jv.PointLight([4.0, 3, 6], [1.0])
+        p, to = segments(light, surface, np.random.default_rng(0), 4096)
+        length = np.linalg.norm(to - p, axis=1)
+        t, _, _ = hit(mesh, p, (to - p) / length[:, None])
+        assert len(p) > 100
+        assert not (t < length - 2e-6).any()
+
+
+def test_faces_of_corners_that_are_not_there_prove_nothing():
+    mesh = jv.TriangleMesh(CUBE, [*SIDES[1:], [0, 1, 99]])
+    assert not is_convex(twice(mesh))

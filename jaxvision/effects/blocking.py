@@ -1,11 +1,12 @@
 """Which surfaces may come between a light and a surface: `False` is certain.
 
-A one-sided convex surface does not shade itself. Nothing is blocked where lamp, receiver and
-occluder are parted by the plane of one of them: both of the others on one closed side of a flat
-occluder, the lamp or the occluder behind a flat receiver, the receiver or the occluder behind the
-lamp. Elsewhere the hull of lamp and receiver and the occluder must be apart (`bodies.gap`). What
-touches a plane but for a few roundings of its own coordinates counts as in it: far fewer than
-`geometry.offset_length`, within which no ray meets it either. Lengths in m.
+A one-sided convex surface does not shade itself, nor does the outer side of a convex body. Nothing
+is blocked where lamp, receiver and occluder are parted by the plane of one of them: both of the
+others on one closed side of a flat occluder, the lamp or the occluder behind a flat receiver, the
+receiver or the occluder behind the lamp. Elsewhere the hull of lamp and receiver and the occluder
+must be apart (`bodies.gap`). What touches a plane but for a few roundings of its own coordinates
+counts as in it: far fewer than `geometry.offset_length`, within which no ray meets it either.
+Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -14,15 +15,30 @@ import jax
 import numpy as np
 
 from ..scene import Box, Sphere, Surface, TriangleMesh
-from .bodies import DIRECTIONS, Bodies, body_of, gap, heights, hulls, stacked, taken
+from ..scene.shapes import Shape
+from .bodies import (
+    DIRECTIONS,
+    Bodies,
+    body_of,
+    faces_of,
+    gap,
+    heights,
+    hulls,
+    is_closed,
+    numbers,
+    stacked,
+    taken,
+    unit,
+)
 from .cells import plane_between
 from .illumination import Source
-from .stages import Ends
+from .stages import Ends, once
 
 _ROUNDINGS = 4.0  # of a coordinate, by which what touches a plane may miss it
 _SAFELY = 32.0  # roundings in float64 of what must be apart
 _BEYOND = 4  # times the reach, where a light that is infinitely far away is taken to be
 _AT_ONCE = 1 << 15
+_FACES = 2000  # of a mesh, up to which it is looked at whether it is convex
 
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
@@ -41,6 +57,24 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
+
+
+@once
+def is_convex(shape: Ends[Shape]) -> bool:
+    """Whether a shape bounds a convex body and is shaded as one: balls, boxes, and closed meshes
+    without shading normals of which no corner lies above the plane of a face, but for a few
+    roundings of its coordinates."""
+    mesh = shape.low
+    if not isinstance(mesh, TriangleMesh):
+        return isinstance(mesh, Sphere | Box)
+    if mesh.normals is not None or len(mesh.faces) > _FACES or not is_closed(shape):
+        return False
+    places, faces = numbers(mesh.vertices), faces_of(mesh)
+    first, second, third = np.moveaxis(places[faces], 1, 0)
+    normal, places = unit(np.cross(second - first, third - first)), places[np.unique(faces)]
+    over = places @ normal.T - (first * normal).sum(1)
+    size = np.abs(places) @ np.abs(normal.T) + (np.abs(first) * np.abs(normal)).sum(1)
+    return bool((over <= _ROUNDINGS * float(np.finfo(mesh.vertices.dtype).eps) * size).all())
 
 
 def certain(reach: float) -> float:
@@ -133,7 +167,8 @@ def may_block(
         may &= wanted[:, :, None]
     for i, surface in enumerate(surfaces):
         kind, two_sided = type(surface.low.shape), surface.low.two_sided
-        may[:, i, i] &= kind is TriangleMesh or (two_sided and kind in (Sphere, Box))
+        solid = kind in (Sphere, Box, TriangleMesh)
+        may[:, i, i] &= solid and (two_sided or not is_convex(surface.of("shape")))
     reach = reach_of(surfaces, sources)
     bodies, bounded, planes = _parts(surfaces, reach)
     relative = touching(surfaces)

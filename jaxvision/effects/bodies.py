@@ -116,6 +116,11 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     return points, np.zeros(len(points))
 
 
+def faces_of(mesh: TriangleMesh) -> np.ndarray:
+    """(faces, 3) numbers of vertices, those out of range at its ends."""
+    return np.clip(np.asarray(mesh.faces), 0, len(mesh.vertices) - 1)
+
+
 @once
 def is_closed(shape: Ends[Shape]) -> bool:
     """Whether a shape bounds a body with outward normals: balls, boxes, and a mesh that stays as it
@@ -130,7 +135,7 @@ def is_closed(shape: Ends[Shape]) -> bool:
     if not isinstance(low, TriangleMesh) or low is not high:
         return False
     places, same = np.unique(numbers(low.vertices), axis=0, return_inverse=True)
-    faces = same.reshape(-1)[np.asarray(low.faces)]
+    faces = same.reshape(-1)[faces_of(low)]
     faces = faces[[len(set(face)) == 3 for face in faces.tolist()]]
     sides = np.concatenate([np.roll(faces, -k, axis=1)[:, :2] for k in range(3)])
     count = len(places)

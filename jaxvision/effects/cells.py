@@ -28,7 +28,7 @@ from ..scene import (
     View,
 )
 from ..scene.shapes import Shape
-from .bodies import Bodies, body_of, heights, numbers, plane_of, unit
+from .bodies import Bodies, body_of, faces_of, heights, numbers, plane_of, unit
 from .boxes import corners
 from .stages import Ends, once
 
@@ -258,10 +258,15 @@ def _of_box(shape: Box, side: int) -> Parts:
     return [np.concatenate(parts) for parts in zip(*faces, strict=True)]
 
 
+def has_faces_apart(shape: TriangleMesh) -> bool:
+    """Whether each triangle is a cell of its own."""
+    return len(shape.faces) <= _TRIANGLES
+
+
 def _of_mesh(shape: TriangleMesh) -> Parts:
     """Each triangle, or of many triangles runs of neighbours in the list."""
     vertices = numbers(shape.vertices)
-    faces = np.clip(np.asarray(shape.faces), 0, len(vertices) - 1)
+    faces = faces_of(shape)
     own = vertices[faces]
     normal = unit(np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0]))
     tilt = np.zeros(len(faces))

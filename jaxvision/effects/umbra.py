@@ -13,14 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..scene import Box, Disc, Quad, Sphere, Surface
+from ..scene import Box, Disc, Quad, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
-from .blocking import certain, reach_of, swept, touching
+from .blocking import certain, is_convex, reach_of, swept, touching
 from .bodies import (
     DIRECTIONS,
     Bodies,
     body_of,
     disc_polygon,
+    faces_of,
     gap,
     heights,
     numbers,
@@ -28,7 +29,7 @@ from .bodies import (
     taken,
     unit,
 )
-from .cells import Cells, Eye, bodies_of, part_of, plane_between
+from .cells import Cells, Eye, bodies_of, has_faces_apart, part_of, plane_between
 from .illumination import Source
 from .stages import Ends
 
@@ -128,20 +129,29 @@ def _from_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.n
 
 
 def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
-    """(c,) which side of a ball or a box a cell is of: 1 the outer, -1 the inner; 0 of others, and
-    of what may move."""
+    """(c,) which side of a convex body a cell is of: 1 the outer, -1 the inner; 0 of others, of
+    what may move, and where many triangles of a mesh are one cell."""
     side = np.zeros(len(cells.radius))
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
-        if surface.low.shape is surface.high.shape and isinstance(shape, Sphere | Box):
+        if shape is surface.high.shape and is_convex(surface.of("shape")):
             part = part_of(cells, i)
-            away = cells.centre[part] - numbers(shape.centre)
-            side[part] = np.sign((away * cells.axis[part]).sum(1))
+            away = np.sign(((cells.centre[part] - _middle(shape)) * cells.axis[part]).sum(1))
+            clear = not isinstance(shape, TriangleMesh) or has_faces_apart(shape)
+            side[part] = away if clear else 0
     return side
 
 
+def _middle(shape: Shape) -> np.ndarray:
+    """(3,) m, within a convex body."""
+    if isinstance(shape, TriangleMesh):
+        return numbers(shape.vertices)[np.unique(faces_of(shape))].mean(0)
+    assert isinstance(shape, Sphere | Box)
+    return numbers(shape.centre)
+
+
 def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndarray:
-    """(c,) whether a cell is of the inner side of a ball or a box that the eye is outside of, or
+    """(c,) whether a cell is of the inner side of a convex body that the eye is outside of, or
     wholly behind one flat surface."""
     inner = outward(surfaces, cells) < 0
     if eye.everywhere:
