@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import direct_light
 
 import jaxvision as jv
 from jaxvision import effects
@@ -118,6 +119,35 @@ def test_a_dark_lamp_hides_the_sky_in_a_mirror():
     pruned = effects.prune(scene, view, "0%", level=1.0)
     np.testing.assert_array_equal(jv.render(pruned.scene, view), jv.render(scene, view))
     assert np.ptp(jv.render(scene, view)) > 0.5
+
+
+@pytest.mark.parametrize(("shape", "least"), [("card", 0.5), ("ball", 0.0)])
+def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
+    """Of lamps all about, by pictures in NumPy: what may be left out is in no mirror. A ball shows
+    nearly all of them, small."""
+    made = {
+        "card": jv.Quad([-0.3, -0.3, 0], [0.6, 0, 0], [0, 0.6, 0]),
+        "ball": jv.Sphere([0, 0, 0], 0.3),
+    }
+    mirror = jv.Surface(made[shape], jv.Mirror([0.9]))
+    eye = np.array([0.8, 0.0, 2.0])
+    axes = jv.look_at(eye, np.zeros(3), np.array([0, 1.0, 0]))
+    view = jv.Pinhole(eye, axes, 1.0, 0.02, resolution=(24, 24))
+    rng, shown, proved = np.random.default_rng(0), 0, 0
+    for _ in range(40):
+        place = np.array([0, 0, 0.5]) + rng.normal(size=3)
+        place *= rng.uniform(1.5, 4) / np.linalg.norm(place)
+        u = np.cross(place, rng.normal(size=3))
+        u *= 0.3 / np.linalg.norm(u)
+        v = 0.3 * np.cross(u, place) / np.linalg.norm(np.cross(u, place))
+        lamp = jv.RectangleLight(place - (u + v) / 2, u, v, [1.0])
+        scene = jv.Scene(mirror, lamp)
+        seen = direct_light.picture(*jax.tree.map(np.asarray, (scene, view))).max()
+        bound = next(e.bound for e in effects.inspect(scene, view) if e.name == "lights[0]")
+        assert seen <= bound
+        shown, proved = shown + (seen > 0), proved + (bound == 0)
+    assert 1 <= shown < 20
+    assert proved >= least * (40 - shown)
 
 
 def test_an_opening_that_may_change_stays_that_of_the_lens():

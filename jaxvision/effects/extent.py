@@ -71,7 +71,8 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     rough = np.array([np.any(own.plain) or own.grazing > 0 for own in sums.reflections])[of_cell]
     penumbra = sums.shaded[k]
     changed = np.where((rough | near | penumbra)[:, None], either, np.minimum(total, either))
-    mirrors = sums.k_mirror.max(1)[of_cell] > 0  # which show what even a dark lamp hides
+    # mirrors show what even a dark lamp hides
+    mirrors = sums.mirrored[k] & (sums.k_mirror.max(1)[of_cell] > 0)
     changed = np.where(mirrors[:, None], np.inf, changed)
     return changed, small, "a rectangle as a place at its middle"
 

@@ -161,7 +161,8 @@ def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
     behind = looked_at(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
-    return pictured(sums, np.where(within[:, None], behind[sums.cells.surface], 0))
+    shown = within & sums.mirrored[k]
+    return pictured(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
 
 
 def _without(records: tuple, k: int, value: Any = None) -> tuple:

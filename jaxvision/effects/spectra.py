@@ -101,7 +101,7 @@ def _terms(sums: Sums) -> Terms:
         geometry = [np.ones(part.size), np.ones(part.size)]
         spectra = [sums.emission[i], sums.ambient[i]]
         for k, spectrum in enumerate(sums.spectrum):
-            mirror = np.full(part.size, float(sums.sources[k].extended))
+            mirror = sums.mirrored[k, part] * float(sums.sources[k].extended)
             geometry += [sums.body[k, part], sums.lobe[k, part], mirror]
             spectra += [table[i] * spectrum for table in (sums.k_body, sums.k_lobe, sums.k_mirror)]
         table, used = np.stack(spectra), [bool(np.any(s)) for s in spectra]

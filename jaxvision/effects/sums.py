@@ -16,7 +16,7 @@ import numpy as np
 from ..brdf.glass import Glass
 from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
-from .angles import cos_seen
+from .angles import cos_seen, lobe_angles
 from .blocking import may_block
 from .bodies import body_of, gap, is_closed, numbers, stacked, taken
 from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view
@@ -24,6 +24,8 @@ from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, in_umbra, shaded
+
+_ROUNDING = 1e-6  # rad, by which a mirrored ray in float32 may miss its direction
 
 
 class Sums(NamedTuple):
@@ -39,6 +41,7 @@ class Sums(NamedTuple):
         facing: (l, c) the suprema of E, of a facing surface.
         lobe_around: (l, c) as `lobe`, but toward any viewer, for light that goes on to other
             surfaces.
+        mirrored: (l, c) whether the cell, if it is of a mirror, may show the light to the eye.
         k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
         emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light only
             where no light goes on from surface to surface, else 0.
@@ -64,6 +67,7 @@ class Sums(NamedTuple):
     lobe: np.ndarray
     lobe_around: np.ndarray
     facing: np.ndarray
+    mirrored: np.ndarray
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
@@ -139,7 +143,9 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     visible = np.array([_may_be_seen(source, eye, surfaces) for source in sources], bool)
     extended = np.array([source.extended for source in sources], bool)
     shown = extended[:, None] & (k_mirror > 0).any(1)
-    lit = (body + around > 0) | shown[:, cells.surface]
+    viewer = anywhere(eye) if bounces else eye
+    mirrored = _mirrored(sources, nearest, k_mirror.max(1) > 0, cells, viewer)
+    lit = (body + around > 0) | (shown[:, cells.surface] & mirrored)
     wanted = _reduced(lit, cells, len(surfaces))
     blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
     within = shaded(sources, surfaces, cells, may=blocked, wanted=lit & (seen | bounces))
@@ -154,6 +160,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
         lobe,
         around,
         facing,
+        mirrored,
         k_body,
         k_lobe,
         k_mirror,
@@ -271,6 +278,21 @@ def _geometry(
     return body, lobe, facing
 
 
+def _mirrored(
+    sources: Sequence[Source], nearest: np.ndarray, mirrors: np.ndarray, cells: Cells, eye: Eye
+) -> np.ndarray:
+    """`Sums.mirrored`, by the cone of mirrored directions; `mirrors`: (n,) which surfaces are."""
+    found, own = np.ones((len(sources), len(cells.radius)), bool), mirrors[cells.surface]
+    there = Cells(*(x[own] for x in cells))
+    for k, source in enumerate(sources):
+        if source.kind == "area" and own.any() and not eye.everywhere:
+            to = arriving(source, there, nearest[k, there.surface])
+            assert to.wi is not None
+            off = lobe_angles(there, eye, to.wi, to.width, to.cos_i).off_mirror
+            found[k, own] = (off <= _ROUNDING).any(1)
+    return found
+
+
 def _grazing(reflections: Sequence[Reflection], cells: Cells) -> np.ndarray:
     """(c,) `Reflection.grazing` of each cell."""
     return np.array([own.grazing for own in reflections])[cells.surface]
@@ -346,7 +368,8 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
     total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
     total = total + lobe_sent(sums, k, around=around)
     if sums.sources[k].extended:
-        total = total + times(sums.k_mirror, sums.spectrum[k])[of_cell]
+        shown = times(sums.k_mirror, sums.spectrum[k])[of_cell]
+        total = total + (shown if around else np.where(sums.mirrored[k][:, None], shown, 0))
     elif sums.caustics:  # a focus has no largest value
         total = total + times(times(sums.k_mirror, np.inf), sums.spectrum[k])[of_cell]
     return total if only is None else np.where(only[:, None], total, 0)
