@@ -332,9 +332,10 @@ def _read_npy(file: Path) -> np.ndarray:
 def _reason(teller: Any) -> str:
     """The last error of OpenImageIO, or of one of its files, on one line."""
     try:
-        return _one_line(teller.geterror())
+        words = _one_line(teller.geterror())
     except UnicodeDecodeError:  # it quotes the file
         return "it holds bytes that are not text where its format has text"
+    return "of no format of images that is known" if "find a format reader" in words else words
 
 
 def _one_line(message: str) -> str:

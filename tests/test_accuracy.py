@@ -613,3 +613,8 @@ def test_relative_rms_and_empty_sweeps():
     np.testing.assert_allclose(relative_rms([3.0, 4.0], [0.0, 5.0]), np.sqrt(10 / 25))
     with pytest.raises(InputError, match="at least one call"):
         error_against_time({}, 1.0)
+
+
+def test_no_error_is_a_share_of_nothing():
+    with pytest.raises(InputError, match="reference is 0"):
+        relative_rms(np.ones(3), np.zeros(3))

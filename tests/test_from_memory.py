@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+import jaxvision as jv
 from fitting.noise import calibrate as calibrate_noise
 from fitting.noise import from_frames, read_photon_transfer
 from fitting.reflectance import from_photographs
@@ -206,3 +207,27 @@ def test_the_reflectance_is_that_of_the_files(lab):
     for a, b in zip(*(result.reported for result in results), strict=True):
         np.testing.assert_array_equal(a.vector, b.vector)
         np.testing.assert_array_equal(a.robustness.covariance, b.robustness.covariance)
+
+
+def test_calibrations_find_their_optimum_where_jax_computes_in_single_precision():
+    """All digits are there, whatever the script has set: as the commands compute."""
+    with jax.enable_x64(False):
+        sensor = jv.Sensor(
+            quantum_efficiency=0.5,
+            shot_noise=jv.PoissonShotNoise(),
+            read_noise=5.0,
+            gain=0.25,
+            offset=64.0,
+            bits=12,
+        )
+        photons = np.linspace(500, 30_000, 8)
+        keys = jax.random.split(jax.random.key(0), (16, 2))
+        field = np.ones((48, 48, 1), np.float32)
+        take = jax.jit(jax.vmap(lambda key, n: jv.raw_image(key, sensor, n * field), (0, None)))
+        flats = [np.asarray(take(k, n))[..., 0] for k, n in zip(keys[:8], photons, strict=True)]
+        darks = [np.asarray(take(k, 0.0))[..., 0] for k in keys[8:]]
+        exposures, camera = [0.01] * 8, Camera(bits=12)
+        measured = from_frames(flats, darks, exposures, photons, camera=camera)
+        found = calibrate_noise(measured)
+        assert bool(found.chosen.solution.converged)
+        assert "system gain" in repr(found)

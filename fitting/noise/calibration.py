@@ -21,6 +21,7 @@ from ..inference.left_out import LeftOut
 from ..inference.newton import minimise
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior, sample
+from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
@@ -78,6 +79,7 @@ class NoiseCalibration(ShownInNotebooks):
         return float(values["responsivity"] / values["system_gain"])
 
 
+@in_double
 def calibrate(
     measurement: PhotonTransfer, *, sampling: SamplingOptions | None = None, seed: int = 0
 ) -> NoiseCalibration:

@@ -6,12 +6,14 @@ from numpy.typing import ArrayLike
 
 from jaxvision.errors import InputError
 
+from ..inference.precision import in_double
 from ..observation import MEMORY, in_memory, require_as_many
 from ..rig import Camera
 from .levels import Levels, PhotonTransfer
 from .read import check, reduce_darks, reduce_rig
 
 
+@in_double
 def from_frames(
     flats: Sequence[Sequence[ArrayLike]],
     darks: Sequence[Sequence[ArrayLike]],
@@ -69,6 +71,7 @@ def from_frames(
     return measurement
 
 
+@in_double
 def darks_from_frames(
     darks: Sequence[Sequence[ArrayLike]],
     exposures: Sequence[float],

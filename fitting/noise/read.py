@@ -13,6 +13,7 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
+from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
@@ -25,6 +26,7 @@ FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and 
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
 
 
+@in_double
 def read_photon_transfer(
     path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
 ) -> PhotonTransfer:

@@ -3,6 +3,7 @@
 from html import escape
 from importlib import import_module
 
+from ..inference.precision import in_double
 from .section import Section
 from .sentences import said_once
 from .sheet import Cell, sheet
@@ -12,6 +13,7 @@ class ShownInNotebooks:
     """A calibration that a notebook and `print` show by the section of its report, which the module
     `section` beside its own makes."""
 
+    @in_double
     def _section(self) -> Section:
         module = import_module(type(self).__module__.rpartition(".")[0] + ".section")
         return module.section(self)

@@ -9,6 +9,7 @@ from jaxtyping import Float, Integer
 from jaxvision.errors import InputError
 
 from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
@@ -57,6 +58,7 @@ class ResponseCalibration(ShownInNotebooks):
     seed: int
 
 
+@in_double
 def calibrate(
     stack: ExposureStack, *, sampling: SamplingOptions | None = None, seed: int = 0
 ) -> ResponseCalibration:

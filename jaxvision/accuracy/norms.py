@@ -20,12 +20,20 @@ def relative_rms(result: Any, reference: Any) -> float:
     Returns:
         sqrt(mean (result - reference)^2 / mean reference^2), no unit.
 
+    Raises:
+        InputError: for a reference of zeros, of which no error is a share.
+
     Example:
         >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")
         0.0707
     """
     exact = np.asarray(reference, np.float64)
-    return _rms(np.asarray(result, np.float64) - exact) / _rms(exact)
+    size = _rms(exact)
+    if size == 0:
+        raise InputError(
+            "the reference is 0 everywhere, and no error is a share of that; add light."
+        )
+    return _rms(np.asarray(result, np.float64) - exact) / size
 
 
 def _rms(values: np.ndarray) -> float:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
-from .._types import Colour, Image, Scalar
+from .._types import Colour, Image, Scalar, as_float
 from ..scene import Orthographic, ThinLens, View
 from .aperture import aperture_area
 from .diffraction import diffracted
@@ -83,6 +83,7 @@ def sensor_irradiance(view: View, radiance: Image) -> Image:
     Raises:
         ValueError: `radiance` has another resolution than the view.
     """
+    radiance = as_float(radiance)
     if radiance.shape[:-1] != view.resolution:
         raise ValueError(
             f"radiance must be {view.resolution} and bands, as the view's resolution, got shape "

@@ -11,6 +11,7 @@ from jaxvision.errors import InputError
 from ...inference.emcee_run import SamplingOptions
 from ...inference.importance import laplace_where_it_holds
 from ...inference.posterior import Posterior
+from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration, calibrate
 from ..levels import Levels, PhotonTransfer
@@ -56,6 +57,7 @@ class CameraCalibration(ShownInNotebooks):
         return figures(self.fit.model, vector, no_deviations(len(self.frames)))
 
 
+@in_double
 def calibrate_settings(
     frames: Sequence[FramesOfSetting],
     *,

@@ -6,6 +6,7 @@ from pathlib import Path
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
+from ...inference.precision import in_double
 from ...observation import Load
 from ...rig import Rig, load_rig
 from ..read import check, reduce_darks, reduce_rig
@@ -13,6 +14,7 @@ from ..settings import by_setting
 from .setting import FramesOfSetting
 
 
+@in_double
 def read_by_setting(
     path: str | os.PathLike[str], *, channel: str = ""
 ) -> tuple[FramesOfSetting, ...]:

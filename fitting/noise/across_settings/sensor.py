@@ -13,6 +13,7 @@ from jaxvision.camera_files import write_sensor
 from jaxvision.errors import InputError
 
 from ...inference.parameters import to_unconstrained
+from ...inference.precision import in_double
 from ..levels import PhotonTransfer
 from ..sensor import DRAWS
 from ..settings import Setting
@@ -21,6 +22,7 @@ from .model import figures, no_deviations, parts
 from .pooled import Pooled
 
 
+@in_double
 def sensor_at(
     calibration: CameraCalibration,
     *,

@@ -13,6 +13,7 @@ from jaxvision.side_by_side import side_by_side
 from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import Progress, SamplingOptions
 from ...inference.posterior import Posterior
+from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
@@ -59,6 +60,7 @@ class ReflectanceCalibration(ShownInNotebooks):
         return self.fits[self.model]
 
 
+@in_double
 def calibrate(
     observation: ReflectanceObservation,
     *,
