@@ -307,6 +307,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         CHOICES,
+        "test_from_memory",
+        """
+            fitting.inference.precision: in_double
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
         "test_sensor_light",
         """
             sensor.shutter: exposed
