@@ -67,17 +67,19 @@ def non_negative_amplitudes(
     count = len(moment)
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
-    best, lowest = jnp.zeros_like(moment), jnp.zeros((), moment.dtype)
-    for size in range(1, count + 1):
-        for support in itertools.combinations(range(count), size):
-            chosen = jnp.array(support)
-            found, solvable = _solve_scaled(gram[chosen[:, None], chosen[None]], moment[chosen])
-            amplitudes = jnp.zeros_like(moment).at[chosen].set(found)
-            cost = -found @ moment[chosen]
-            better = solvable & jnp.all(found >= 0) & (cost < lowest)
-            best = jnp.where(better, amplitudes, best)
-            lowest = jnp.where(better, cost, lowest)
-    return best, lowest
+    supports = sorted(itertools.product((False, True), repeat=count), key=sum)[1:]
+    found, solvable = jax.vmap(_on_support, (0, None, None))(np.array(supports), gram, moment)
+    cost = jnp.where(solvable & jnp.all(found >= 0, axis=-1), -found @ moment, jnp.inf)
+    best = jnp.argmin(cost)
+    better = cost[best] < 0
+    return jnp.where(better, found[best], 0), jnp.where(better, cost[best], 0)
+
+
+def _on_support(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
+    """The unconstrained optimum of some columns, 0 of the others, and whether it exists."""
+    both = support[:, None] & support[None]
+    own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
+    return _solve_scaled(own, jnp.where(support, moment, 0))
 
 
 def _solve_scaled(gram: Array, moment: Array) -> tuple[Array, Array]:

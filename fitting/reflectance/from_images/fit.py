@@ -128,17 +128,17 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     sensor = None
     if observation.gain is not None and observation.read_noise is not None:
         sensor = sensor_spread(observation.gain, observation.read_noise)
-    cells, start = project(average(samples, grouping))
+    cells, first = project(average(samples, grouping))
     geometry = None if cells.geometry is None else samples.geometry
     samples = replace(samples, form=cells.form, geometry=geometry)
-    first = minimise_residuals(residuals, start, cells).vector
+    if form.free_gamma:  # the encodings that were tried lie apart
+        first = minimise_residuals(residuals, first, cells).vector
     spread = fit_spread(*_residual_signal_slope(first, samples), sensor=sensor)
     weights = spread
     if spread.relative is not None:
         weights = flat_spread(*_residual_signal_slope(first, samples), sensor=sensor)
     samples = _weighted(first, samples, weights)
-    near = minimise_residuals(residuals, first, average(samples, grouping)).vector
-    near = _nearer(near, samples, grouping)
+    near = _nearer(first, samples, grouping)
     vector, information, converged = optimum(near, samples)
 
     space = parameter_space(samples.form)
