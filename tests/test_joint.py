@@ -27,6 +27,7 @@ from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
+from fitting.joint.section import section as joint_section
 from fitting.joint.start import parameters, scatter_scales
 from fitting.joint.unequal_pixels import unequal_pixels
 from fitting.rig import Camera, SphereGeometry, load_rig
@@ -612,6 +613,9 @@ def test_pixels_of_unequal_gains_are_named(prnu):
     found = calibrate(from_photographs(images, lights, **given))
     (seen,) = [unequal_pixels(fit) for fit in found.fits]
     said = [s for s in findings(found) if "give the rig camera.prnu_sd" in s]
+    printed = {e.name for e in joint_section(found).estimates if e.value is not None}
+    assert ({"system_gain", "read_noise"} <= printed) == (not prnu)
+    assert {"diffuse", "specular", "exponent"} <= printed
     if prnu:
         assert abs(seen.size / prnu - 1) < 0.25
         assert len(said) == 1

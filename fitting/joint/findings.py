@@ -16,7 +16,6 @@ from .prediction import Score
 from .unequal_pixels import unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
-BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 
@@ -90,12 +89,12 @@ def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
 def _gain_findings(fit: JointFit) -> list[str]:
     """Whether gain and read noise explain how pixels scatter."""
     seen = unequal_pixels(fit)
-    if seen.deviations > BEYOND_CHANCE:
+    if seen.found:
         return [
             "The variance of pixels grows with the square of their signal, which neither photons "
             f"nor read-out make: unequal pixels, or a texture, of about {seen.size:.2%} "
-            f"({seen.deviations:.0f} standard errors from none). Do not use the gain and the read "
-            f"noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
+            f"({seen.deviations:.0f} standard errors from none). They hide the gain and the "
+            f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
         ]
     if "system_gain" in fit.data.known or fit.data.levels is not None:
         return []

@@ -12,6 +12,10 @@ from . import figures
 from .calibration import JointCalibration
 from .findings import findings, misfit_table, score_table
 from .prediction import score
+from .start import GAIN, READ_NOISE
+from .unequal_pixels import unequal_pixels
+
+NOISE = (GAIN.name, READ_NOISE.name)
 
 
 def section(calibration: JointCalibration) -> Section:
@@ -61,7 +65,13 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
     rows: list[Estimate] = []
     for fit in calibration.fits:
         if fit.channel in calibration.posteriors:
-            rows += estimates(calibration.posteriors[fit.channel], group=fit.channel)
+            found = estimates(calibration.posteriors[fit.channel], group=fit.channel)
+            hidden = "prnu" not in fit.values and unequal_pixels(fit).found
+            why = "pixels are unequal (see the findings)"
+            rows += [
+                not_determined(e, why, group=fit.channel) if hidden and e.name in NOISE else e
+                for e in found
+            ]
         else:
             why = "the data leave a direction open (see the findings)"
             rows += [not_determined(parameter, why, group=fit.channel) for parameter in fit.space]

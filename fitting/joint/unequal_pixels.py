@@ -17,6 +17,7 @@ from jaxtyping import Array
 from .fit import JointFit
 from .model import JointData, predicted, values_at
 
+BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
 ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is rounding below it
 
 
@@ -31,6 +32,11 @@ class UnequalPixels:
 
     size: float
     deviations: float
+
+    @property
+    def found(self) -> bool:
+        """Whether they are beyond chance, so that gain and read noise stand for them too."""
+        return self.deviations > BEYOND_CHANCE
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
