@@ -80,6 +80,29 @@ def test_a_curve_has_its_band_and_its_truth():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("code", "light")
 
 
+def test_curves_show_what_they_are_given():
+    y = {"theory": 2 * GRID, "measured": 3 * GRID}
+    axes = plots.curves(GRID, y, dots=["measured"], dashed=["theory"], scales=("log", "linear"))
+    for line, one in zip(axes.lines, y.values(), strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), np.stack([GRID, one], axis=-1))
+    assert [line.get_linestyle() for line in axes.lines] == ["--", "None"]
+    assert axes.get_xscale() == "log"
+    longer = plots.curves({"a": np.arange(4)}, {"a": np.arange(4) ** 2})
+    np.testing.assert_array_equal(longer.lines[0].get_xdata(), np.arange(4))
+
+
+def test_pictures_share_one_scale():
+    grey, colour = RNG.uniform(size=(4, 6)), RNG.uniform(0, 4, size=(4, 6, 3))
+    figure = plots.pictures({"grey": grey, "colour": colour}, limits=(0, 2))
+    assert [axes.get_title() for axes in figure.axes] == ["grey", "colour"]
+    first, second = (axes.images[0] for axes in figure.axes)
+    np.testing.assert_allclose(first.norm(grey), grey / 2)
+    np.testing.assert_allclose(second.get_array(), np.minimum(colour / 2, 1))
+    own = plots.pictures({"a": 5 * grey, "b": grey, "c": grey}, columns=2, limits=None, unit="m")
+    assert len(own.axes) == 6  # each with its scale
+    assert own.axes[0].images[0].get_clim() == (0, 5 * grey.max())
+
+
 def trial(setting, seconds, error):
     return Trial(setting, error, error, error, seconds, seconds, seconds, seconds)
 
@@ -98,6 +121,14 @@ def test_the_line_of_settings_leaves_out_what_another_beats():
     assert [text.get_text() for text in axes.texts] == ["fast", "beaten", "good"]
 
 
+def test_settings_of_several_methods_have_a_line_each():
+    trials = [trial(("ours", 4), 1, 0.1), trial(("peer", 4), 2, 0.2), trial(("ours", 8), 3, 0.01)]
+    ours, peer = plots.error_against_time(trials).lines
+    np.testing.assert_array_equal(ours.get_xydata(), [(1, 0.1), (3, 0.01)])
+    np.testing.assert_array_equal(peer.get_xydata(), [(2, 0.2)])
+    assert [ours.get_label(), peer.get_label()] == ["ours", "peer"]
+
+
 def test_a_corner_shows_truths_where_they_are():
     draws = {"gain": RNG.normal(2, 0.1, 800), "place": RNG.normal([1, 5], 0.2, (8, 100, 2))}
     figure = plots.corner(draws, truth={"place": [1.0, 5.0]})
@@ -114,6 +145,10 @@ def test_a_corner_shows_truths_where_they_are():
         (lambda: plots.false_colour(np.ones((2, 2, 3))), "one quantity"),
         (lambda: plots.false_colour(np.full((2, 2), np.nan)), "finite value"),
         (lambda: plots.false_colour(np.ones((2, 2)), limits=(2, 1)), "lower one first"),
+        (lambda: plots.pictures({}), "one column"),
+        (lambda: plots.pictures({"two": np.ones((2, 2, 2))}), "of three"),
+        (lambda: plots.curves(GRID, {"short": np.ones(3)}), "'short'"),
+        (lambda: plots.curves(GRID, {"a": GRID}, dots=["b"]), "'b'"),
         (lambda: plots.spectrum(GRID, np.ones(3)), "wavelengths"),
         (lambda: plots.lobe(jv.Lambert([0.1]), incidence=2.0), "pi / 2"),
         (lambda: plots.curve(GRID, np.ones(3)), "one length"),

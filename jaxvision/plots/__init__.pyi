@@ -3,9 +3,15 @@
 from .estimates import (
     corner as corner,
     curve as curve,
+    curves as curves,
     error_against_time as error_against_time,
 )
-from .images import false_colour as false_colour, histogram as histogram, picture as picture
+from .images import (
+    false_colour as false_colour,
+    histogram as histogram,
+    picture as picture,
+    pictures as pictures,
+)
 from .inspection import inspect as inspect
 from .light import lobe as lobe, spectrum as spectrum
 from .summary import BandSummary as BandSummary, band_names as band_names, summarise as summarise

@@ -1,18 +1,20 @@
 """What was found, with its errors, beside what is true."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from ..errors import InputError
-from ._axes import BLUE, RED, new_axes, tidy
+from ._axes import BLUE, RED, new_axes, sparse_ticks, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INCH = 1.7  # of a corner plot, a parameter
+SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#0e7490", "#be185d", "#4b5563")
+MARKS = "osD^vX*P"
 
 
 class Measured(Protocol):
@@ -74,10 +76,66 @@ def curve(
     return axes
 
 
-def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None) -> "Axes":
-    """What settings cost: error against time, those that none beats in both joined by a line.
+def curves(
+    x: np.ndarray | Mapping[str, np.ndarray],
+    y: Mapping[str, np.ndarray],
+    *,
+    names: tuple[str, str] = ("", ""),
+    scales: tuple[str, str] = ("linear", "linear"),
+    dots: Collection[str] = (),
+    dashed: Collection[str] = (),
+    title: str = "",
+    axes: "Axes | None" = None,
+) -> "Axes":
+    """Several curves by name, in colours that tell them apart.
 
-    `accuracy.plot` draws a `Curve`, with its spread and the error of its reference.
+    Args:
+        x: (n,) any unit, of all; or (n,) each by the names of y.
+        y: (n,) each, any unit, by name.
+        names: of x and y, with their units.
+        scales: of x and y, as matplotlib names them: "linear", "log", "symlog".
+        dots: names of those drawn as dots, such as what was measured.
+        dashed: names of those drawn dashed, such as a theory.
+        title: of the axes.
+        axes: of matplotlib to draw on; None: new ones.
+
+    Returns:
+        The axes, with a legend of the names.
+
+    Raises:
+        InputError: for a curve of another length than its x, and a name of no curve.
+
+    Example:
+        >>> n = np.arange(1, 9)
+        >>> axes = jv.plots.curves(n, {"one": 1 / n, "two": 1 / n**2}, scales=("log", "log"))
+        >>> print([line.get_label() for line in axes.lines])
+        ['one', 'two']
+    """
+    unknown = {*dots, *dashed} - set(y)
+    if unknown:
+        raise InputError(f"{min(unknown)!r} is the name of no curve; correct it.")
+    axes = new_axes(axes)
+    for i, (name, one) in enumerate(y.items()):
+        along = x[name] if isinstance(x, Mapping) else x
+        if np.shape(along) != np.shape(one) or np.ndim(one) != 1:
+            raise InputError(
+                f"curve {name!r} has shape {np.shape(one)} where x has {np.shape(along)}."
+            )
+        line = "" if name in dots else "--" if name in dashed else "-"
+        colour, mark = SEVERAL[i % len(SEVERAL)], "." if name in dots else ""
+        axes.plot(along, one, color=colour, ls=line, marker=mark, label=name)
+    axes.set(xlabel=names[0], ylabel=names[1], xscale=scales[0], yscale=scales[1], title=title)
+    axes.legend(fontsize=8)
+    tidy(axes)
+    return axes
+
+
+def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None) -> "Axes":
+    """What settings cost: error against time.
+
+    Those that none beats in both are joined by a line; where every setting is (method, value), each
+    method has a line, a colour and a mark. `accuracy.plot` draws a `Curve`, with its spread and the
+    error of its reference.
 
     Args:
         trials: as from `accuracy.error_against_time`; those without a finite error above 0 are
@@ -101,20 +159,35 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     if not shown:
         raise InputError("no trial has a finite error above 0, which a logarithm could show.")
     axes = new_axes(axes)
-    axes.loglog([t.seconds for t in shown], [t.error for t in shown], "o", color=BLUE)
-    front = [
-        t
-        for t in sorted(shown, key=lambda t: t.seconds)
-        if not any(o.seconds <= t.seconds and o.error < t.error for o in shown)
-    ]
-    axes.plot([t.seconds for t in front], [t.error for t in front], color=BLUE, lw=1)
+    by_method = all(_names_method(t.setting) for t in shown)
+    if by_method:
+        for i, method in enumerate(dict.fromkeys(t.setting[0] for t in shown)):
+            own = [t for t in shown if t.setting[0] == method]
+            colour, mark = SEVERAL[i % len(SEVERAL)], MARKS[i % len(MARKS)]
+            of_own = ([t.seconds for t in own], [t.error for t in own])
+            axes.loglog(*of_own, color=colour, marker=mark, lw=1, label=str(method))
+        axes.legend(fontsize=8)
+    else:
+        axes.loglog([t.seconds for t in shown], [t.error for t in shown], "o", color=BLUE)
+        front = [
+            t
+            for t in sorted(shown, key=lambda t: t.seconds)
+            if not any(o.seconds <= t.seconds and o.error < t.error for o in shown)
+        ]
+        axes.plot([t.seconds for t in front], [t.error for t in front], color=BLUE, lw=1)
     for t in shown:
-        axes.annotate(
-            str(t.setting), (t.seconds, t.error), (5, 5), textcoords="offset points", fontsize=8
-        )
+        words = str(t.setting[1] if by_method else t.setting)
+        place = (t.seconds, t.error)
+        axes.annotate(words, place, (5, 5), textcoords="offset points", fontsize=8)
     axes.set(xlabel="time [s]", ylabel="relative error")
+    sparse_ticks(axes.xaxis)
+    sparse_ticks(axes.yaxis)
     tidy(axes)
     return axes
+
+
+def _names_method(setting: Any) -> bool:
+    return isinstance(setting, tuple) and len(setting) == 2 and isinstance(setting[0], str)
 
 
 def corner(

@@ -1,5 +1,6 @@
-"""An image, or a map of any quantity, on one axes."""
+"""An image, or a map of any quantity, on one axes; several side by side."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from ._pixels import checked, white_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 NO_NUMBER = "magenta"  # where a map is NaN
 
@@ -43,6 +45,62 @@ def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None
     axes.set_title(how, fontsize=9)
     axes.set_axis_off()
     return axes
+
+
+def pictures(
+    images: Mapping[str, np.ndarray],
+    *,
+    columns: int | None = None,
+    limits: tuple[float, float] | None = (0.0, 1.0),
+    colours: str = "gray",
+    unit: str = "",
+    inches: float = 2.6,
+) -> "Figure":
+    """Images side by side under their titles, all on one scale, so that they compare.
+
+    Args:
+        images: (h, w), (h, w, 1), or (h, w, 3) encoded as they are to be seen, by title.
+        columns: of the figure; None: all in one row.
+        limits: values that are black and white; None: from 0 to each image's own largest value.
+        colours: of matplotlib, for images of one band.
+        unit: of the values; a scale is drawn where it is given, or where `limits` is None, beside
+            images of one band.
+        inches: width of each.
+
+    Returns:
+        The figure; what lies beyond the limits has the colour of the nearest.
+
+    Raises:
+        InputError: without images, for fewer columns than one, and for other than 1 or 3 bands.
+
+    Example:
+        >>> figure = jv.plots.pictures({"dark": np.zeros((2, 3)), "light": np.ones((2, 3))})
+        >>> print([axes.get_title() for axes in figure.axes])
+        ['dark', 'light']
+    """
+    from matplotlib.figure import Figure
+
+    pixels = {title: checked(image) for title, image in images.items()}
+    across = len(pixels) if columns is None else min(columns, len(pixels))
+    if across < 1 or any(shown.shape[2] not in (1, 3) for shown in pixels.values()):
+        raise InputError("pictures takes one column or more of images of one band or of three.")
+    down = -(-len(pixels) // across)
+    tallest = max(shown.shape[0] / shown.shape[1] for shown in pixels.values())
+    figure = Figure(
+        figsize=(inches * across, (inches * tallest + 0.3) * down), layout="constrained"
+    )
+    for i, (title, shown) in enumerate(pixels.items()):
+        axes = figure.add_subplot(down, across, i + 1)
+        low, high = limits or (0.0, float(np.nanmax(shown)) or 1.0)
+        if shown.shape[2] == 3:
+            axes.imshow(np.clip((shown - low) / (high - low), 0, 1))
+        else:
+            image = axes.imshow(shown[..., 0], cmap=colours, vmin=low, vmax=high)
+            if unit or limits is None:
+                figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02).set_label(unit, fontsize=8)
+        axes.set_title(title, fontsize=9)
+        axes.set_axis_off()
+    return figure
 
 
 def false_colour(
