@@ -48,6 +48,13 @@ def test_shading_tells_the_directions():
     assert contradictions(observation) == []
 
 
+def test_an_encoding_that_a_fit_has_found_is_undone_first():
+    encoded = [np.round(4095 * (image / 4095) ** (1 / 2.2)).astype(np.uint16) for image in ball()]
+    observation = observed(encoded, LIGHTS)
+    assert "the camera's gamma" in contradictions(observation)[0]
+    assert contradictions(observation, gamma=2.2) == []
+
+
 @pytest.mark.parametrize(
     ("lights", "expected"),
     [

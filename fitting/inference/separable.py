@@ -68,7 +68,7 @@ def non_negative_amplitudes(
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
     supports = sorted(itertools.product((False, True), repeat=count), key=sum)[1:]
-    found, solvable = jax.vmap(_on_support, (0, None, None))(np.array(supports), gram, moment)
+    found, solvable = jax.vmap(_on_support, (0, None, None))(jnp.array(supports), gram, moment)
     cost = jnp.where(solvable & jnp.all(found >= 0, axis=-1), -found @ moment, jnp.inf)
     best = jnp.argmin(cost)
     better = cost[best] < 0

@@ -9,6 +9,7 @@ from ..inference.clustering import Robustness
 from ..inference.emcee_run import SamplingOptions, for_group
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
+from ..inference.precision import in_double
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
@@ -40,6 +41,7 @@ class JointCalibration(ShownInNotebooks):
     halves: dict[str, Halves] = field(default_factory=dict)
 
 
+@in_double
 def calibrate(
     measurement: JointMeasurement,
     *,

@@ -21,8 +21,10 @@ NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 def findings(calibration: JointCalibration) -> tuple[str, ...]:
     """Assumptions, misfit, identifiability, what the priors alone tell, and convergence."""
+    gamma = calibration.fits[0].values.get("gamma")
+    encoding = None if gamma is None else float(gamma)
     return (
-        *contradictions(calibration.measurement.observation),
+        *contradictions(calibration.measurement.observation, gamma=encoding),
         *calibration.measurement.observation.findings,
         *calibration.measurement.findings,
         *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import t
 
+from ...inference.parameters import names
 from ...inference.posterior import convergence_in_words
 from ...report.section import Table
 from ..models import CLEAR, LABELS, facet_sentence
@@ -27,9 +28,11 @@ COLOURED = 3.0  # standard errors between channels from which a highlight is cal
 
 def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     """Misfit, identifiability, saturation, convergence and structure in the residuals."""
-    requested = calibration.reported[0].requested
+    first = calibration.reported[0]
+    requested, found = first.requested, dict(zip(names(first.space), first.natural, strict=True))
+    gamma = float(found["gamma"]) if "gamma" in found else None
     return (
-        *contradictions(calibration.observation),
+        *contradictions(calibration.observation, gamma=gamma),
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
@@ -169,14 +172,14 @@ def _colour_finding(calibration: ReflectanceCalibration) -> list[str]:
     z = _contrast(logs, errors, low, high)
     if z < COLOURED:
         return []
-    names = [fit.channel for fit in calibration.reported]
+    channels = [fit.channel for fit in calibration.reported]
     ratio = np.exp(logs - logs[1])
     for model in equally_good(calibration.scores):
         other = _colour(calibration.fits[model])
         if other is not None and _contrast(*other, low, high) < COLOURED:
             return [
                 f"Whether the highlight is coloured depends on the lobe: k_s is larger in "
-                f"{names[high]} than in {names[low]} by {z:.0f} standard errors with "
+                f"{channels[high]} than in {channels[low]} by {z:.0f} standard errors with "
                 f"{LABELS[calibration.model]}, not with {LABELS[model]}, which predicts unseen "
                 "lights no worse; no conclusion is drawn."
             ]

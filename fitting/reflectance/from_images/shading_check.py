@@ -6,6 +6,8 @@ turned around, files in another order or a sphere in another place show in the a
 direction that is told and the one that is stated, whatever the model of the surface.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
@@ -75,15 +77,18 @@ def _direction(
     return toward, bool(kept.sum() > lit.sum() / 2) and explained
 
 
-def contradictions(observation: ReflectanceObservation) -> list[str]:
+def contradictions(observation: ReflectanceObservation, *, gamma: float | None = None) -> list[str]:
     """What in the images speaks against the stated directions and outline, in sentences.
 
     Args:
         observation: of the object.
+        gamma: encoding exponent that a fit has found; None for the rig's.
 
     Returns:
         At most one sentence on directions and one on the outline.
     """
+    if gamma is not None:
+        observation = replace(observation, gamma=gamma)
     return [*_of_directions(observation), *_of_outline(observation)]
 
 
