@@ -173,6 +173,9 @@ from .hemisphere_integral import (
     lit_radiance as lit_radiance,
     sampled_radiance as sampled_radiance,
 )
+from .lifted_scene import (
+    lift_scene as lift_scene,
+)
 from .lights import (
     Balanced as Balanced,
     DirectionalLight as DirectionalLight,

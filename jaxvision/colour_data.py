@@ -223,6 +223,30 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
     return as_float(np.stack(columns, axis=-1))
 
 
+def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
+    """The reflectances of linear sRGB's red, green and blue, for `spectra.rgb_to_reflectance`.
+
+    Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and continued by its end
+    values. All are in [0, 1], and their sum in each band is 1 within 1e-5, at most 1.
+
+    Args:
+        wavelengths: (bands,) m.
+
+    Returns:
+        (bands, 3) relative to perfect white.
+
+    Source:
+        Mallett and Yuksel, Spectral primary decomposition for rendering with sRGB reflectance
+        (Eurographics Symposium on Rendering, 2019), as colour-science holds it.
+    """
+    import colour
+
+    table = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
+    values = table.values / np.maximum(table.values.sum(axis=1, keepdims=True), 1)
+    grid = _nanometres(wavelengths)
+    return as_float(np.stack([np.interp(grid, table.wavelengths, v) for v in values.T], axis=-1))
+
+
 def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
     """Tristimulus values of an illuminant from its CIE chromaticity ("D65": 0.3127, 0.3290).
 

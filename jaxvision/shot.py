@@ -164,7 +164,8 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
         if measured != bands and 1 not in (measured, bands):
             raise ValueError(
                 f"the scene has {bands} bands and Sensor.{name} {measured}: describe materials and "
-                "lights in the sensor's bands, or read the camera in those of the scene, as by "
+                "lights in the sensor's bands, as lift_scene(scene, wavelengths) does for RGB, or "
+                "read the camera in those of the scene, as by "
                 "read_camera(name, wavelengths=[610e-9, 550e-9, 465e-9])."
             )
 

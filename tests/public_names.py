@@ -63,6 +63,7 @@ EAGER = {
     "jaxvision.scene_files.folder",
     "jaxvision.geometry.checks",
     "jaxvision.colour_data",
+    "jaxvision.lifted_scene",
     "jaxvision.command_line",
     "jaxvision.toml_files",
     "jaxvision.measured_files",

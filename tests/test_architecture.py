@@ -31,7 +31,7 @@ FLOORS = [
     {"_directions", "_band_count"},
     {"shading", "hemisphere_integral", "point_ops"},
     {"colour_spaces"},
-    {"histogram", "compositing", "optics", "sensor"},
+    {"histogram", "compositing", "optics", "sensor", "lifted_scene"},
     {"rendering"},
     {"matting", "transport", "development"},
     {"effects"},

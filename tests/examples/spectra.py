@@ -19,6 +19,7 @@ EXAMPLES = {
     "spectra.spectrum_to_camera": ((VALUES, GRID, THREE), {}),
     "spectra.spectrum_to_xyz": ((VALUES, GRID, THREE), {}),
     "spectra.reflectance_to_xyz": ((VALUES, GRID, THREE, LAMP), {}),
+    "spectra.rgb_to_reflectance": ((THREE, THREE), {}),
     "spectra.blackbody": ((GRID, jnp.asarray(3200.0)), {}),
     "spectra.daylight": ((THREE, jnp.asarray(6500.0)), {}),
 }
