@@ -328,6 +328,12 @@ def check_range(
         raise ValueError(f"{name} must be {wanted}, got {wrong}.")
 
 
+def check_direction(name: str, value: Any) -> None:
+    """Raises `ValueError` for a vector of length 0; tracers pass, whose numbers are not known."""
+    if is_known(value) and not np.asarray(value).any():
+        raise ValueError(f"{name} must have a direction, got a vector of length 0.")
+
+
 class Range(NamedTuple):
     """The numbers that a field may hold: from `low`, or `above` it, to `high`."""
 

@@ -112,6 +112,16 @@ SENTENCES = {
         lambda: jv.Phong([0.1], [0.2], -3.0),
         "Phong.exponent must be at least 0, got -3.0",
     ),
+    "no normal": (lambda: jv.Plane(UP, [0.0, 0.0, 0.0]), "Plane.normal must have a direction"),
+    "no normal of a disc": (lambda: jv.Disc(UP, [0, 0, 0], 1.0), "Disc.normal must have"),
+    "millimetres": (
+        lambda: jv.ThinLens(UP, np.eye(3), 50.0, 5e-6, resolution=(2, 2), f_number=2.0),
+        r"focal_length must be in m \(50 mm are 0.05\), got 50",
+    ),
+    "millimetres before a hole": (
+        lambda: jv.Pinhole(UP, np.eye(3), 8.0, 3.45e-6, resolution=(2, 2)),
+        "Pinhole.focal_length must be in m",
+    ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
 }
 
@@ -126,5 +136,7 @@ def test_misuse_has_one_sentence(misuse):
 def test_what_is_traced_is_not_looked_at():
     """Inside a compiled function numbers are not known; shapes are."""
     jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.full(3, 2.0))
+    jax.eval_shape(lambda normal: jv.Plane(normal, normal), jnp.zeros(3))
+    jax.eval_shape(lambda f: jv.Pinhole(UP, np.eye(3), f, 1e-6, resolution=(2, 2)), 50.0)
     with pytest.raises(ValueError, match="normal must have shape"):
         jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.ones((2, 3)))

@@ -6,7 +6,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import AMOUNT, Scalar, Shown, as_float, as_optional_float, check_fields
+from .._types import (
+    AMOUNT,
+    Scalar,
+    Shown,
+    as_float,
+    as_optional_float,
+    check_direction,
+    check_fields,
+)
 
 
 class Sphere(Shown):
@@ -37,6 +45,7 @@ class Plane(Shown):
 
     def __check_init__(self) -> None:
         check_fields(self)
+        check_direction("Plane.normal", self.normal)
 
 
 class Disc(Shown):
@@ -54,6 +63,7 @@ class Disc(Shown):
 
     def __check_init__(self) -> None:
         check_fields(self, radius=AMOUNT)
+        check_direction("Disc.normal", self.normal)
 
 
 class Quad(Shown):
