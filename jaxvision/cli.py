@@ -34,10 +34,7 @@ from .progress import progress_bar
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,
-    typer.Argument(
-        help="Scene file, TOML, Mitsuba's XML or glTF, or the name of a shipped scene.",
-        metavar="SCENE",
-    ),
+    typer.Argument(help="Scene in TOML, Mitsuba's XML or glTF, or a shipped one.", metavar="SCENE"),
 ]
 
 app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
@@ -368,9 +365,8 @@ def _pair(option: str, text: str) -> tuple[int, int]:
     try:
         row, column = (int(part) for part in text.split(","))
     except ValueError:
-        raise InputError(
-            f"{option} {text}: give a row and a column, as in {option} 120,80."
-        ) from None
+        message = f"{option} {text}: give a row and a column, as in {option} 120,80."
+        raise InputError(message) from None
     return row, column
 
 

@@ -11,8 +11,8 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-# Without optimisation, and by XLA's older emitters. The demo then takes 77 s of CPU instead of
-# 106, and 72 s on two cores instead of 82; fits of 470,000 samples run a fifth longer.
+# Without optimisation, and by XLA's older emitters: of programs that run once, compiling is most of
+# the time. Fits of 470,000 samples run a fifth longer.
 _QUICKLY = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
     "--xla_cpu_parallel_codegen_split_count=1"
