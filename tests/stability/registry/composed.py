@@ -288,6 +288,7 @@ COMPOSED: dict[str, float] = {
     "spectra.integrate_spectrum": 1,
     "spectra.interpolate_spectrum": 2,
     "spectra.reflectance_to_xyz": 1,
+    "spectra.rgb_to_reflectance": 1,
     "spectra.spectrum_to_camera": 1,
     "spectra.spectrum_to_xyz": 2,
     "transport.radiosity.exchange.closure_error": 1,

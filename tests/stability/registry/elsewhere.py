@@ -177,9 +177,10 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
-        "test_colour_spaces test_spectra",
+        "test_colour_spaces test_spectra test_lifted_scene",
         """
             colour_data.*
+            lifted_scene.*
         """,
     ),
     Elsewhere(
