@@ -112,6 +112,13 @@ def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
     assert all(f"the {end} end" in s for end, s in zip(expected, told, strict=True))
 
 
+def test_a_single_search_says_that_it_was_one():
+    words = "no other start looked for a deeper optimum"
+    problem = level(NOISE, Gaussian(1.0))
+    told = [any(words in s for s in fit(problem, starts=n).findings) for n in (1, 2)]
+    assert told == [True, False]
+
+
 @pytest.mark.slow
 def test_searches_that_run_against_one_bound_ended_at_one_place():
     """Levenberg and Marquardt's ends lie anywhere below u = -10, which is one place in x."""

@@ -131,6 +131,8 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         Sentences.
     """
     found = []
+    if len(optimum.costs) == 1:
+        found.append("One search was made: no other start looked for a deeper optimum.")
     if not optimum.saddle:
         found += identifiability(problem.space, optimum.data_information).sentences
     found += _prior_alone(problem.space, posterior)
