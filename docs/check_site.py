@@ -1,0 +1,102 @@
+"""Open each page of the built site in Chromium, narrow to wide, light and dark.
+
+`python docs/check_site.py [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
+errors in the console, bodies wider than the window, links to pages or places that do not exist, a
+search that does not find PhongBRDF. It needs `pip install playwright` and Chromium, whose program
+the variable CHROMIUM names. Other hosts are not asked for anything.
+"""
+
+import functools
+import os
+import re
+import sys
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote, urldefrag, urljoin
+
+from playwright.sync_api import sync_playwright
+
+WIDTHS = (360, 1366, 1920)  # CSS pixels: a phone, a laptop, a desk
+SCHEMES = ("light", "dark")
+WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth,
+    [...document.querySelectorAll('main *')].filter(
+        e => e.getBoundingClientRect().right > window.innerWidth + 1
+    ).slice(0, 1).map(e => e.outerHTML.slice(0, 80)).join('')]"""
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+def pages(site):
+    """Those that the theme keeps as its own templates left out."""
+    return [page for page in sorted(site.rglob("*.html")) if "_static" not in page.parts]
+
+
+def places(page):
+    """The names that links may end in."""
+    return set(re.findall(r'\b(?:id|name)="([^"]+)"', page.read_text("utf-8")))
+
+
+def dead_links(site):
+    """(page, link) that lead nowhere inside of the site."""
+    known = {page: places(page) for page in pages(site)}
+    for page in known:
+        for link in set(re.findall(r'<a\b[^>]*\bhref="([^"]+)"', page.read_text("utf-8"))):
+            if re.match(r"[a-z]+:|//", link):
+                continue
+            path, place = urldefrag(urljoin(page.as_uri(), link.replace("&amp;", "&")))
+            target = Path(unquote(path.partition("?")[0]).removeprefix("file://"))
+            target = target / "index.html" if target.is_dir() else target
+            lost = place and target in known and unquote(place) not in known[target]
+            if lost or not target.exists():
+                yield page, link
+
+
+def opened(browser, site, root):
+    """What is wrong with each page, one sentence a time."""
+    window = browser.new_page()
+    window.route("**/*", lambda r: r.continue_() if r.request.url.startswith(root) else r.abort())
+    errors = []
+    foreign = re.compile("ERR_FAILED|ERR_BLOCKED|is not defined.*MathJax|require is not defined")
+    window.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+    window.on("pageerror", lambda e: errors.append(str(e)))
+    for page in pages(site):
+        name = page.relative_to(site).as_posix()
+        errors.clear()
+        window.set_viewport_size({"width": WIDTHS[1], "height": 900})
+        window.goto(f"{root}/{name}")
+        for scheme in SCHEMES:
+            window.emulate_media(color_scheme=scheme)
+            for width in WIDTHS:
+                window.set_viewport_size({"width": width, "height": 900})
+                whole, seen, which = window.evaluate(WIDER)
+                if whole > seen:
+                    yield f"{name}: {whole} wide at {width}, {scheme}: {which}"
+        yield from (f"{name}: {error}" for error in errors if not foreign.search(error))
+    window.goto(f"{root}/search.html?q=PhongBRDF")
+    window.wait_for_selector("#search-results li a", timeout=20_000)
+    if "PhongBRDF" not in window.inner_text("#search-results"):
+        yield "search does not find PhongBRDF"
+
+
+def main():
+    site = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "_build").resolve()
+    handler = functools.partial(Quiet, directory=str(site))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    wrong = [f"{page.relative_to(site)}: dead link {link}" for page, link in dead_links(site)]
+    with sync_playwright() as play:
+        browser = play.chromium.launch(
+            executable_path=os.environ.get("CHROMIUM"), args=["--no-sandbox"]
+        )
+        wrong += opened(browser, site, f"http://127.0.0.1:{server.server_port}")
+        browser.close()
+    print(*wrong, f"{len(pages(site))} pages, {len(wrong)} faults", sep="\n")
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()
