@@ -49,7 +49,7 @@ class Pinhole(Shown):
         position: (3,) m, the hole.
         rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
             the world.
-        focal_length: () m from the hole to the sensor, > 0, at most 1e6 times the pixel pitch.
+        focal_length: () m from the hole to the sensor, > 0, at most 1 m or 1e6 pixel pitches.
         pixel_pitch: () m between pixels, on the sensor, > 0.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
@@ -78,7 +78,7 @@ class ThinLens(Shown):
         position: (3,) m, the centre of the lens.
         rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
             the world.
-        focal_length: () m, > 0, at most 1e6 times the pixel pitch.
+        focal_length: () m, > 0, at most 1 m or 1e6 pixel pitches.
         pixel_pitch: () m between pixels, on the sensor, > 0.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over the lens's diameter, no unit, > 0; inf closes the aperture.
@@ -117,7 +117,9 @@ class ThinLens(Shown):
 
 
 View = Orthographic | Pinhole | ThinLens
-NARROWEST = 1e-6  # rad, of a pixel; in single precision the rays of neighbours would coincide soon
+NARROWEST = (
+    1e-6  # rad, of a pixel behind more than 1 m; rays in single precision tell no less apart
+)
 
 
 def _check_view(view: View, **ranges: Range) -> None:
@@ -126,7 +128,7 @@ def _check_view(view: View, **ranges: Range) -> None:
     check_fields(view, position=FINITE, pixel_pitch=POSITIVE, f_number=f_number, **ranges)
     if isinstance(view, Pinhole | ThinLens) and is_known(view.focal_length):
         length, pitch = view.focal_length, view.pixel_pitch
-        if is_known(pitch) and float(pitch) < NARROWEST * float(length):
+        if is_known(pitch) and float(length) > max(1, float(pitch) / NARROWEST):
             raise ValueError(
                 f"{name}.focal_length must be in m (50 mm are 0.05), got {float(length):g} with a "
                 f"pixel_pitch of {float(pitch):g} m: a pixel would see less than {NARROWEST:g} rad."
