@@ -49,7 +49,8 @@ class Pinhole(Shown):
         position: (3,) m, the hole.
         rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
             the world.
-        focal_length: () m from the hole to the sensor, > 0, at most 1 m or 1e6 pixel pitches.
+        focal_length: () m from the hole to the sensor, > 0, at most the larger of 1 m and 1e6
+            pitches.
         pixel_pitch: () m between pixels, on the sensor, > 0.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
@@ -78,7 +79,7 @@ class ThinLens(Shown):
         position: (3,) m, the centre of the lens.
         rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
             the world.
-        focal_length: () m, > 0, at most 1 m or 1e6 pixel pitches.
+        focal_length: () m, > 0, at most the larger of 1 m and 1e6 pitches.
         pixel_pitch: () m between pixels, on the sensor, > 0.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over the lens's diameter, no unit, > 0; inf closes the aperture.
