@@ -49,10 +49,10 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
         >>> scene = jv.Scene(red, jv.PointLight([0, 0, 0], [1.0, 1.0, 1.0]))
         >>> grid = jv.colour_data.wavelength_grid(first=400e-9, last=700e-9, step=100e-9)
         >>> lifted = jv.lift_scene(scene, grid)
-        >>> print(lifted.surfaces[0].material.diffuse.round(3))
-        [0.079 0.023 0.194 0.194]
-        >>> print(lifted.lights[0].intensity.sum().round(3))
-        3.0
+        >>> print(*(f"{k_d:.3f}" for k_d in lifted.surfaces[0].material.diffuse))
+        0.063 0.022 0.191 0.093
+        >>> print(f"{lifted.lights[0].intensity.sum():.3f} W / sr, as in RGB")
+        3.000 W / sr, as in RGB
     """
     wanted = jnp.asarray(wavelengths)
     basis, white = rgb_basis(wanted), illuminant(lamp, wanted)
