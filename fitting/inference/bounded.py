@@ -1,5 +1,5 @@
 """Minimisation in a box by jaxopt's L-BFGS-B: likelihoods that are not sums of squares (censored
-pixels, say) under physical bounds. The only module that imports jaxopt.
+pixels, say) under physical bounds. The only module that imports jaxopt, and only for a search.
 
 Every variable is scaled to [0, 1] across its box and the objective by `scale`; unscaled, the same
 solver misses up to a tenth of the optima and takes far longer.
@@ -13,10 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
-
-with warnings.catch_warnings():
-    warnings.filterwarnings("ignore", message="JAXopt is no longer maintained")
-    from jaxopt import LBFGSB
 
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
@@ -67,6 +63,10 @@ def minimise_in_box(
     Returns:
         The end of the search.
     """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="JAXopt is no longer maintained")
+        from jaxopt import LBFGSB
+
     width = upper - lower
 
     def scaled(unit: Float[Array, " parameters"]) -> Float[Array, ""]:

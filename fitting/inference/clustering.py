@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtri, ndtri, stdtrit
 
 CHANCE = 0.01  # probability of calling independent residuals clustered
 WHOLE = 1e-9  # of 1 - A_g: a direction that a cluster alone determines leaves no residual in it
@@ -58,7 +58,7 @@ class Robustness:
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
         """Of the Gaussian whose 95 % intervals are those of Student's t."""
-        wider = t.ppf(LEVEL, self.freedom) / norm.ppf(LEVEL)
+        wider = stdtrit(self.freedom, LEVEL) / ndtri(LEVEL)
         return self.covariance * np.outer(wider, wider)
 
 
@@ -203,7 +203,7 @@ def _chance_effect(found: _Clustering) -> float:
     mixed = np.einsum("gij,gik,gjk->", c, d, d)
     squares = np.sum(c**2) - 2 * mixed + np.sum(outer * outer)
     freedom = float(np.trace(found.shares.sum(axis=0))) ** 2 / squares
-    return float(chi2.ppf(1 - CHANCE, freedom) / freedom)
+    return float(chdtri(freedom, CHANCE) / freedom)
 
 
 def curvature_stretch(

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from numpy.fft import irfft, rfft
 from scipy.fft import next_fast_len
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 WINDOW = 5.0  # autocorrelation times after which Sokal's sum ends
 
@@ -100,6 +99,8 @@ def _halves(draws: np.ndarray) -> np.ndarray:
 
 def _normal_scores(draws: np.ndarray) -> np.ndarray:
     """Blom's: the normal quantiles of the ranks among all draws."""
+    from scipy.stats import rankdata
+
     return ndtri((rankdata(draws).reshape(draws.shape) - 3 / 8) / (draws.size + 1 / 4))
 
 

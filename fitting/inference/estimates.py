@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t
+from scipy.special import stdtrit
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
 
@@ -114,7 +114,7 @@ def gaussian_estimate(
         >>> round(low, 4), round(high, 4)
         (0.2304, 0.2696)
     """
-    steps = t.ppf(QUANTILES, freedom) * standard_error
+    steps = stdtrit(freedom, QUANTILES) * standard_error
     ends = [_shifted(value, float(step), log_scale) for step in steps]
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtri, ndtri
-from scipy.stats import qmc
 
 from .parameters import ParameterSpace, names, to_natural
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
@@ -117,6 +116,8 @@ def _importance(
     log_density: LogDensity, mode: Array, covariance: np.ndarray, args: Any, seed: int
 ) -> tuple[np.ndarray, float] | None:
     """(draws, P) and what they are worth; None where too little."""
+    from scipy.stats import qmc
+
     size = len(covariance)
     points = qmc.Sobol(size + 1, rng=np.random.default_rng(seed)).random(MOST)
     stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, points[:, -1:]))

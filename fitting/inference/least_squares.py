@@ -11,7 +11,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observations"]]
@@ -63,6 +62,8 @@ def minimise_residuals(
     Returns:
         The end of the search.
     """
+    import optimistix as optx  # here, for most fits need none of it
+
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
     found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)
     end, along = jax.linearize(lambda vector: residuals(vector, args), found.value)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import norm, t
+from scipy.special import ndtr, stdtrit
 
 from jaxvision.errors import InputError
 
@@ -177,8 +177,8 @@ def laplace(
         ) from error
     if freedom is not None:
         deviation = np.sqrt(np.diagonal(covariance))
-        chance = norm.cdf((vectors - centre) / deviation)
-        vectors = centre + deviation * t.ppf(chance, freedom)
+        chance = ndtr((vectors - centre) / deviation)
+        vectors = centre + deviation * stdtrit(freedom, chance)
     return Posterior(
         space=space,
         method="Laplace",
@@ -282,7 +282,7 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     deviation = np.sqrt(np.diagonal(posterior.covariance))
     centre = jnp.asarray(posterior.unconstrained_mode)
     freedom = np.inf if posterior.freedom is None else posterior.freedom
-    steps = t.ppf(np.asarray(QUANTILES)[:, None], freedom) * deviation
+    steps = stdtrit(freedom, np.asarray(QUANTILES)[:, None]) * deviation
     ends = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
     slope = np.asarray(_slope(posterior.space, centre))
     spread = np.abs(slope) * deviation

@@ -10,7 +10,7 @@ hundred.
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.special import chdtri, stdtrit
 
 from ..inference.parameters import Parameter, ParameterSpace, names
 from .emva1288 import Ranges, Sheet
@@ -123,8 +123,8 @@ def _price(fit: LikelihoodFit, parameter: Parameter) -> float:
     if parameter.transform == "log":
         return price
     if LIGHT_SCATTER not in fit.space or parameter not in CURVE:
-        return max(price, float(chi2.isf(SPURIOUS, 1)))
+        return max(price, float(chdtri(1, SPURIOUS)))
     lights = int(jnp.sum(fit.data.lit))
     terms = 1 + sum(p in fit.space for p in CURVE)
     free = max(lights - terms, 1)
-    return max(price, float(f.isf(SPURIOUS, 1, free)) * lights / free)
+    return max(price, float(stdtrit(free, SPURIOUS / 2) ** 2) * lights / free)

@@ -1,6 +1,6 @@
 """When a chi-square is beyond chance, and what it then does to a covariance (Birge 1932)."""
 
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 MISFIT = 1e-3  # p-value below which a model is not believed
 
@@ -15,7 +15,7 @@ def p_value(chi_square: float, degrees: float) -> float:
     Returns:
         Probability.
     """
-    return float(chi2.sf(chi_square, max(degrees, 1)))
+    return float(chdtrc(max(degrees, 1), chi_square))
 
 
 def inflation(chi_square: float, degrees: float) -> float:

@@ -28,8 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Integer
-from scipy.special import stdtrit
-from scipy.stats import chi2
+from scipy.special import chdtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
@@ -255,7 +254,7 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
     from_data = precision - found.prior[len(found.means) :, len(found.means) :]
     pull = precision @ found.free
     explained = pull @ np.linalg.solve(from_data, pull)
-    shaky = explained > chi2.ppf(SIGNIFICANCE, free)
+    shaky = explained > chdtri(free, 1 - SIGNIFICANCE)
     return found.suggested.shutter_error if shaky else None
 
 

@@ -1,7 +1,7 @@
 """Whether the conversion gain is proportional to the gain that a camera states."""
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .calibration import CameraCalibration
 from .fit import OwnDeviation
@@ -36,4 +36,4 @@ def proportional_gain(
         column = precision[:, i] - precision.sum(axis=1) * precision[:, i].sum() / precision.sum()
         size = float(column[i])
         own.append(OwnDeviation(label, float(column @ ratio) / size, size**-0.5))
-    return float(np.exp(common)), float(chi2.sf(chi_square, count - 1)), tuple(own)
+    return float(np.exp(common)), float(chdtrc(count - 1, chi_square)), tuple(own)

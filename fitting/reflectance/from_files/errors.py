@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from ..names import Model, Objective
 from .fit import ModelFit, reflected
@@ -99,7 +99,7 @@ def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
     if count < FEWEST_INCIDENCES:
         return False
     ratio = np.log(ours[both] / theirs[both])
-    reach = t.ppf(0.975, count - 1) * np.std(ratio, ddof=1) / np.sqrt(count)
+    reach = stdtrit(count - 1, 0.975) * np.std(ratio, ddof=1) / np.sqrt(count)
     return bool(np.sign(ours.sum() - theirs.sum()) * ratio.mean() > reach)
 
 

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from jaxvision.errors import InputError
 from jaxvision.side_by_side import side_by_side
@@ -185,11 +185,11 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
             if not np.isfinite(inflation):
                 reasons.setdefault(name, "the data leave it open (see the findings)")
         return reasons
-    half_widths = t.ppf(0.975, fit.robustness.freedom) * np.sqrt(
+    half_widths = stdtrit(fit.robustness.freedom, 0.975) * np.sqrt(
         np.diagonal(fit.robustness.covariance)
     )
     for name, half_width in zip(present, half_widths, strict=True):
-        if half_width > norm.ppf(0.975) * OPEN:
+        if half_width > ndtri(0.975) * OPEN:
             factor = np.exp(min(float(half_width), 30.0))
             why = f"its 95 % interval reaches from 1/{factor:.2g} to {factor:.2g} times"
             reasons.setdefault(name, why)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from ...report.formatting import format_with_error
 from ...report.section import Table
@@ -75,7 +75,9 @@ class Difference:
     @property
     def half_width(self) -> float:
         """Of the 95 % interval."""
-        return float("inf") if self.freedom < 1 else self.error * float(t.ppf(LEVEL, self.freedom))
+        return (
+            float("inf") if self.freedom < 1 else self.error * float(stdtrit(self.freedom, LEVEL))
+        )
 
 
 def difference(one: ModelScore, other: ModelScore) -> Difference:

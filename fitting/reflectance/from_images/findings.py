@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from ...inference.parameters import names
 from ...inference.posterior import convergence_in_words
@@ -121,7 +121,7 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
         found.append(
             f"{name}Errors are judged by how {len(np.unique(fit.selection.light))} fitted lights "
             f"agree; that leaves {np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % "
-            f"intervals reach {t.ppf(0.975, np.min(fit.robustness.freedom)):.1f} standard errors "
+            f"intervals reach {stdtrit(np.min(fit.robustness.freedom), 0.975):.1f} standard errors "
             "to either side; more lights narrow them."
         )
     if fit.design_effect > 1:
