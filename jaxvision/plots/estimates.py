@@ -1,7 +1,7 @@
 """What was found, with its errors, beside what is true."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#0e7490", "#be185d", "#4
 MARKS = "osD^vX*P"
 
 
+@runtime_checkable
 class Measured(Protocol):
     """A setting with its error and time, as `accuracy.Trial`."""
 
@@ -149,7 +150,7 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
         InputError: if no trial has a finite error above 0.
 
     Example:
-        >>> means = {n: (lambda n=n: jnp.exp((jnp.arange(n) + 0.5) / n).mean()) for n in (2, 8)}
+        >>> means = {n: (lambda n=n: jnp.exp(jnp.linspace(0.0, 1.0, n)).mean()) for n in (2, 8)}
         >>> trials = jv.accuracy.error_against_time(means, reference=np.e - 1)
         >>> axes = jv.plots.error_against_time(trials)
         >>> print([text.get_text() for text in axes.texts])

@@ -62,7 +62,7 @@ FINE = 1024  # a small picture of a few shapes spends a third of its time before
 # name: (the scene, the same where the effect was never there, least share of time that is saved,
 # pixels along each side)
 CASES = {
-    "31 smooth bands": (smooth(31), smooth(3), 8.0, SIDE),
+    "31 smooth bands": (smooth(31), smooth(3), 8.0, FINE),
     "far lamp, order 8": (
         replace(room(FAR), occluders=()),
         replace(room(small_light(FAR)), occluders=()),
