@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 COMMAND = "jaxvision-fit"
 CHECKPOINT = "checkpoint"
+STEPS, WALKERS = 20_000, 64  # of a chain, where none are asked for
+
 failures = partial(
     failures_as_sentences,
     COMMAND,
@@ -49,16 +51,23 @@ class Options:
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
     steps: Annotated[
         int | None,
-        typer.Option(help="Most steps of a chain (--mcmc).", min=1, show_default="20000"),
+        typer.Option(help="Most steps of a chain (--mcmc).", min=1, show_default=str(STEPS)),
     ] = None
     walkers: Annotated[
         int | None,
         typer.Option(
             help="Walkers (--mcmc): twice the number of parameters and two more, or more.",
             min=4,
-            show_default="64",
+            show_default=str(WALKERS),
         ),
     ] = None
+
+    @property
+    def chain(self) -> dict[str, int]:
+        """Steps and walkers of a chain; empty for Laplace."""
+        if not self.mcmc:
+            return {}
+        return {"steps": self.steps or STEPS, "walkers": self.walkers or WALKERS}
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
         """How a calibration samples, None for Laplace, and the seed of its draws."""
@@ -66,11 +75,10 @@ class Options:
 
         if not self.mcmc:
             return {"sampling": None, "seed": self.seed}
-        steps = self.steps or 20_000
+        chain = self.chain
         sampling = SamplingOptions(
-            walkers=self.walkers or 64,
-            steps=steps,
-            block=min(100, steps),
+            **chain,
+            block=min(100, chain["steps"]),
             checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
             progress=progress,
         )
@@ -144,7 +152,7 @@ def run(
         from .report.short_chains import refuse_short_chains
 
         refuse_short_chains(sections, kept=options.out is not None)
-        settings = {"input": path.name, **asdict(options)}
+        settings = {"input": path.name, **asdict(options), **options.chain}
         if options.out is not None:
             with reporter.step("writing the report"):
                 for name, pixels in images.items():

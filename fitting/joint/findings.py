@@ -71,9 +71,7 @@ def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
     """Whether halves of the images tell the same."""
     halves = calibration.halves.get(fit.channel)
     if halves is None:
-        return [
-            "Halves of the images are too few to fit, or fit nothing, so that none checks this."
-        ]
+        return ["The images are too few, or too unlike, to check this by fits of their halves."]
     if halves.agree:
         return ["The even and the odd images, fitted alone, agree within these intervals."]
     even, odd = halves.values
