@@ -199,6 +199,20 @@ def test_points_weigh_in_the_order_by_the_square_of_what_is_known_of_them():
     np.testing.assert_allclose(found.exponent, np.polyfit(x, y, 1, w=1 / spread)[0], rtol=1e-9)
 
 
+def test_a_declared_geometric_law_gives_way_to_a_power_that_describes_the_errors():
+    """As of a Gauss rule across an edge; a law that is geometric stays so."""
+    knob = Knob("order", "", "", (1, 2, 4, 8, 16), (), law="geometric")
+
+    def order_of(error):
+        found = fit_order(knob, [trial_of(n, error(n), 1.01 * error(n)) for n in knob.settings])
+        assert found is not None
+        return found
+
+    edge, smooth = order_of(lambda n: n**-1.5), order_of(lambda n: 0.5**n)
+    assert (edge.law, smooth.law) == ("power", "geometric")
+    np.testing.assert_allclose([edge.exponent, smooth.exponent], [-1.5, np.log(0.5)], rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_the_interval_of_an_order_holds_the_true_one():
     """In 92 to 99 of 100 cases, and is not five times as wide as the orders scatter."""

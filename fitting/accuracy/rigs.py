@@ -111,7 +111,8 @@ def _problem(name: str, turns: Mapping[str, Turn]) -> tuple[Problem, tuple[str, 
         for n in KNOBS
         if n in turns and n in RIG_KNOBS and (n != "NUTS draws" or find_spec("blackjax"))
     )
-    return Problem(name, prepare, level=1.0, about=ABOUT), known
+    asked = {"level": 1.0, "about": ABOUT, "error_axis": "rms error [% of a standard error]"}
+    return Problem(name, prepare, **asked), known
 
 
 def measured(

@@ -127,7 +127,8 @@ def curve(
     stopped = stopped or ", ".join(filter(None, why))
     if not run:
         nothing = Reference(None, np.inf, "none")
-        return Curve(problem.name, turned, (), nothing, None, (), not_run, stopped, session.taken)
+        last = stopped, session.taken, problem.error_axis
+        return Curve(problem.name, turned, (), nothing, None, (), not_run, *last)
     if found is None and not turned.random and len(session.points[run[0]].results) > 1:
         found = paired_reference(session, finer=False)
     if found is None:
@@ -243,6 +244,7 @@ def _told(
         not_run,
         stopped,
         session.taken,
+        problem.error_axis,
     )
 
 

@@ -56,11 +56,14 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     if shown and np.isfinite(floor) and floor > bottom:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
     exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
-    _scaled(axes, [t.error for t in shown], "no error was found" if exact else _UNKNOWN)
+    none = "no error was found" if exact else _UNKNOWN
+    _scaled(axes, [t.error for t in shown], curve.error_axis, none)
     label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
-    falls = "error" if curve.knob.law == "geometric" else "order"
-    order = "" if curve.order is None else f"\n{falls} {curve.order}"
+    order = ""
+    if curve.order is not None:
+        falls = "error" if curve.order.law == "geometric" else "order"
+        order = f"\n{falls} {curve.order}"
     axes.set_title(f"{curve.knob.name}{unit}{order}", fontsize=10)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
@@ -88,7 +91,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
             places = [t.seconds for t in best], [100 * t.error for t in best]
             drawn += places[1]
             axes.plot(*places, "o-", ms=4, lw=1, label=curve.knob.name)
-    _scaled(axes, drawn)
+    _scaled(axes, drawn, curves[0].error_axis if curves else "error")
     axes.set_title("Pareto fronts of all knobs", fontsize=10)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
@@ -133,11 +136,11 @@ def label(
         )
 
 
-def _scaled(axes: "Axes", errors: Sequence[float], none: str = _UNKNOWN) -> None:
+def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
     """Logarithmic axes with their labels, and what to say where there is nothing to draw."""
     from matplotlib.ticker import LogLocator
 
-    axes.set(xlabel="time [s]", ylabel="relative rms error [%]")
+    axes.set(xlabel="time [s]", ylabel=of)
     if errors:
         axes.set(xscale="log", yscale="log")
         for limits, set_limits in (

@@ -9,6 +9,7 @@ import numpy as np
 Law = Literal["power", "geometric"]
 Compute = Callable[[int], Any]
 Compared = Callable[[np.ndarray], np.ndarray]
+RELATIVE = "relative rms error [%]"
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Problem:
         compiling: s that one more program is expected to take, before any was seen to.
         once: s of the last call that the whole takes no longer for, such as what comes before the
             first pixel of a picture.
+        error_axis: what errors are, with their unit, as the label of an axis.
         compared: from a result, or the mean of several, to what is compared, such as radiance cut
             at white; None: the result itself.
         alone: by the name of a random knob `prepare` where the seed changes its chance alone, and
@@ -83,6 +85,7 @@ class Problem:
     compiling: float = 0.0
     once: Callable[[], float] = lambda: 0.0
     about: str = "Errors are root mean squares over the result, relative to that of the result."
+    error_axis: str = RELATIVE
     compared: Compared | None = None
     alone: Mapping[str, Callable[[Mapping[str, Any]], Compute]] = field(default_factory=dict)
 
@@ -159,9 +162,10 @@ class Order:
     def __str__(self) -> str:
         """As in a table."""
         width = (self.high - self.low) / 2
-        spread = f" ± {width:.2f}" if np.isfinite(width) else ""
         if self.law == "geometric":
-            return f"× {np.exp(self.exponent):.2g} a unit"
+            middle, low, high = (f"{np.exp(x):.2g}" for x in (self.exponent, self.low, self.high))
+            return f"× {middle}{f' ({low} to {high})' if np.isfinite(width) else ''} a unit"
+        spread = f" ± {width:.2f}" if np.isfinite(width) else ""
         return f"{self.exponent:.2f}{spread}"
 
 
@@ -180,6 +184,7 @@ class Curve:
         stopped: "" where all was done; else why not, such as "out of time", with the setting that
             took longer than was foreseen and was given up, or "interrupted".
         taken: s, of the whole measurement.
+        error_axis: what its errors are, with their unit, as the label of an axis.
     """
 
     problem: str
@@ -191,3 +196,4 @@ class Curve:
     not_run: tuple[Any, ...] = ()
     stopped: str = ""
     taken: float = 0.0
+    error_axis: str = RELATIVE
