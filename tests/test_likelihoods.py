@@ -20,7 +20,7 @@ from fitting import (
 )
 from fitting.inference.likelihoods import Likelihood, with_values
 from fitting.inference.misfit import judge
-from fitting.inference.tails import log_ndtr
+from fitting.inference.tails import log_ndtr, log_student
 from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
 
@@ -44,6 +44,36 @@ def test_student_t_against_scipy(dof):
     np.testing.assert_allclose(residuals, stats.norm.ppf(reference.cdf(DATA)), atol=1e-9)
 
 
+def test_student_t_with_ends_against_scipy():
+    signal = stats.t(3.0, np.asarray(PREDICTION), SD)
+    data = jnp.array([0.3, -1.0, 4.0, -1.0])
+    expected = np.where(data >= 4.0, signal.logsf(4.0), signal.logpdf(data))
+    expected = np.where(data <= -1.0, signal.logcdf(-1.0), expected)
+    likelihood = StudentT(SD, 3.0, low=-1.0, high=4.0)
+    density = jax.jit(lambda *given: likelihood.log_density(*given))
+    np.testing.assert_allclose(density(PREDICTION, data), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("dof", [0.5, 1.0, 4.0, 30.0, 1000.0])
+def test_log_of_student_and_its_slope_in_both_tails(dof):
+    """Against 120 digits, where probabilities underflow too, and at the median."""
+    places = np.array([-1e200, -1e8, -40.0, -3.0, -0.5, 0.0, 0.7, 6.0, 1e3])
+    with mp.workdps(120):
+        a, half = mp.mpf(dof) / 2, mp.mpf(1) / 2
+
+        def tail(z):
+            x = dof / (dof + mp.mpf(z) ** 2)
+            one = mp.betainc(a, half, 0, x, regularized=True) / 2
+            return one if z <= 0 else 1 - one
+
+        norm = mp.gamma(a + half) / mp.gamma(a) / mp.sqrt(dof * mp.pi)
+        truth = [mp.log(tail(z)) for z in places]
+        slopes = [norm * (1 + mp.mpf(z) ** 2 / dof) ** (-a - half) / tail(z) for z in places]
+    found = jax.vmap(jax.value_and_grad(log_student), (0, None))(jnp.asarray(places), dof)
+    np.testing.assert_allclose(found[0], np.array(truth, float), rtol=2e-12)
+    np.testing.assert_allclose(found[1], np.array(slopes, float), rtol=1e-10)
+
+
 def test_censored_against_scipy():
     signal = stats.norm(np.asarray(PREDICTION), SD)
     data = jnp.array([0.3, -1.0, 4.0, -1.0])
@@ -61,10 +91,13 @@ def test_censored_against_scipy():
     assert np.isfinite(slope).all()
 
 
-LIKELIHOODS = [Gaussian(SD), StudentT(SD, 3.0), Censored(SD, low=-0.5, high=0.4)]
+ROBUST = StudentT(SD, 3.0, low=-0.5, high=0.4)
+LIKELIHOODS = [Gaussian(SD), StudentT(SD, 3.0), Censored(SD, low=-0.5, high=0.4), ROBUST]
 
 
-@pytest.mark.parametrize("likelihood", LIKELIHOODS, ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize(
+    "likelihood", LIKELIHOODS, ids=("Gaussian", "StudentT", "Censored", "ends")
+)
 def test_residuals_of_its_own_draws_are_standard_normal(likelihood):
     assert isinstance(likelihood, Likelihood)
     prediction = jnp.zeros(4000)
@@ -122,6 +155,19 @@ def test_outliers_count_for_little_in_student_t():
     robust, plain = fitted(StudentT(0.1, 4.0), data), fitted(Gaussian(0.1), data)
     assert abs(robust.values["slope"] - 3) < 0.05 < abs(plain.values["slope"] - 3)
     assert not plain.converged
+
+
+def test_outliers_of_saturated_data():
+    """Either alone misses the slope: outliers pull a censored Gaussian, ends a robust line."""
+    data = 3 * LINE + 0.3 * np.random.default_rng(0).standard_t(4, 200)
+    data[::20] -= 5
+    data = np.minimum(data, 1.0)
+    both = fitted(StudentT(0.3, 4.0, high=1.0), data)
+    assert abs(both.values["slope"] - 3) < 0.08
+    for likelihood in (StudentT(0.3, 4.0), Censored(0.3, high=1.0)):
+        assert abs(fitted(likelihood, data).values["slope"] - 3) > 0.08
+    with pytest.raises(InputError, match="dof must be a number where data have ends, got the name"):
+        StudentT(0.1, "dof", high=1.0)
 
 
 def test_saturated_data_bias_a_gaussian_and_not_a_censored_fit():

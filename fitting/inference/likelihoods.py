@@ -26,13 +26,12 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.special
 from jax.core import Tracer
-from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
 from .priors import HALF_LOG_2PI
-from .tails import log_ndtr
+from .tails import log_ndtr, log_student, student_log_density
 
 Numbers = Float[Array, "..."] | Float[np.ndarray, "..."]
 Scale = Any  # a number, an array, or the name of a parameter whose value takes its place
@@ -148,44 +147,81 @@ class StudentT(eqx.Module):
     Attributes:
         scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
             a number, an array of the data's shape, or the name of a parameter.
-        dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian.
+        dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian. Of
+            data with ends it is a number.
+        low: data at or below are clipped there, as in `Censored`; None for no such end.
+        high: data at or above are clipped there; None for no such end.
 
     Source:
-        Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989.
+        Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989; with ends Arellano-Valle, Castro,
+        Gonzalez-Farias & Munoz-Gajardo, Stat. Methods Appl. 21, 2012.
     """
 
     scale: Scale = eqx.field(converter=_scale)
     dof: Scale = eqx.field(converter=_scale, default=4.0)
+    low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
     least_squares = False
 
     def __check_init__(self) -> None:
         require_positive("StudentT: scale", self.scale)
         require_positive("StudentT: dof", self.dof)
+        if isinstance(self.dof, str) and self._ends:
+            raise InputError(
+                f"StudentT: dof must be a number where data have ends, got the name {self.dof!r}."
+            )
 
     @property
-    def surrogate(self) -> Gaussian | None:
-        """The Gaussian of the same scale, if it is known."""
-        return None if isinstance(self.scale, str) else Gaussian(self.scale)
+    def _ends(self) -> bool:
+        return self.low is not None or self.high is not None
+
+    @property
+    def surrogate(self) -> "Gaussian | Censored | None":
+        """The Gaussian of the same scale and ends, if it is known."""
+        if isinstance(self.scale, str):
+            return None
+        return Censored(self.scale, self.low, self.high) if self._ends else Gaussian(self.scale)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / scale, normalised."""
-        z, dof = (data - prediction) / self.scale, jnp.asarray(self.dof)
-        norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - jnp.log(dof * jnp.pi) / 2
-        return norm - jnp.log(self.scale) - (dof + 1) / 2 * jnp.log1p(z**2 / dof)
+        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / scale, normalised; ln of the
+        probability beyond, at an end."""
+        dof = jnp.asarray(self.dof)
+        z = (data - prediction) / self.scale
+        density = student_log_density(z, dof) - jnp.log(self.scale)
+        if self.low is not None:
+            below = log_student((self.low - prediction) / self.scale, dof)
+            density = jnp.where(data <= self.low, below, density)
+        if self.high is not None:
+            above = log_student((prediction - self.high) / self.scale, dof)
+            density = jnp.where(data >= self.high, above, density)
+        return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Normal deviates of the probabilities under Student's t."""
-        del chance
+        """Normal deviates of the probabilities under Student's t; of a clipped datum, one of those
+        that it may stand for."""
         xp, special = numerics(prediction, data, self)
+        data, prediction = xp.asarray(data), xp.asarray(prediction)
         dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
-        z = (xp.asarray(data) - xp.asarray(prediction)) / scale
-        below = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
-        return xp.copysign(special.ndtri(below), z)
+
+        def below(z: Numbers) -> Numbers:
+            """The probability of less."""
+            half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
+            return xp.where(z > 0, 1 - half, half)
+
+        z = (data - prediction) / scale
+        found = xp.copysign(special.ndtri(below(-abs(z))), z)
+        if self.low is not None:
+            share = chance * below((xp.asarray(self.low) - prediction) / scale)
+            found = xp.where(data <= self.low, special.ndtri(share), found)
+        if self.high is not None:
+            share = chance * below((prediction - xp.asarray(self.high)) / scale)
+            found = xp.where(data >= self.high, -special.ndtri(share), found)
+        return found
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been."""
+        """Data as they might have been, clipped."""
         noise = jax.random.t(key, self.dof, prediction.shape, prediction.dtype)
-        return prediction + self.scale * noise
+        return jnp.clip(prediction + self.scale * noise, self.low, self.high)
 
 
 class Censored(eqx.Module):
