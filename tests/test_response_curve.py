@@ -7,11 +7,11 @@ from oracles.stacks import exposure_stack, gamma, jpeg_stack, log_exposures, s_s
 
 from fitting.response.code_bins import code_bins
 from fitting.response.code_pairs import pair_statistics
-from fitting.response.curve import fit_response_curve
+from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import clear_of_clipping
 from fitting.response.solve import Hyperparameters, roughness, shutter_basis, solve
-from fitting.response.weights import hat_rule, noise_rule, observe
+from fitting.response.weights import hat_rule, noise_rule, observe, undithered
 from jaxvision.errors import InputError
 
 TIMES = 2.0 ** np.arange(-4, 5)
@@ -262,3 +262,40 @@ def test_smoothness_settles_from_either_side():
     assert low == pytest.approx(high, rel=0.2)
     for end in ends:
         assert end.suggested.smoothness == pytest.approx(end.used.smoothness, rel=0.1)
+
+
+def test_rounding_follows_the_light_until_noise_dithers_it():
+    """Against rounded draws."""
+    rng = np.random.default_rng(0)
+    light = rng.uniform(0, 10, 200_000)
+    for deviation in (0.05, 0.2, 0.4, 1.0):
+        noisy = light + deviation * rng.standard_normal(light.size)
+        within = light - np.round(light)
+        follows = -12 * np.mean((np.round(noisy) - noisy) * within)
+        assert undithered(np.array([deviation**2]))[0] == pytest.approx(follows, abs=0.04)
+
+
+def test_codes_three_stops_apart_keep_a_pure_gamma():
+    """Nothing but their noise ties such codes to those between them: a score that took a tenth of
+    it for rounding bent half of these curves by .02, ten times their errors."""
+    times = 8.0 ** np.arange(-2, 2)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        _, codes = exposure_stack(gamma(2.2), times, rng, full_well=20_000.0)
+        curve = fit_response_curve(codes, times, bits=8)
+        judged = curve.seen & (curve.codes >= 40) & (curve.codes <= 230)
+        gap = curve.log_exposure - 2.2 * np.log(curve.codes / curve.codes[curve.bins.middle])
+        assert np.abs(gap[judged]).max() < 0.003
+
+
+def test_bands_allow_for_a_ripple_of_exposures_three_stops_apart():
+    """Of a response that bends, no pixel shows it; one more exposure, a stop from another, does."""
+    three, four = 8.0 ** np.arange(-1, 2), np.array([0.125, 0.5, 1.0, 8.0])
+    _, codes = exposure_stack(s_shaped, three, np.random.default_rng(0), full_well=20_000.0)
+    curve = fit_response_curve(codes, three, bits=8)
+    truth = log_exposures(s_shaped, curve.codes)
+    gap = curve.log_exposure - truth + truth[curve.bins.middle]
+    judged = curve.seen & (curve.codes >= 20) & (curve.codes <= 235)
+    assert np.mean(np.abs(gap[judged]) <= curve.half_width[judged] + 1e-9) > 0.95
+    assert ripple(three, curve.smoothness) > 0.03
+    assert ripple(four, curve.smoothness) == ripple(three, 1e6) == 0

@@ -9,7 +9,10 @@ eliminating ln E_i leaves the energy
 g being the curve's mean over each bin of codes and s the log exposure times: A holds all that the
 pixels say about any curve. Its expected gradient at the true curve, the score b, is not zero:
 
-- noise in a code moves its own g along: E[w r h(z)] = (1 - w / sum w) (noise share) h' / g' ;
+- noise in a code moves its own g along: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
+  of the variance that is independent of the light;
+- rounding without noise follows the light, not the code, and moves the g of the pixel's other
+  codes instead: E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
 - noise before the curve lowers a logarithm, on average by half its variance;
 - a weight that changes across an interval of codes favours one of its ends.
 
@@ -154,7 +157,9 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
     assert rule.bias is not None
     used = seen.weights > 0
     leverage = seen.weights / seen.total
-    noisy = np.where(used, rule.share.ravel()[seen.cells] * (1 - leverage), 0)
+    share = np.where(used, rule.share.ravel()[seen.cells], 0)
+    rounded = np.where(used, 1 - share, 0)
+    noisy = share * (1 - leverage) + leverage * (rounded.sum(axis=0) - rounded)
     bias = np.where(used, rule.bias.ravel()[seen.cells], 0)
     bias -= leverage * bias.sum(axis=0)
     classes, bins = sums.noisy.shape

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ..inference.posterior import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
-from .curve import ResponseCurve
+from .curve import ResponseCurve, ripple
 from .solve import ROUGHEST
 
 PURE = 0.05  # departure in ln exposure up to which a response counts as a pure gamma
@@ -66,7 +66,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     channels = calibration.channels
     found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
-    found.append(_near_clipped_in_words(channels))
+    found += [_near_clipped_in_words(channels), _ripple_in_words(channels)]
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -191,6 +191,20 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
     return (
         f"Too few pixels are far from clipped ones ({names}), so those near them count too: where "
         "neighbours are mixed, by demosaicking or JPEG, the curve is too steep near full scale."
+    )
+
+
+def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
+    sizes = [ripple(c.curve.exposures, c.curve.smoothness) for c in channels]
+    if not max(sizes) > 0:
+        return ""
+    names = ", ".join(
+        c.plane.label or "grey" for c, size in zip(channels, sizes, strict=True) if size > 0
+    )
+    return (
+        "All exposures lie more than two stops from each other, and no pixel tells a ripple of "
+        f"that period from a response that bends ({names}): the bands allow for {max(sizes):.1%}. "
+        "One more exposure, a stop from another, would tell."
     )
 
 

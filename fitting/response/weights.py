@@ -21,6 +21,7 @@ LOOSEST = 0.2  # log standard deviation up to which terms of second order are a 
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
+HARMONICS = 16  # of rounding
 MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of clipping
 
 
@@ -34,7 +35,8 @@ class WeightRule:
         start: log exposure of the first cell.
         step: between cells.
         weight: (classes, cells); None where `by_bin` is the only weight.
-        share: (classes, cells) share of the variance that is noise.
+        share: (classes, cells) share of the variance that is independent of the light: noise, and
+            rounding as far as noise dithers it.
         bias: (classes, cells) mean of weight times residual.
     """
 
@@ -114,13 +116,38 @@ def _of_class(
     sharp = variance < LOOSEST**2
     lowest = grid[np.argmax(sharp)]
     inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
-    share = 1 - interval / variance
-    bias = interval * np.gradient(variance, grid) / variance**2 - share / 2
+    independent = noise_variance(noise, grid)
+    share = 1 - interval * undithered(independent / (12 * interval)) / variance
+    bias = interval * np.gradient(variance, grid) / variance**2 - independent / variance / 2
     weight, share, bias = (
         np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)
     )
     of_bins = noise_variance(noise, means) + interval_variance(means)
     return np.where(of_bins < LOOSEST**2, 1 / of_bins, 0), weight, share, bias
+
+
+def undithered(
+    variance: Float[np.ndarray, " points"],
+) -> Float[np.ndarray, " points"]:
+    """How far the error of rounding still follows the light under noise: its covariance with the
+    light, over that without noise.
+
+    A rounded x + n errs by u; with n normal of variance s^2, in squares of the interval,
+
+        Cov(u, x) = -sum_k exp(-2 pi^2 k^2 s^2) / (2 pi^2 k^2),
+
+    -1/12 for s = 0. From half an interval of noise on, nothing is left of it: rounding then is an
+    error like any other (Widrow and Kollar, "Quantization Noise", 2008).
+
+    Args:
+        variance: (points,) of the noise, in squares of the interval.
+
+    Returns:
+        (points,) from 1 without noise to 0.
+    """
+    squares = np.arange(1, HARMONICS + 1)[:, None] ** 2
+    decay = np.exp(-2 * np.pi**2 * squares * variance) / squares
+    return decay.sum(axis=0) / np.sum(1 / squares)
 
 
 def observe(
