@@ -88,7 +88,8 @@ class Camera(Entry):
         gamma_sd: of the encoding exponent.
         gain_sd: DN per electron.
         read_noise_sd: electrons rms.
-        prnu_sd: of the pixels' own gains, relative to their mean: what is left of the flat field.
+        prnu_sd: of the pixels' own gains, relative to their mean: what is left of the flat field; 0
+            where pixels are equal.
         date: when the images were taken; studies of many cameras look for drift with it.
         temperature: K, of the sensor; likewise.
     """
@@ -106,7 +107,7 @@ class Camera(Entry):
     gamma_sd: Positive | None = None
     gain_sd: Positive | None = None
     read_noise_sd: Positive | None = None
-    prnu_sd: Positive | None = None
+    prnu_sd: NonNegative | None = None
     date: datetime.date | None = None
     temperature: Kelvin | None = None
 

@@ -69,7 +69,7 @@ def photographed(lab: Lab, seed: int) -> JointMeasurement:
             bits=BITS,
             black_level=BLACK,
             black_sd=BLACK_SD,
-            prnu_sd=sphere.prnu or None,
+            prnu_sd=sphere.prnu,
         ),
         sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
         intensities=np.full(sphere.lights, WHITE),

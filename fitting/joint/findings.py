@@ -47,7 +47,8 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             "or an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give."
         )
     if "prnu" not in fit.values:
-        found += _gain_findings(fit)
+        stated = calibration.measurement.camera.prnu_sd is not None
+        found += _gain_findings(fit, stated=stated)
     found += fit.identifiability.sentences
     posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
@@ -86,7 +87,7 @@ def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
     ]
 
 
-def _gain_findings(fit: JointFit) -> list[str]:
+def _gain_findings(fit: JointFit, *, stated: bool) -> list[str]:
     """Whether gain and read noise explain how pixels scatter."""
     seen = unequal_pixels(fit)
     if seen.found:
@@ -96,12 +97,17 @@ def _gain_findings(fit: JointFit) -> list[str]:
             f"({seen.deviations:.0f} standard errors from none). They hide the gain and the "
             f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
         ]
+    if seen.hide_noise(stated):
+        return [
+            f"Unequal pixels of {seen.most:.2%}, which these images cannot tell from photons and "
+            f"read-out, would move the gain or the read noise by {seen.moved:.1f} standard errors: "
+            "neither is printed. Give the rig camera.prnu_sd (0 if pixels are alike and the "
+            "surface is smooth), or flats and darks."
+        ]
     if "system_gain" in fit.data.known or fit.data.levels is not None:
         return []
-    return [
-        "The gain is read off the scatter of the object's pixels, which shows no unequal pixels "
-        "and no texture."
-    ]
+    why = "which the rig says are equal" if stated else "which shows no unequal pixels"
+    return [f"The gain is read off the scatter of the object's pixels, {why}, and no texture."]
 
 
 def _misfit_in_words(fit: JointFit) -> str:

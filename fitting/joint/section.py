@@ -12,10 +12,7 @@ from . import figures
 from .calibration import JointCalibration
 from .findings import findings, misfit_table, score_table
 from .prediction import score
-from .start import GAIN, READ_NOISE
-from .unequal_pixels import unequal_pixels
-
-NOISE = (GAIN.name, READ_NOISE.name)
+from .unequal_pixels import NOISE, unequal_pixels
 
 
 def section(calibration: JointCalibration) -> Section:
@@ -66,8 +63,9 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
     for fit in calibration.fits:
         if fit.channel in calibration.posteriors:
             found = estimates(calibration.posteriors[fit.channel], group=fit.channel)
-            hidden = "prnu" not in fit.values and unequal_pixels(fit).found
-            why = "pixels are unequal (see the findings)"
+            stated = calibration.measurement.camera.prnu_sd is not None
+            hidden = "prnu" not in fit.values and unequal_pixels(fit).hide_noise(stated)
+            why = "pixels may be unequal (see the findings)"
             rows += [
                 not_determined(e, why, group=fit.channel) if hidden and e.name in NOISE else e
                 for e in found

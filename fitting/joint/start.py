@@ -60,7 +60,7 @@ def scatter_scales(
         if sizes.any():
             typical = float(np.sqrt(np.mean(sizes[sizes > 0] ** 2)))
             found[name] = (typical, sizes / typical)
-    if measurement.camera.prnu_sd is not None:
+    if measurement.camera.prnu_sd:
         found["prnu"] = (measurement.camera.prnu_sd, np.ones(0))
     return found
 

@@ -4,6 +4,9 @@ The mean variance s^2 of n pixels about their cell's mean has the variance 2 v^2
 model's v. Unequal gains of relative size p add p^2 R^2, R being what a relative change of the light
 does to a pixel. Their score, what gain and read noise explain removed first, is a regression of
 s^2 - v on R^2 (Rao, Proc. Cambridge Phil. Soc. 44, 1948).
+
+What is not seen may still be there, and would move gain and read noise: by p^2 C J, C being the
+posterior's covariance and J = dv^T W R^2 with the weights n / (2 v^2) of variances.
 """
 
 from dataclasses import dataclass
@@ -13,11 +16,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from scipy.special import ndtri
 
 from .fit import JointFit
 from .model import JointData, predicted, values_at
 
+NOISE = ("system_gain", "read_noise")  # what unequal pixels look like
+TYPICAL = 0.01  # relative gains of a camera's pixels, rms, which few exceed
+TOLERATED = 0.5  # standard errors by which gain or read noise may be off
 BEYOND_CHANCE = 5.0  # standard errors of the pixels' gains from none
+ONE_SIDED = float(ndtri(0.95))
 ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is rounding below it
 
 
@@ -28,15 +36,27 @@ class UnequalPixels:
     Attributes:
         size: relative, rms; 0 where the scatter rises less than photons make it.
         deviations: of its square from 0, in standard errors.
+        most: relative, rms, that could have gone unseen: the upper 95 % limit, at most `TYPICAL`.
+        moved: standard errors by which `most` would move the gain or the read noise.
     """
 
     size: float
     deviations: float
+    most: float
+    moved: float
 
     @property
     def found(self) -> bool:
         """Whether they are beyond chance, so that gain and read noise stand for them too."""
         return self.deviations > BEYOND_CHANCE
+
+    def hide_noise(self, stated: bool) -> bool:
+        """Whether they leave gain and read noise open.
+
+        Args:
+            stated: whether the rig says how unequal pixels are.
+        """
+        return self.found or (not stated and self.moved > TOLERATED)
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
@@ -49,7 +69,8 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
         Their size.
     """
     cells = fit.data.cells
-    freedom = np.asarray(cells.count, np.float64) - 1
+    count = np.asarray(cells.count, np.float64)
+    freedom = count - 1
     used = freedom > 0
     variance, relative, slopes = (
         np.asarray(x, np.float64) for x in _of_pixels(jnp.asarray(fit.vector), fit.data)
@@ -59,10 +80,21 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
     column = relative[used] ** 2 * weight
     known = slopes[:, used].T * weight[:, None]
     left = column - known @ np.linalg.lstsq(known, column)[0]
+    moved = _moved(fit, np.where(count > 0, count / (2 * variance**2), 0) * relative**2, slopes)
     if left @ left <= ALONE * (column @ column):  # too few cells of several pixels to tell
-        return UnequalPixels(0.0, 0.0)
-    square = float(left @ beyond / (left @ left))
-    return UnequalPixels(max(square, 0.0) ** 0.5, square * float(np.linalg.norm(left)))
+        return UnequalPixels(0.0, 0.0, TYPICAL, TYPICAL**2 * moved)
+    square, error = float(left @ beyond / (left @ left)), 1 / float(np.linalg.norm(left))
+    most = min((max(square, 0.0) + ONE_SIDED * error) ** 0.5, TYPICAL)
+    return UnequalPixels(max(square, 0.0) ** 0.5, square / error, most, most**2 * moved)
+
+
+def _moved(fit: JointFit, weighted: np.ndarray, slopes: np.ndarray) -> float:
+    """Standard errors by which p^2 = 1 would move the gain or the read noise, whichever more."""
+    covariance = np.linalg.pinv(fit.information)
+    shift = covariance @ np.sum(slopes * weighted, axis=(1, 2))
+    places = [i for i, parameter in enumerate(fit.space) if parameter.name in NOISE]
+    errors = np.sqrt(np.diagonal(covariance)[places])
+    return float(np.max(np.abs(shift[places]) / errors, initial=0.0))
 
 
 @eqx.filter_jit
