@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxvision.errors import InputError
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.newton import NewtonSolution, minimise
@@ -272,12 +273,20 @@ def fitted(
 
     Returns:
         The fit.
+
+    Raises:
+        InputError: where no start has a likelihood.
     """
     if among:
         solution, vector = _fit_among(among, space, data, standard)
     else:
         solution = fit_space(space, data, standard)
         vector = solution.vector
+    if not bool(jnp.isfinite(solution.cost)):
+        raise InputError(
+            "the likelihood of the levels is nowhere finite; look for levels whose frames are all "
+            "alike, as clipped or hardly dithered ones are, and leave them out."
+        )
     residuals = _residuals(vector, (among or space, data))
     chi_square = float(sum(jnp.sum(x**2) for x in jax.tree.leaves(residuals)))
     return LikelihoodFit(
