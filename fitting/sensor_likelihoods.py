@@ -21,7 +21,8 @@ from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
 from jaxvision.sensor.adc import largest_number
 from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
-from .inference.likelihoods import Censored, Numbers, is_concrete, numerics
+from .inference.given import is_concrete
+from .inference.likelihoods import Censored, Numbers, numerics
 from .inference.tails import log_ndtr
 
 FAR = 40.0  # standard deviations: no probability is left beyond
@@ -94,13 +95,11 @@ class SensorNoise(eqx.Module):
 
     def _mean(self, prediction: Array) -> Array:
         """Signal before it is clipped, DN."""
-        return expected_signal(_record(self.sensor), jnp.asarray(prediction))
-
-    def _deviation(self, prediction: Array) -> Array:
-        return jnp.sqrt(signal_variance(_record(self.sensor), jnp.asarray(prediction)))
+        return expected_signal(_record(self.sensor), _light("SensorNoise", prediction))
 
     def _signal(self, prediction: Array) -> Censored:
-        deviation = self._deviation(prediction)
+        light = _light("SensorNoise", prediction)
+        deviation = jnp.sqrt(signal_variance(_record(self.sensor), light))
         bits = _record(self.sensor).bits
         if bits is None:
             return Censored(deviation)
@@ -131,6 +130,16 @@ class SensorCounts(eqx.Module):
     def __check_init__(self) -> None:
         if not isinstance(self.sensor, str):
             _check_counts(self.sensor, self.reach)
+
+    def check_data(self, data: Numbers) -> None:
+        """Refuses data that are no codes."""
+        known = np.asarray(data)
+        wrong = known[np.isfinite(known) & (known != np.round(known))]
+        if wrong.size:
+            raise InputError(
+                f"SensorCounts: the data are codes, whole numbers, and hold {wrong.flat[0]:g}; use "
+                "SensorNoise for means of frames or corrected data."
+            )
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """ln P of each code.
@@ -185,7 +194,8 @@ class SensorCounts(eqx.Module):
         return jnp.zeros(()) if offset is None else offset
 
     def _electrons(self, prediction: Array) -> Array:
-        return (expected_signal(_record(self.sensor), prediction) - self._offset()) / self._gain()
+        light = _light("SensorCounts", prediction)
+        return (expected_signal(_record(self.sensor), light) - self._offset()) / self._gain()
 
     def _read_noise(self) -> Array:
         return jnp.sqrt(read_out_variance(_record(self.sensor), dtype=self._gain().dtype))
@@ -219,6 +229,19 @@ class SensorCounts(eqx.Module):
         low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
         high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
         return low, high
+
+
+def _light(likelihood: str, prediction: Array) -> Array:
+    """The prediction, refused where it is known and cannot be light."""
+    if is_concrete(prediction):
+        wrong = np.asarray(prediction)
+        wrong = wrong[~((wrong >= 0) & (wrong < np.inf))]
+        if wrong.size:
+            raise InputError(
+                f"{likelihood}: the prediction is light, finite and at least 0, and reaches "
+                f"{wrong.flat[0]:g} at the values tried; bound the parameters so that it cannot."
+            )
+    return jnp.asarray(prediction)
 
 
 def _check_counts(sensor: Sensor, reach: int) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ._png_chunks import png_fault
 from .errors import InputError
 from .interrupts import removed_if_interrupted
 from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
@@ -125,6 +126,8 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
 def _read_by_openimageio(file: Path) -> np.ndarray:
     import OpenImageIO as oiio
 
+    if fault := png_fault(file):
+        raise _damaged(file, fault)
     as_stored = oiio.ImageSpec()
     as_stored.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(file), as_stored)
@@ -142,14 +145,17 @@ def _read_by_openimageio(file: Path) -> np.ndarray:
             )
         pixels = source.read_image(0, 0, 0, spec.nchannels, "float" if sample == "half" else sample)
         if pixels is None:
-            raise InputError(
-                f"{file}: the file is damaged or cut short ({_reason(source)}); "
-                "copy it again from its source."
-            )
+            raise _damaged(file, _reason(source))
     finally:
         source.close()
     pixels = np.asarray(pixels, _DTYPES[sample]).reshape(spec.height, spec.width, spec.nchannels)
     return pixels[..., 0] if spec.nchannels == 1 else pixels
+
+
+def _damaged(file: Path, reason: str) -> InputError:
+    return InputError(
+        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
+    )
 
 
 def read_environment(path: str | os.PathLike[str]) -> np.ndarray:

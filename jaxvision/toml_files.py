@@ -86,6 +86,10 @@ def _first_mistake(
             key = str(mistake["loc"][-1])
             hint = nearest(key, _known_keys(schema, mistake["loc"][:-1]))
             return f"{where} is not a key of a {kind} file; {hint}"
+        case "too_short" | "too_long" if context.get("field_type") == "Tuple":
+            short = mistake["type"] == "too_short"
+            end = f"least {context['min_length']}" if short else f"most {context['max_length']}"
+            return f"{where} lists {context['actual_length']}; give at {end}"
         case "value_error":
             return f"{where}: {reason}"
         case "union_tag_not_found":

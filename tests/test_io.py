@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxvision import io
+from jaxvision._png_chunks import png_fault
 from jaxvision.errors import InputError
 from jaxvision.io import LONGEST_REASON, read_image, write_exr, write_image
 
@@ -86,6 +87,23 @@ def test_files_cut_short_are_named(tmp_path, suffix):
     file.write_bytes(file.read_bytes()[:9000])
     with pytest.raises(InputError, match=f"a{suffix}.*(damaged|not readable)"):
         read_image(file)
+
+
+@pytest.mark.parametrize("damage", ["cut", "end", "bit"])
+def test_a_damaged_png_is_one_sentence_and_no_line_of_libpng(tmp_path, capfd, damage):
+    file = tmp_path / "a.png"
+    write_image(file, RNG.integers(0, 255, (40, 40), np.uint8))
+    assert png_fault(file) is None
+    whole = file.read_bytes()
+    if damage == "bit":
+        middle = len(whole) // 2
+        file.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    else:
+        file.write_bytes(whole[: 700 if damage == "cut" else -4])
+    expected = "check sum of its chunk IDAT" if damage == "bit" else "last chunk is missing"
+    with pytest.raises(InputError, match=rf"a\.png: the file is damaged.*{expected}"):
+        read_image(file)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_failed_write_keeps_the_old_file(tmp_path):

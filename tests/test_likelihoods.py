@@ -27,6 +27,7 @@ from jaxvision.errors import InputError
 PREDICTION = jnp.array([0.0, 1.0, 5.0, -2.0])
 DATA = jnp.array([0.3, -4.0, 5.0, -1.0])
 SD = 0.7
+NOISY = Gaussian(SD)
 RNG = np.random.default_rng(4)
 
 
@@ -115,11 +116,34 @@ def test_a_name_in_place_of_a_number():
 
 
 @pytest.mark.parametrize(
-    "wrong", [lambda: Gaussian(-0.1), lambda: StudentT(0.0), lambda: Censored(-1)]
+    ("wrong", "expected"),
+    [
+        (lambda: Gaussian(-0.1), "Gaussian: sd must be positive and finite, got -0.1"),
+        (lambda: Gaussian([0.1, np.inf]), "positive and finite, got inf"),
+        (lambda: StudentT(0.0), "StudentT: scale must be positive"),
+        (lambda: Censored(np.nan), "Censored: sd must be positive and finite, got nan"),
+        (lambda: Gaussian(None), "sd is a number, an array or the name of a parameter, got None"),
+        (lambda: Gaussian(""), "got ''"),
+        (lambda: Gaussian([1, "a"]), "got .1, 'a'."),
+        (lambda: StudentT(Censored(0.1)), r"scale is a number.*StudentT\(scale, low=..., high="),
+        (lambda: Censored(StudentT(0.1)), r"sd is a number.*StudentT\(scale, low=..., high="),
+        (lambda: Censored(0.1, low=3, high=2), "Censored: low = 3 must lie below high = 2"),
+        (lambda: StudentT(0.1, low=[0.0, 3.0], high=3), "StudentT: low = 3 must lie below high"),
+        (lambda: StudentT(0.1, low=np.zeros(2), high=np.ones(3)), r"the shapes \(2,\) and \(3,\)"),
+        (lambda: StudentT(0.1, high=np.nan), "high is NaN"),
+        (lambda: Clustered(0.1, [0, 1]), "0.1 is no likelihood"),
+        (lambda: Clustered(NOISY, [0.5, 1]), "labels are whole numbers"),
+        (lambda: Clustered(NOISY, ["a", "b"]), r"numpy\.unique"),
+    ],
 )
-def test_a_width_that_is_none_is_refused(wrong):
-    with pytest.raises(InputError, match="must be positive"):
+def test_a_likelihood_that_is_none_is_refused(wrong, expected):
+    with pytest.raises(InputError, match=expected):
         wrong()
+
+
+def test_ends_of_one_side_and_names_are_kept():
+    assert Censored("s", low="black", high=4).low == "black"
+    assert StudentT("s", low=-np.inf).high is None
 
 
 def test_chi_square_and_neighbours():
@@ -271,6 +295,19 @@ def test_a_sensor_that_cannot_be_counted_is_refused(options, reach, expected):
     with pytest.raises(InputError, match=expected):
         SensorCounts(sensor(**options), reach)
     SensorCounts(sensor(gain=0.5, read_noise=3.0), 25)
+
+
+@pytest.mark.parametrize("clustered", [False, True])
+def test_codes_are_whole_and_light_is_not_negative(clustered):
+    counted = SensorCounts(sensor(gain=0.5, read_noise=3.0), 25)
+    grouped = Clustered(counted, [0, 0, 1]) if clustered else counted
+    level = Problem({"a": Parameter()}, lambda a: a * jnp.ones(3), grouped, [20.0, np.nan, 21.0])
+    with pytest.raises(InputError, match=r"codes, whole numbers, and hold 20\.4; use Sens"):
+        level.with_data([20.0, np.nan, 20.4])
+    light = jnp.array([3.0, -2.0, 1.0])
+    for likelihood in (SensorNoise(counted.sensor), counted):
+        with pytest.raises(InputError, match=r"the prediction is light, .* reaches -2 at"):
+            likelihood.residuals(light, np.zeros(3), np.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -145,10 +145,14 @@ def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
 
 
 def test_what_cannot_be_run_is_said(monkeypatch):
-    with pytest.raises(InputError, match="3 draws of 4 chains"):
+    with pytest.raises(InputError, match="draws = 3: give a whole number of at least 10"):
         run(0.0, draws=3)
     with pytest.raises(InputError, match=r"acceptance = 1\.0: use a number between 0 and 1"):
         NutsOptions(acceptance=1.0)
+    with pytest.raises(InputError, match="acceptance = None: use a number"):
+        NutsOptions(acceptance=None)
+    with pytest.raises(InputError, match=r"chains = 2\.5: give a whole number"):
+        NutsOptions(chains=2.5)
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(InputError, match=r"pip install 'jaxvision\[nuts\]'"):
         run(0.0)

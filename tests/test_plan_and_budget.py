@@ -94,6 +94,10 @@ def test_what_cannot_be_planned_is_refused(fitted):
     ):
         with pytest.raises(InputError, match=expected):
             fitted.plan(candidates, target)
+    with pytest.raises(InputError, match="not finite for candidate 'dark'"):
+        fitted.plan({"dark": np.full(1, np.nan)}, "base")
+    with pytest.raises(InputError, match=r"repeats = 0\.5: give a whole number"):
+        fitted.plan({"a": PLACE}, "base", repeats=0.5)
 
 
 def flat_patch(exposures):

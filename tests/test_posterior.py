@@ -249,7 +249,13 @@ def test_nan_counts_as_impossible():
 
 @pytest.mark.parametrize(
     ("options", "expected"),
-    [({"walkers": 7}, "walkers = 7"), ({"steps": 10, "block": 20}, "steps = 10")],
+    [
+        ({"walkers": 7}, "walkers = 7"),
+        ({"steps": 10, "block": 20}, "steps = 10"),
+        ({"steps": 150.5}, r"steps = 150\.5: give a whole number of at least 1"),
+        ({"block": None}, "block = None: give a whole number"),
+        ({"walkers": "many"}, "walkers = 'many': give a whole number"),
+    ],
 )
 def test_unusable_options_are_refused(options, expected):
     with pytest.raises(InputError, match=expected):

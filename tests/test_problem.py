@@ -270,6 +270,27 @@ def test_a_fit_that_cannot_begin_says_why():
         fit(problem, start={"a": np.nan})
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, None, True, 2**32])
+def test_a_seed_that_is_none_is_refused(seed):
+    with pytest.raises(InputError, match="give a whole number from 0 to 4294967295"):
+        fit(decay_problem(), seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("function", "draws", "expected"),
+    [
+        (lambda height: height, 0, "draws = 0: give a whole number of at least 1"),
+        (lambda height: height, 2.5, r"draws = 2\.5"),
+        (lambda height: {"h": height}, 9, "returns a dict that is no array; return one array"),
+        (lambda height: (height, jnp.ones(2)), 9, "returns a tuple that is no array"),
+        ("height", 9, "'height' is no function"),
+    ],
+)
+def test_what_cannot_be_derived_is_refused(fitted, function, draws, expected):
+    with pytest.raises(InputError, match=expected):
+        fitted.derived(function, draws=draws)
+
+
 def test_a_record_s_value_begins_the_search_inside_the_bounds():
     parameters = {"r['a']": Parameter(lower=2.0, upper=3.0), "r['b']": 2.0}
     records = {"r": {"a": np.array([0.0, 2.5, np.inf]), "b": np.zeros(3)}}

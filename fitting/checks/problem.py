@@ -12,6 +12,7 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 
 from ..fits.solve import fit
+from ..inference.given import require_seed, require_whole
 from ..inference.parameters import Parameter, names, prior_values
 from ..inference.problem import Problem, likelihood_at, prediction, values_from
 from .coverage import Coverage, coverage
@@ -71,7 +72,7 @@ def check(
         Coverage of 50, 68 and 95 % intervals, mean and standard deviation of z, and ranks.
 
     Raises:
-        InputError: for parameters without priors where no truth is given.
+        InputError: for parameters without priors where no truth is given, and unusable numbers.
 
     Example:
         >>> import fitting
@@ -85,6 +86,8 @@ def check(
         >>> fitting.check(problem, simulations=20).faults
         ()
     """
+    require_seed(seed)
+    require_whole("simulations", simulations)
     space = problem.space
     labels = names(space)
     truths = _from_priors(space) if truth is None else _given(problem, truth)

@@ -12,6 +12,7 @@ from jaxvision.errors import InputError
 from jaxvision.progress import progress_bar
 
 from ..inference.estimates import QUANTILES
+from ..inference.given import require_seed, require_whole
 from ..inference.misfit import CHANCE
 from ..inference.parameters import to_natural
 from ..inference.pixelwise import Ends, fit_side_by_side
@@ -83,8 +84,8 @@ def fit_map(
     """
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
-    if not isinstance(chunk, int | np.integer) or chunk < 1:
-        raise InputError(f"chunk = {chunk}: give a whole number of pixels to be fitted at a time.")
+    require_seed(seed)
+    require_whole("chunk", chunk, of="pixels to be fitted at a time")
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxvision.errors import InputError
 
 from ..inference.design import Plan, ranked
+from ..inference.given import require_whole
 from .information import Target, expected_information, slope_of, with_inputs
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def plan(fit: "Fit", candidates: Mapping[str, Any], target: Target, *, repeats: 
     """
     if not candidates:
         raise InputError("plan: give at least one candidate.")
+    require_whole("repeats", repeats)
     problem, vector = fit.problem, fit.optimum.vector
     value, slope = slope_of(problem, target, vector)
     added = {}
@@ -38,6 +40,11 @@ def plan(fit: "Fit", candidates: Mapping[str, Any], target: Target, *, repeats: 
         new = with_inputs(problem, inputs)
         every = np.ones((1, int(np.prod(new.data.shape))))
         found = expected_information(new, vector, every, seed=fit.posterior.seed)[0]
+        if not np.isfinite(found).all():
+            raise InputError(
+                f"plan: predict or its slope is not finite for candidate {name!r}; check its "
+                "inputs for NaN."
+            )
         added[name] = found * repeats / fit.noise**2
     return ranked(in_words(target), value, slope, fit.posterior.covariance, added)
 

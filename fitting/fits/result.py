@@ -15,6 +15,7 @@ from jaxvision.errors import InputError, nearest
 
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
+from ..inference.given import require_whole
 from ..inference.likelihoods import with_noise_scaled
 from ..inference.misfit import Misfit
 from ..inference.posterior import Posterior, estimates
@@ -160,6 +161,9 @@ class Fit:
 
         Returns:
             Mean, standard deviation and intervals, in the unit of what it returns.
+
+        Raises:
+            InputError: for a function that asks for something unknown or returns no array.
 
         Example:
             >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -357,6 +361,7 @@ HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
 
 def _thinned(posterior: Posterior, draws: int) -> np.ndarray:
     """(draws, P) spread over all chains."""
+    require_whole("draws", draws)
     every = posterior.samples
     return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
 
@@ -364,7 +369,14 @@ def _thinned(posterior: Posterior, draws: int) -> np.ndarray:
 @eqx.filter_jit
 def _pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
     def one(natural: Array) -> Array:
-        return jnp.asarray(give(problem, function, values_from(problem, natural), problem.inputs))
+        found = give(problem, function, values_from(problem, natural), problem.inputs)
+        try:
+            return jnp.asarray(found)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"derived: the function returns a {type(found).__name__} that is no array; return "
+                "one array, or call derived once for each."
+            ) from error
 
     return jax.lax.map(one, natural, batch_size=BATCH)
 

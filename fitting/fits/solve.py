@@ -13,6 +13,7 @@ from jaxvision.progress import progress_bar
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.emcee_run import SamplingOptions
+from ..inference.given import require_seed
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import judge_sums, sums
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
@@ -78,8 +79,9 @@ def fit(
         The fit.
 
     Raises:
-        InputError: for a start that names no parameter, a model that is finite nowhere, data that
-            leave a direction open, chains to go on from that are others, and NUTS without blackjax.
+        InputError: for a seed that is none, a start that names no parameter, a model that is finite
+            nowhere, data that leave a direction open, chains to go on from that are others, and
+            NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -98,6 +100,7 @@ def fit(
         >>> abs(float(result.values["rate"]) - 1.3) < 0.05
         True
     """
+    require_seed(seed)
     options = _options(posterior, sampling)
     if problem.stream is not None and options is not None:
         raise InputError(

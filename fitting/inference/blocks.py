@@ -17,7 +17,7 @@ Progress = Callable[[int, int], None]
 Block = dict[str, np.ndarray]
 
 
-def begun(folder: Path | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
+def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
     """The blocks from which a run goes on: those in memory or those in a folder, whichever are
     more. The folder gets what it lacks.
 
@@ -33,7 +33,7 @@ def begun(folder: Path | None, before: Sequence[Block], fingerprint: str) -> lis
         InputError: for blocks of another run.
     """
     stored: list[Block] = []
-    for file in sorted(folder.glob("block-*.npz")) if folder is not None else ():
+    for file in sorted(Path(folder).glob("block-*.npz")) if folder is not None else ():
         with np.load(file) as content:
             stored.append(dict(content))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
@@ -48,7 +48,7 @@ def begun(folder: Path | None, before: Sequence[Block], fingerprint: str) -> lis
     return list(max(stored, before, key=len))
 
 
-def store(folder: Path | None, index: int, block: Block) -> None:
+def store(folder: Path | str | None, index: int, block: Block) -> None:
     """Writes one block, whole or not at all.
 
     Args:
@@ -58,7 +58,7 @@ def store(folder: Path | None, index: int, block: Block) -> None:
     """
     if folder is None:
         return
-    file = folder / f"block-{index:05d}.npz"
+    file = Path(folder) / f"block-{index:05d}.npz"
     with replaced_on_success(file) as partial, partial.open("wb") as stream:
         np.savez(stream, **block)  # type: ignore[arg-type]
 

@@ -20,6 +20,7 @@ from jaxvision.errors import InputError
 
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import autocorrelation_times
+from .given import require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
@@ -49,15 +50,17 @@ class SamplingOptions:
     walkers: int = 64
     steps: int = 20_000
     block: int = 100
-    checkpoint: Path | None = None
+    checkpoint: Path | str | None = None
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
+        for name in ("walkers", "steps", "block"):
+            require_whole(name, getattr(self, name))
         if self.walkers < 4 or self.walkers % 2:
             raise InputError(f"walkers = {self.walkers}: use an even number of at least 4.")
-        if self.block < 1 or self.steps < self.block:
+        if self.steps < self.block:
             raise InputError(
-                f"steps = {self.steps} with blocks of {self.block}: use at least one block of one."
+                f"steps = {self.steps} with blocks of {self.block}: use at least one block."
             )
 
 
@@ -74,7 +77,7 @@ def for_group(options: SamplingOptions | None, group: str) -> SamplingOptions | 
     if options is None or options.checkpoint is None:
         return options
     name = group.replace(" ", "_").replace("/", "_")
-    return replace(options, checkpoint=options.checkpoint / name)
+    return replace(options, checkpoint=Path(options.checkpoint) / name)
 
 
 def enough_walkers(options: SamplingOptions, dimension: int) -> int:

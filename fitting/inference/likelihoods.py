@@ -8,8 +8,9 @@ Each is a record with
 
 `least_squares`, whether ln p is -residual^2 / 2 but for constants, so that a fit may use Levenberg
 and Marquardt's method; and `surrogate`, a likelihood of least squares whose best fit is near, for
-one in which a search gets lost, or None. A record of your own with these parts is as good. A field
-that holds a string is the name of a parameter or a path into a record, whose value takes its place.
+one in which a search gets lost, or None. A record of your own with these parts is as good; with
+`check_data(data)` besides it may refuse data that it knows to be wrong. A field that holds a string
+is the name of a parameter or a path into a record, whose value takes its place.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
 of the probability below a datum. Where a datum covers an interval, a clipped one for instance,
@@ -25,11 +26,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
+from .given import (
+    end_or_name,
+    is_concrete,
+    number_or_name,
+    require_ascending,
+    require_positive,
+    whole_labels,
+)
 from .priors import HALF_LOG_2PI
 from .tails import log_ndtr, log_student, student_log_density
 
@@ -50,18 +58,6 @@ class Likelihood(Protocol):
     def draw(self, key: Array, prediction: Array) -> Array: ...
 
 
-def is_concrete(tree: Any) -> bool:
-    """Whether all numbers of a tree are known, outside of any transformation.
-
-    Args:
-        tree: a PyTree.
-
-    Returns:
-        False while JAX traces it.
-    """
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
-
-
 def numerics(*known: Any) -> tuple[Any, Any]:
     """What to compute residuals by: NumPy, which compiles nothing, or JAX where it traces.
 
@@ -72,30 +68,6 @@ def numerics(*known: Any) -> tuple[Any, Any]:
         `numpy` and `scipy.special`, or their counterparts of JAX.
     """
     return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
-
-
-def require_positive(what: str, value: Any) -> None:
-    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes.
-
-    Args:
-        what: is judged, in words.
-        value: number, array, or the name of a parameter.
-
-    Raises:
-        InputError: where it is 0 or less.
-    """
-    if isinstance(value, str) or not is_concrete(value):
-        return
-    if (np.asarray(value) <= 0).any():
-        raise InputError(f"{what} must be positive, got {np.min(np.asarray(value)):g}.")
-
-
-def _scale(value: Any) -> Any:
-    return value if isinstance(value, str) else jnp.asarray(value, jnp.result_type(float))
-
-
-def _end(value: Any) -> Any:
-    return None if value is None else _scale(value)
 
 
 class Gaussian(eqx.Module):
@@ -111,7 +83,7 @@ class Gaussian(eqx.Module):
         -0.7258
     """
 
-    sd: Scale = eqx.field(converter=_scale)
+    sd: Scale = eqx.field(converter=number_or_name("Gaussian: sd"))
     surrogate = None  # the log density is as curved far from the best fit
 
     def __check_init__(self) -> None:
@@ -157,15 +129,16 @@ class StudentT(eqx.Module):
         Gonzalez-Farias & Munoz-Gajardo, Stat. Methods Appl. 21, 2012.
     """
 
-    scale: Scale = eqx.field(converter=_scale)
-    dof: Scale = eqx.field(converter=_scale, default=4.0)
-    low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
-    high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    scale: Scale = eqx.field(converter=number_or_name("StudentT: scale"))
+    dof: Scale = eqx.field(converter=number_or_name("StudentT: dof"), default=4.0)
+    low: Scale = eqx.field(converter=end_or_name("StudentT: low"), default=None)
+    high: Scale = eqx.field(converter=end_or_name("StudentT: high"), default=None)
     least_squares = False
 
     def __check_init__(self) -> None:
         require_positive("StudentT: scale", self.scale)
         require_positive("StudentT: dof", self.dof)
+        require_ascending("StudentT", self.low, self.high)
         if isinstance(self.dof, str) and self._ends:
             raise InputError(
                 f"StudentT: dof must be a number where data have ends, got the name {self.dof!r}."
@@ -237,14 +210,15 @@ class Censored(eqx.Module):
         Tobin, Econometrica 26, 1958.
     """
 
-    sd: Scale = eqx.field(converter=_scale)
-    low: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
-    high: Float[Array, "..."] | None = eqx.field(converter=_end, default=None)
+    sd: Scale = eqx.field(converter=number_or_name("Censored: sd"))
+    low: Scale = eqx.field(converter=end_or_name("Censored: low"), default=None)
+    high: Scale = eqx.field(converter=end_or_name("Censored: high"), default=None)
     least_squares = False
     surrogate = None  # data beyond an end pull the harder, the farther it is
 
     def __check_init__(self) -> None:
         require_positive("Censored: sd", self.sd)
+        require_ascending("Censored", self.low, self.high)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's between the ends; ln of the probability beyond, at an end."""
@@ -290,7 +264,18 @@ class Clustered(eqx.Module):
     """
 
     likelihood: Any
-    labels: Any = eqx.field(converter=lambda labels: np.asarray(labels, np.int64), static=False)
+    labels: Any = eqx.field(converter=whole_labels, static=False)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.likelihood, Likelihood):
+            raise InputError(
+                f"Clustered: {self.likelihood!r} is no likelihood; give one, such as "
+                "Gaussian(sd=...), then the labels."
+            )
+
+    def check_data(self, data: Numbers) -> None:
+        """Refuses what the likelihood inside does."""
+        check_data(self.likelihood, data)
 
     @property
     def least_squares(self) -> bool:
@@ -313,6 +298,20 @@ class Clustered(eqx.Module):
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, without the shared error."""
         return self.likelihood.draw(key, prediction)
+
+
+def check_data(likelihood: Any, data: Numbers) -> None:
+    """Refuses data that a likelihood knows to be wrong.
+
+    Args:
+        likelihood: any.
+        data: to judge, 0 or NaN where missing.
+
+    Raises:
+        InputError: if it has reasons to.
+    """
+    if hasattr(likelihood, "check_data"):
+        likelihood.check_data(data)
 
 
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:

@@ -27,6 +27,7 @@ from jaxvision.errors import InputError
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import effective_draws, split_r_hat
 from .fingerprint import fingerprint
+from .given import require_whole
 from .parameters import ParameterSpace, to_natural
 from .posterior import LogDensity, Posterior
 
@@ -58,17 +59,15 @@ class NutsOptions:
     chains: int = 4
     acceptance: float = 0.8
     block: int = 100
-    checkpoint: Path | None = None
+    checkpoint: Path | str | None = None
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
-        if self.draws < FEWEST_DRAWS or self.chains < 1 or self.block < 1:
-            raise InputError(
-                f"{self.draws} draws of {self.chains} chains in blocks of {self.block}: give at "
-                f"least {FEWEST_DRAWS} draws of one chain in blocks of one."
-            )
-        if not 0 < self.acceptance < 1:
-            raise InputError(f"acceptance = {self.acceptance}: use a number between 0 and 1.")
+        require_whole("draws", self.draws, least=FEWEST_DRAWS)
+        require_whole("chains", self.chains)
+        require_whole("block", self.block)
+        if not (isinstance(self.acceptance, float | np.floating) and 0 < self.acceptance < 1):
+            raise InputError(f"acceptance = {self.acceptance!r}: use a number between 0 and 1.")
 
 
 class _State(eqx.Module):

@@ -7,7 +7,6 @@ is any JAX function, and the names of its arguments say what it is given: `value
 by name), `inputs`, a record (a scene with the unknown numbers in place), or one parameter's value.
 """
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,10 +17,18 @@ from jaxtyping import Array, Bool, Float
 
 from jaxvision.errors import InputError, nearest
 
-from .likelihoods import Likelihood, with_values
+from .likelihoods import Likelihood, check_data, with_values
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, replaced
-from .statement import argument_names, as_arrays, check_names, finite_data, placed, placed_like
+from .statement import (
+    argument_names,
+    arguments,
+    as_arrays,
+    check_names,
+    finite_data,
+    placed,
+    placed_like,
+)
 from .streams import Stream, opened
 
 Values = dict[str, Array]
@@ -139,6 +146,7 @@ class Problem(eqx.Module):
         self.data = placed_like(data, np.where(missing, 0, known))
         partly = missing.any() or self.stream is not None  # one structure for all chunks
         self.present = placed_like(data, ~missing) if partly else None
+        check_data(likelihood, self.data)
         _check_shapes(self)
 
     def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":
@@ -270,7 +278,7 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
         Its result.
     """
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
-    asked = inspect.signature(function).parameters.values()
+    asked = arguments(function).values()
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
     named = {a.name: known[a.name] for a in asked if a.kind is a.KEYWORD_ONLY}

@@ -37,6 +37,7 @@ from jaxvision.errors import InputError
 
 from .curvature import gauss_newton
 from .diagnostics import UNDETERMINED, listed
+from .given import require_whole
 from .least_squares import minimise_residuals
 from .newton import NewtonSolution, minimise
 from .parameters import (
@@ -133,8 +134,7 @@ def spread_starts(
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
     """
-    if not isinstance(count, int | np.integer) or count < 1:
-        raise InputError(f"starts = {count}: give a whole number of searches.")
+    require_whole("starts", count, of="searches")
     given = given_start(problem)
     lost = [
         p.name

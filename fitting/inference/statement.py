@@ -80,6 +80,26 @@ def _within(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
         return None
 
 
+def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    """Arguments of a function by name.
+
+    Args:
+        function: a user's own.
+
+    Returns:
+        In their order.
+
+    Raises:
+        InputError: for what is no function.
+    """
+    if not callable(function):
+        raise InputError(
+            f"{function!r} is no function; give one whose arguments are named after what they are "
+            "given."
+        )
+    return inspect.signature(function).parameters
+
+
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
     """What a function asks for.
 
@@ -90,9 +110,9 @@ def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
         Their names.
 
     Raises:
-        InputError: for one that takes any number of them.
+        InputError: for one that takes any number of them, and for what is no function.
     """
-    found = inspect.signature(predict).parameters
+    found = arguments(predict)
     for name, argument in found.items():
         if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
             raise InputError(f"predict takes *{name}: name each argument after what it is given.")

@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
-from .likelihoods import Clustered
+from .given import require_whole
+from .likelihoods import Clustered, check_data
 
 Advance = Callable[[int, int], None]  # called with chunks read and chunks in all
 SEED = 0  # of the sample
@@ -91,8 +92,7 @@ def opened(
             "Clustered: errors that groups share are judged with all data in memory; leave chunk "
             "out."
         )
-    if not isinstance(size, int | np.integer) or size < 1:
-        raise InputError(f"chunk = {size}: give a whole number of rows to be read at a time.")
+    require_whole("chunk", size, of="rows to be read at a time")
     if hasattr(data, "__next__"):
         raise InputError(
             "data: an iterator ends after one reading, and a fit reads its data many times: give "
@@ -105,6 +105,7 @@ def opened(
     count, kept, keys = 0, None, np.empty(0)
     for piece in _pieces(stream):
         _check(piece, kept)
+        check_data(likelihood, piece.data)
         count += len(piece.data)
         own = rng.random(len(piece.data))
         chosen = own < (keys.max() if len(keys) == size else 1)

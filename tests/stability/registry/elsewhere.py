@@ -521,8 +521,9 @@ ELSEWHERE = (
             fitting.inference.diagnostics: identifiability listed
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: sampled_estimate
-            fitting.inference.likelihoods: is_concrete names_within numerics require_positive
-            fitting.inference.likelihoods: with_noise_scaled with_values
+            fitting.inference.given.*
+            fitting.inference.likelihoods: check_data names_within numerics with_noise_scaled
+            fitting.inference.likelihoods: with_values
             fitting.inference.misfit: judge
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: scaled_ends to_natural to_unconstrained
@@ -531,8 +532,9 @@ ELSEWHERE = (
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
             fitting.inference.problem: values_at values_from
             fitting.inference.records: head is_path reach read replaced
-            fitting.inference.statement: argument_names as_arrays check_names finite_data placed
-            fitting.inference.statement: placed_like
+            fitting.inference.statement: argument_names arguments as_arrays check_names finite_data
+            fitting.inference.statement: placed placed_like
+            fitting.inference.tails: log_student student_log_density
         """,
     ),
     Elsewhere(

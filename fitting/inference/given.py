@@ -1,0 +1,175 @@
+"""Numbers as a user gives them: whole ones, widths and ends of a range, refused in one sentence."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Int
+
+from jaxvision.errors import InputError
+
+INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
+LARGEST_SEED = 2**32 - 1  # that all generators take
+
+
+def is_concrete(tree: Any) -> bool:
+    """Whether all numbers of a tree are known, outside of any transformation.
+
+    Args:
+        tree: a PyTree.
+
+    Returns:
+        False while JAX traces it.
+    """
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def require_whole(
+    what: str, value: Any, *, least: int = 1, most: int | None = None, of: str = ""
+) -> None:
+    """Refuses what is no whole number.
+
+    Args:
+        what: is judged, in words.
+        value: to judge.
+        least: smallest that will do.
+        most: largest; None for no such end.
+        of: what it counts, in words.
+
+    Raises:
+        InputError: for another type, a flag, and a number beyond the ends.
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if whole and value >= least and (most is None or value <= most):
+        return
+    ends = f"of at least {least}" if most is None else f"from {least} to {most}"
+    ends = f"of {of}, at least {least}" if of else ends
+    raise InputError(f"{what} = {value!r}: give a whole number {ends}.")
+
+
+def require_seed(value: Any) -> None:
+    """Refuses what no generator of random numbers begins from.
+
+    Args:
+        value: to judge.
+
+    Raises:
+        InputError: unless it is a whole number from 0 to 2^32 - 1.
+    """
+    require_whole("seed", value, least=0, most=LARGEST_SEED)
+
+
+def number_or_name(what: str) -> Callable[[Any], Any]:
+    """What makes arrays of the numbers of a likelihood and leaves names as they are.
+
+    Args:
+        what: is converted, in words.
+
+    Returns:
+        From a number, an array or the name of a parameter to an array or the name.
+    """
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, str) and value:
+            return value
+        try:
+            return jnp.asarray(value, jnp.result_type(float))
+        except (TypeError, ValueError) as error:
+            plain = value is None or isinstance(value, str | list | tuple)
+            got = repr(value) if plain else f"a {type(value).__name__}"
+            hint = f"; {INSIDE}" if hasattr(value, "log_density") else ""
+            raise InputError(
+                f"{what} is a number, an array or the name of a parameter, got {got}{hint}."
+            ) from error
+
+    return convert
+
+
+def end_or_name(what: str) -> Callable[[Any], Any]:
+    """As `number_or_name`, of an end that may be absent.
+
+    Args:
+        what: is converted, in words.
+
+    Returns:
+        The same of None, which stays.
+    """
+    convert = number_or_name(what)
+    return lambda value: None if value is None else convert(value)
+
+
+def require_positive(what: str, value: Any) -> None:
+    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes.
+
+    Args:
+        what: is judged, in words.
+        value: number, array, or the name of a parameter.
+
+    Raises:
+        InputError: where it is 0 or less, or not finite.
+    """
+    if isinstance(value, str) or not is_concrete(value):
+        return
+    values = np.asarray(value)
+    wrong = values[~((values > 0) & (values < np.inf))]
+    if wrong.size:
+        raise InputError(f"{what} must be positive and finite, got {wrong.flat[0]:g}.")
+
+
+def require_ascending(what: str, low: Any, high: Any) -> None:
+    """Refuses ends between which there is nothing; names of parameters and traced values pass.
+
+    Args:
+        what: has the ends, in words.
+        low: number or array; None for no such end.
+        high: likewise.
+
+    Raises:
+        InputError: where `low` is not below `high`, or an end is NaN.
+    """
+    ends = {"low": low, "high": high}
+    known = {
+        name: np.asarray(end)
+        for name, end in ends.items()
+        if not (end is None or isinstance(end, str)) and is_concrete(end)
+    }
+    for name, end in known.items():
+        if np.isnan(end).any():
+            raise InputError(f"{what}: {name} is NaN; give a number, or None for no such end.")
+    if len(known) < len(ends):
+        return
+    try:
+        least, most = np.broadcast_arrays(*known.values())
+    except ValueError as error:
+        raise InputError(
+            f"{what}: low and high have the shapes {known['low'].shape} and "
+            f"{known['high'].shape}; give each as one number or in the data's shape."
+        ) from error
+    if (wrong := least >= most).any():
+        raise InputError(
+            f"{what}: low = {least[wrong].flat[0]:g} must lie below high = {most[wrong].flat[0]:g}."
+        )
+
+
+def whole_labels(labels: Any) -> Int[np.ndarray, "..."]:
+    """Labels of groups as whole numbers.
+
+    Args:
+        labels: of any shape.
+
+    Returns:
+        Of their shape.
+
+    Raises:
+        InputError: for others than whole numbers.
+    """
+    given = np.asarray(labels)
+    if given.dtype.kind not in "iuf" or (given != np.round(given)).any():
+        raise InputError(
+            "Clustered: labels are whole numbers, the group of each datum; "
+            "numpy.unique(names, return_inverse=True)[1] numbers other names."
+        )
+    return given.astype(np.int64)
