@@ -584,7 +584,7 @@ ELSEWHERE = (
             fitting.response.calibration: calibrate radiance_images
             fitting.response.code_bins: code_bins interval_variance
             fitting.response.code_pairs: pair_statistics total
-            fitting.response.curve: fit_response_curve slope_error
+            fitting.response.curve: fit_response_curve ripple slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
             fitting.response.left_out: without_effect
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
@@ -593,7 +593,7 @@ ELSEWHERE = (
             fitting.response.radiance_map: merge
             fitting.response.repeats: over_exposures over_tiles widened
             fitting.response.solve: at_centres inverse roughness shutter_basis solve spread_of_times
-            fitting.response.weights: cells_of hat_rule noise_rule observe weighted_mean
+            fitting.response.weights: cells_of hat_rule noise_rule observe undithered weighted_mean
         """,
     ),
     Elsewhere(
