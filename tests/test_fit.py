@@ -189,6 +189,83 @@ def test_too_few_groups_excuse_nothing(groups):
     assert ("Too few groups" in " ".join(few.findings)) == (groups == 1)
 
 
+def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
+    """CR2 with Bell and McCaffrey's degrees of freedom, written out with the hat matrix."""
+    labels, place = np.arange(240) % 6, np.linspace(-1.0, 1.0, 240)
+    rng = np.random.default_rng(2)
+    data = 1 + 0.5 * place + 0.05 * rng.standard_normal(6)[labels]
+    found = grouped(data + 0.01 * rng.standard_normal(240), labels)
+    x = np.stack([np.ones(240), place], axis=1)
+    bread = np.linalg.inv(x.T @ x)
+    left = np.eye(240) - x @ bread @ x.T
+    residual = left @ np.asarray(found.problem.data)
+    columns = []
+    for group in range(6):
+        own = labels == group
+        values, axes = np.linalg.eigh(left[np.ix_(own, own)])
+        root = axes / np.sqrt(values) @ axes.T
+        columns.append((own, root @ x[own] @ bread))
+    covariance = sum(np.outer(a.T @ residual[own], a.T @ residual[own]) for own, a in columns)
+    for i, name in enumerate(("a", "b")):
+        g = np.stack([left[:, own] @ a[:, i] for own, a in columns], axis=1)
+        products = g.T @ g
+        freedom = np.trace(products) ** 2 / np.sum(products**2)
+        (estimate,) = [e for e in found.estimates if e.name == name]
+        low, high = estimate.interval_95
+        half = stats.t.ppf(0.975, freedom) * np.sqrt(covariance[i, i])
+        np.testing.assert_allclose((high - low) / 2, half, rtol=0.05)  # of 4,000 draws
+
+
+def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen():
+    """A line and a decay, all linear, the decay's size at least 0: its mean beside a closed form,
+    that of a normal distribution cut off, and beside Laplace's, which is off by more."""
+    place = np.linspace(-1.0, 1.0, 80)
+    data = 0.2 + 0.5 * place + 0.05 * np.random.default_rng(5).standard_normal(80)
+    columns = np.stack([np.ones(80), place, np.exp(-place)], axis=1)
+    problem = Problem(
+        {"a": Parameter(start=0.0), "b": Parameter(start=0.0), "size": Parameter(lower=0, upper=9)},
+        lambda a, b, size, inputs: inputs @ jnp.stack([a, b, size]),
+        Gaussian(0.05),
+        data,
+        inputs=columns,
+    )
+    found = fit(problem, starts=4)
+    assert found.posterior.method == "importance sampling"
+    assert "far from a Gaussian" in " ".join(found.findings)
+    covariance = 0.05**2 * np.linalg.inv(columns.T @ columns)
+    middle = (covariance @ columns.T @ data / 0.05**2)[2]
+    sd = np.sqrt(covariance[2, 2])
+    cut = stats.truncnorm(-middle / sd, np.inf, middle, sd)
+    drawn = found.draws["size"]
+    np.testing.assert_allclose(np.mean(drawn), cut.mean(), atol=0.1 * cut.std())
+    np.testing.assert_allclose(np.std(drawn), cut.std(), rtol=0.1)
+
+
+def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
+    """A sine of which one search finds a wrong frequency, in noise as large as that needs."""
+    time = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 120))
+    data = np.sin(2 * np.pi * 7.3 * time + 0.4) + 0.3 * np.random.default_rng(2).standard_normal(
+        120
+    )
+    problem = Problem(
+        {
+            "cycles": Parameter(lower=0.1, upper=20),
+            "phase": Parameter(lower=-3, upper=3),
+            "sd": Parameter(lower=0.01, upper=5, transform="log"),
+        },
+        lambda cycles, phase, inputs: jnp.sin(2 * jnp.pi * cycles * inputs + phase),
+        Gaussian("sd"),
+        data,
+        inputs=time,
+    )
+    alone = fit(problem, start={"cycles": 2.0, "phase": 0.0, "sd": 0.5})
+    assert abs(alone.values["cycles"] - 7.3) > 1
+    assert not alone.converged
+    assert "agreement of several starts" in " ".join(alone.failures)
+    together = fit(problem)
+    assert (abs(together.values["cycles"] - 7.3) < 0.1) or not together.converged
+
+
 def test_labels_of_another_shape_are_refused():
     with pytest.raises(InputError, match="labels of shape"):
         grouped(np.zeros(30), np.arange(29))

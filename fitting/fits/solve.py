@@ -14,11 +14,12 @@ from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.emcee_run import SamplingOptions
 from ..inference.given import require_seed
-from ..inference.likelihoods import Clustered
+from ..inference.importance import laplace_where_it_holds
+from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import judge_sums, sums
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
 from ..inference.parameters import log_prior, scalars
-from ..inference.posterior import Posterior, laplace, sample
+from ..inference.posterior import Posterior, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
 from ..inference.search import Optimum, joined, search, spread_starts, start_at
 from ..inference.search_read import derivatives, search_read
@@ -59,9 +60,12 @@ def fit(
         start: natural values by name, in their units, from which the only search begins; None for
             `starts` of them.
         starts: searches spread over bounds and priors, of which the best is kept; up to four times
-            as many where no other ends where the best one does. If none does then, the fit fails.
-        posterior: `laplace`, a Gaussian about the mode of the unconstrained values; or draws from
-            the exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
+            as many where no other ends where the best one does. If none does then, the fit fails;
+            so does a single search whose likelihood has a width of noise to be fitted, which grows
+            until a wrong optimum passes for noise.
+        posterior: `laplace`, a Gaussian about the mode of the unconstrained values, or draws by
+            importance sampling where the posterior is not as Gaussian as that; or draws from the
+            exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
             chains follow the gradient: for many parameters, and where `predict` is smooth (the
             `nuts` extra).
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
@@ -116,7 +120,7 @@ def fit(
             if start:
                 optimum = search(problem, _given(problem, start)[None])
             else:
-                optimum = _searched(problem, starts, seed)
+                optimum = _searched(problem, starts, seed, wide_noise=_fits_width(problem))
             if problem.stream is not None:
                 optimum = search_read(problem, optimum, advance)
             optimum = _determined(problem, optimum, advance)
@@ -134,8 +138,9 @@ def fit(
         *(problem, optimum, covariance, residuals, checks), inflate=misfit == "inflate", seed=seed
     )
     before = None if after is None else after.posterior
-    drawn = _draw(problem, vector, optimum, wide, options, seed, before)
-    failures = verdict(optimum, checks, wide.explained) + about_search(optimum, drawn)
+    failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
+    drawn = _draw(problem, vector, optimum, wide, options, seed, before, failed=bool(failures))
+    failures += about_search(optimum, drawn)
     findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
     settings = {
         "starts": len(optimum.costs),
@@ -151,11 +156,16 @@ def fit(
     )
 
 
-def _searched(problem: Problem, starts: int, seed: int) -> Optimum:
+def _fits_width(problem: Problem) -> bool:
+    """Whether the width of the noise is among the parameters."""
+    return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
+
+
+def _searched(problem: Problem, starts: int, seed: int, *, wide_noise: bool) -> Optimum:
     """The best of many searches; of more, where none of them ends where the best one does."""
     optimum = search(problem, spread_starts(problem, starts, seed=seed))
     for again in range(1, ROUNDS):
-        if starts == 1 or is_confirmed(optimum):
+        if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
         optimum = joined(optimum, search(problem, others))
@@ -262,16 +272,22 @@ def _draw(
     options: Options | None,
     seed: int,
     after: Posterior | None,
+    *,
+    failed: bool,
 ) -> Posterior:
-    space, covariance = problem.space, wide.covariance
-    if options is None:
-        return laplace(log_density, space, vector, problem, covariance=covariance, seed=seed)
+    space, covariance = problem.space, wide.gaussian_covariance
     density: tuple[Any, Any] = (log_density, problem)
     if wide.noise > 1:
         density = (_tempered_log_density, (problem, jnp.asarray(wide.noise, vector.dtype)))
     elif isinstance(problem.likelihood, Clustered):
         stretch = jnp.asarray(curvature_stretch(optimum.curvature, covariance), vector.dtype)
         density = (_stretched_log_density, (problem, vector, stretch))
+    if options is None:
+        run = (density[0], space, vector, wide.covariance, density[1])
+        told: dict[str, Any] = {"freedom": wide.freedom, "wider": covariance, "by_chain": False}
+        if failed or problem.stream is not None:
+            told = {"missed": np.zeros(len(space)), **told}
+        return laplace_where_it_holds(*run, seed=seed, **told)
     run = (density[0], space, vector, covariance, density[1])
     if isinstance(options, NutsOptions):
         return nuts(*run, options=options, seed=seed, after=after)

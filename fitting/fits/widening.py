@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
-from ..inference.clustering import cluster_robust
+from ..inference.clustering import cluster_robust, like_gaussian
 from ..inference.likelihoods import Clustered, with_noise_scaled
 from ..inference.misfit import Misfit, judge, sums
 from ..inference.problem import (
@@ -26,6 +26,7 @@ from ..inference.search import Optimum
 from ..inference.streams import Advance, chunks
 
 SMALL = 1e-4  # share of a prediction's spread by which a residual's slope is found
+LEAST = 0.01  # spread of predictions, relative to them, that hardly differ
 
 
 @dataclass(frozen=True)
@@ -34,15 +35,26 @@ class Widening:
 
     Attributes:
         covariance: (P, P) on the unconstrained scale.
+        freedom: (P,) degrees of freedom of its variances; None where they are known.
         noise: factor on the width of the noise that it stands for; 1 for none.
         words: why, in sentences.
         explained: whether a misfit is allowed for.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
+    freedom: Float[np.ndarray, " parameters"] | None = None
     noise: float = 1.0
     words: tuple[str, ...] = ()
     explained: bool = False
+
+    @property
+    def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
+        """Of the Gaussian whose 95 % intervals are those of Student's t."""
+        return (
+            self.covariance
+            if self.freedom is None
+            else like_gaussian(self.covariance, self.freedom)
+        )
 
 
 def widening(
@@ -86,7 +98,7 @@ def widening(
     if with_noise_scaled(problem.likelihood, 1.0) is None:
         words.append("Bands of new data keep the noise as stated.")
     widened = np.linalg.inv(optimum.data_information / factor + prior)
-    return Widening(widened, float(np.sqrt(factor)), tuple(words), True)
+    return Widening(widened, None, float(np.sqrt(factor)), tuple(words), True)
 
 
 def _of_groups(
@@ -106,7 +118,9 @@ def _of_groups(
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
     scores = np.asarray(_scores(vector, problem), np.float64)
     prior = optimum.curvature - optimum.data_information
-    robust = cluster_robust(scores, optimum.curvature, labels, None, prior=prior)
+    slope, predicted = _slopes(problem, vector, seed)
+    moved = np.asarray(_predictions(vector, problem), np.float64) * np.nan_to_num(slope.ravel())
+    robust = cluster_robust(scores, optimum.curvature, labels, None, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
     words = f"Residuals share errors within the {labels.max() + 1} groups"
     if np.isnan(robust.by_light):
@@ -116,7 +130,6 @@ def _of_groups(
     sentences = [
         f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
     ]
-    slope, predicted = _slopes(problem, vector, seed)
     determined = float(np.trace(optimum.data_information @ robust.covariance))
     left = without_shared(residuals, labels, (slope, slope * predicted))
     lost = 2 * (labels.max() + 1) + min(determined, len(optimum.vector))
@@ -129,7 +142,7 @@ def _of_groups(
                 f"per degree of freedom is {beyond.chi_square / beyond.dof:.4g} without them."
             )
     explained = shared and (inflate or not beyond.faults)
-    return Widening(robust.gaussian_covariance, 1.0, tuple(sentences), explained)
+    return Widening(robust.covariance, robust.freedom, 1.0, tuple(sentences), explained)
 
 
 def without_shared(
@@ -167,6 +180,13 @@ def _scores(vector: Vector, problem: Problem) -> Array:
     """(P, data) gradient of every datum's log density."""
     terms = jax.jacfwd(lambda v: log_likelihood_terms(v, problem).ravel())(vector)
     return terms.T
+
+
+@eqx.filter_jit
+def _predictions(vector: Vector, problem: Problem) -> Array:
+    """(P, data) gradient of every prediction."""
+    slopes = jax.jacfwd(lambda v: prediction(problem, values_at(problem, v)).ravel())(vector)
+    return slopes.T
 
 
 @eqx.filter_jit
@@ -238,6 +258,7 @@ def _residuals(
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Of each residual by its prediction, by a difference; and the prediction."""
     predicted = np.asarray(predicted_at(vector, problem)[0], np.float64)
-    step = SMALL * float(np.std(predicted) or np.abs(predicted).max() or 1.0)
+    size = max(float(np.std(predicted)), LEAST * float(np.abs(predicted).max())) or 1.0
+    step = SMALL * size
     ends = (residuals_at(problem, vector, seed=seed, shift=s) for s in (step, -step))
     return np.subtract(*ends) / (2 * step), predicted

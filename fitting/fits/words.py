@@ -28,13 +28,16 @@ NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need 
 AT_END = 1.25
 
 
-def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
+def verdict(
+    optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
+) -> list[str]:
     """Why the end of a search is no fit; empty if it is one.
 
     Args:
         optimum: the end.
         checks: of its residuals.
         explained: whether a misfit is allowed for.
+        wide_noise: whether the width of the noise was fitted.
 
     Returns:
         Sentences.
@@ -53,10 +56,15 @@ def verdict(optimum: Optimum, checks: Misfit, explained: bool) -> list[str]:
             f"The search stopped before a maximum: {promise}; try more starts, narrower bounds, or "
             "transform='log' for a number whose size is unknown."
         )
-    if len(optimum.costs) > 1 and not is_confirmed(optimum):
+    if len(optimum.costs) == 1 and wide_noise:
         failures.append(
-            f"Of {len(optimum.costs)} starts {agreeing(optimum)} ended at this optimum, the others "
-            "at shallower ones: a deeper one may have been missed; give more starts, narrower "
+            "The width of the noise was fitted, which grows until a wrong optimum passes for "
+            "noise, so that only the agreement of several starts can tell: use more starts."
+        )
+    elif len(optimum.costs) > 1 and not is_confirmed(optimum, wide_noise=wide_noise):
+        failures.append(
+            f"Of {len(optimum.costs)} starts {agreeing(optimum)} ended as deep as this, the others "
+            "at shallower optima: a deeper one may have been missed; give more starts, narrower "
             "bounds or a start."
         )
     if not explained:
@@ -74,13 +82,15 @@ def agreeing(optimum: Optimum) -> int:
     return int(np.sum(optimum.costs < SAME_END))
 
 
-def is_confirmed(optimum: Optimum) -> bool:
+def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
     """Whether searches from several starts speak for the best of their ends: two that end there,
-    or four where most searches end each at an optimum of its own. The share of these estimates
-    the chance that one more search finds an optimum that none has seen.
+    or four where most searches end each at an optimum of its own, or where the width of the noise
+    was fitted, so that residuals do not tell a wrong optimum. The share of those that end alone
+    estimates the chance that one more search finds an optimum that none has seen.
 
     Args:
         optimum: where they ended.
+        wide_noise: whether the width of the noise was fitted.
 
     Source:
         Good, "The population frequencies of species and the estimation of population parameters",
@@ -89,7 +99,7 @@ def is_confirmed(optimum: Optimum) -> bool:
     depths = np.sort(optimum.costs)
     apart = np.diff(depths, prepend=-np.inf, append=np.inf) > SAME_END
     alone = np.mean(apart[1:] & apart[:-1])
-    return agreeing(optimum) >= (2 if alone < MANY_OPTIMA else 4)
+    return agreeing(optimum) >= (4 if wide_noise or alone >= MANY_OPTIMA else 2)
 
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
@@ -137,7 +147,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         found += identifiability(problem.space, optimum.data_information).sentences
     found += _prior_alone(problem.space, posterior)
     found += _at_ends(problem.space, posterior)
-    if posterior.method == "Laplace":
+    if posterior.method == "Laplace" and problem.stream is not None:
         spread = np.sqrt(np.diagonal(posterior.covariance))
         skew = [
             parameter.name

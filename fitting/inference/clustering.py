@@ -58,8 +58,24 @@ class Robustness:
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
         """Of the Gaussian whose 95 % intervals are those of Student's t."""
-        wider = stdtrit(self.freedom, LEVEL) / ndtri(LEVEL)
-        return self.covariance * np.outer(wider, wider)
+        return like_gaussian(self.covariance, self.freedom)
+
+
+def like_gaussian(
+    covariance: Float[np.ndarray, "parameters parameters"],
+    freedom: Float[np.ndarray, " parameters"],
+) -> Float[np.ndarray, "parameters parameters"]:
+    """The covariance of the Gaussian whose 95 % intervals are those of Student's t.
+
+    Args:
+        covariance: (parameters, parameters).
+        freedom: (parameters,) degrees of freedom of its variances.
+
+    Returns:
+        (parameters, parameters).
+    """
+    wider = stdtrit(freedom, LEVEL) / ndtri(LEVEL)
+    return covariance * np.outer(wider, wider)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ def laplace_where_it_holds(
     freedom: Float[np.ndarray, " parameters"] | None = None,
     wider: Float[np.ndarray, "parameters parameters"] | None = None,
     missed: Float[np.ndarray, " parameters"] | None = None,
+    by_chain: bool = True,
 ) -> Posterior:
     """Laplace's posterior if the density is as Gaussian as that says, else draws by importance
     sampling, else, where proposals do not settle, by emcee.
@@ -57,6 +58,8 @@ def laplace_where_it_holds(
         wider: (P, P), the covariance that `log_density` has where `freedom` is given; None for
             `covariance`.
         missed: (P,), as `gaussian_miss` gives it, where the caller knows more; None for that.
+        by_chain: whether to run emcee where proposals do not settle; else the posterior is
+            Laplace's, with the parameter that it misses named.
 
     Returns:
         The posterior.
@@ -73,6 +76,9 @@ def laplace_where_it_holds(
     if np.max(missed) <= TOLERATED:
         return drawn
     found = _importance(log_density, mode, spread, args, seed)
+    worst = names(space)[int(np.argmax(missed))]
+    if found is None and not by_chain:
+        return replace(drawn, missed=worst)
     if found is None:
         return sample(log_density, space, mode, spread, args, seed=seed)
     vectors, effective = found
@@ -82,7 +88,7 @@ def laplace_where_it_holds(
         draws=np.asarray(to_natural(space, jnp.asarray(vectors)))[None],
         covariance=np.cov(vectors.T).reshape(len(space), len(space)),
         freedom=None,
-        missed=names(space)[int(np.argmax(missed))],
+        missed=worst,
         effective=effective,
     )
 

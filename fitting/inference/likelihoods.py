@@ -334,6 +334,21 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
     return None
 
 
+def named_width(likelihood: Any) -> str | None:
+    """The parameter that is the width of the noise.
+
+    Args:
+        likelihood: any.
+
+    Returns:
+        Its name; None where the width is known, or follows from something else.
+    """
+    if isinstance(likelihood, Clustered):
+        return named_width(likelihood.likelihood)
+    width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))
+    return width if isinstance(width, str) else None
+
+
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
     """A likelihood with values in place of their names.
 

@@ -53,7 +53,7 @@ class Posterior:
         missing_steps: about how many more the chains need before they can be trusted.
         r_hat: (P,) split R-hat of independent chains, None but for NUTS.
         divergences: trajectories that left the surface of equal energy, None but for NUTS.
-        missed: parameter whose posterior is least like Laplace's, of importance sampling.
+        missed: parameter whose posterior is least like Laplace's, where that matters.
         effective: independent draws that those of importance sampling are worth.
         blocks: the whole chain, from which a longer run goes on; empty for Laplace.
     """
@@ -297,6 +297,11 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
 def convergence_in_words(posterior: Posterior) -> str:
     """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
     it is."""
+    if posterior.missed and posterior.method == "Laplace":
+        return (
+            f"The posterior of {posterior.missed} is far from a Gaussian, so Laplace's intervals "
+            "may mislead: posterior='emcee' or 'nuts' draws from the posterior itself."
+        )
     if posterior.missed:
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so intervals are "

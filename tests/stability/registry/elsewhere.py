@@ -515,14 +515,14 @@ ELSEWHERE = (
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
         "test_joint_left_out test_stated_errors",
         """
-            fitting.inference.clustering: cluster_robust curvature_stretch
+            fitting.inference.clustering: cluster_robust curvature_stretch like_gaussian
             fitting.inference.design: ranked
             fitting.inference.left_out: distance negligible
             fitting.inference.diagnostics: identifiability listed
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: sampled_estimate
             fitting.inference.given.*
-            fitting.inference.likelihoods: check_data names_within numerics with_noise_scaled
+            fitting.inference.likelihoods: check_data named_width names_within numerics with_noise_scaled
             fitting.inference.likelihoods: with_values
             fitting.inference.misfit: judge
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
