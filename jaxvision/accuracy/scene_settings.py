@@ -22,6 +22,7 @@ from ..io import replaced_on_success
 from ..render_command import left_of, pruned_for
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
+from ..side_by_side import cores
 from .checks import settled
 from .curves import LEAST, curve
 from .deadlines import OutOfTime, in_time
@@ -263,7 +264,7 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """The machine that measured times belong to: processor, cores and JAX.
+    """The machine that measured times belong to: processor, cores that may be used, and JAX.
 
     Returns:
         One line of text.
@@ -276,7 +277,7 @@ def machine() -> str:
         pass
     devices = jax.devices()
     kind = "" if devices[0].platform == "cpu" else f", {len(devices)} x {devices[0].device_kind}"
-    return f"{os.cpu_count()} x {name}{kind}, jax {jax.__version__}"
+    return f"{cores()} x {name}{kind}, jax {jax.__version__}"
 
 
 def _read(file: Path, seconds: float) -> dict[str, Any] | None:
