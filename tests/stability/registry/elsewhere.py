@@ -522,8 +522,8 @@ ELSEWHERE = (
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
             fitting.inference.estimates: sampled_estimate
             fitting.inference.given.*
-            fitting.inference.likelihoods: check_data named_width names_within numerics with_noise_scaled
-            fitting.inference.likelihoods: with_values
+            fitting.inference.likelihoods: check_data named_width names_within numerics
+            fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: scaled_ends to_natural to_unconstrained
