@@ -266,6 +266,16 @@ def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
     assert (abs(together.values["cycles"] - 7.3) < 0.1) or not together.converged
 
 
+def test_neighbours_are_those_by_input_in_whatever_order_data_came():
+    """A parabola fitted by a line, its noise free: only the order of the inputs tells."""
+    place = np.random.default_rng(0).permutation(np.linspace(-1.0, 1.0, 200))
+    data = place**2 + 0.05 * np.random.default_rng(1).standard_normal(200)
+    free = {"a": Parameter(lower=-2, upper=2), "b": Parameter(lower=-2, upper=2)}
+    free["sd"] = Parameter(lower=0.01, upper=5, transform="log")
+    problem = Problem(free, lambda a, b, inputs: a + b * inputs, Gaussian("sd"), data, inputs=place)
+    assert "move together" in " ".join(fit(problem, starts=4).failures)
+
+
 def test_labels_of_another_shape_are_refused():
     with pytest.raises(InputError, match="labels of shape"):
         grouped(np.zeros(30), np.arange(29))

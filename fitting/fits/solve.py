@@ -3,6 +3,7 @@
 from dataclasses import fields, replace
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -60,9 +61,9 @@ def fit(
         start: natural values by name, in their units, from which the only search begins; None for
             `starts` of them.
         starts: searches spread over bounds and priors, of which the best is kept; up to four times
-            as many where no other ends where the best one does. If none does then, the fit fails;
-            so does a single search whose likelihood has a width of noise to be fitted, which grows
-            until a wrong optimum passes for noise.
+            as many where no other ends where the best one does. If none does then, the fit fails.
+            A width of noise to be fitted grows until a wrong optimum passes for noise: then four
+            must end there, of up to eight times as many, and a single search always fails.
         posterior: `laplace`, a Gaussian about the mode of the unconstrained values, or draws by
             importance sampling where the posterior is not as Gaussian as that; or draws from the
             exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
@@ -129,7 +130,7 @@ def fit(
         vector = jnp.asarray(optimum.vector, jnp.result_type(float))
         residuals = residuals_at(problem, vector, seed=seed)
         if problem.stream is None:
-            totals = sums(residuals)
+            totals = sums(_in_order(problem, residuals))
         else:
             totals = residual_sums(problem, vector, advance, seed=seed)
     covariance = _inverse(optimum.curvature)
@@ -156,6 +157,16 @@ def fit(
     )
 
 
+def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
+    """Residuals of one series in the order of its inputs, where each datum has one number: those
+    of neighbours then tell what the model misses, in whatever order the data came."""
+    inputs = problem.inputs
+    if not isinstance(inputs, jax.Array | np.ndarray):
+        return residuals
+    single = residuals.ndim == 1 and inputs.shape == residuals.shape
+    return residuals[np.argsort(np.asarray(inputs), kind="stable")] if single else residuals
+
+
 def _fits_width(problem: Problem) -> bool:
     """Whether the width of the noise is among the parameters."""
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
@@ -164,7 +175,7 @@ def _fits_width(problem: Problem) -> bool:
 def _searched(problem: Problem, starts: int, seed: int, *, wide_noise: bool) -> Optimum:
     """The best of many searches; of more, where none of them ends where the best one does."""
     optimum = search(problem, spread_starts(problem, starts, seed=seed))
-    for again in range(1, ROUNDS):
+    for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
