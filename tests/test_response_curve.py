@@ -288,6 +288,14 @@ def test_codes_three_stops_apart_keep_a_pure_gamma():
         assert np.abs(gap[judged]).max() < 0.003
 
 
+def test_a_curve_that_falls_is_refused():
+    """A linear camera at three stops and much noise: the fit ends e^2 off, and knows it."""
+    times = 8.0 ** np.arange(-2, 2)
+    _, codes = exposure_stack(gamma(1.0), times, np.random.default_rng(0), full_well=8000.0)
+    with pytest.raises(InputError, match=r"falling exposure, by .* exposures a stop from these"):
+        fit_response_curve(codes, times, bits=8)
+
+
 def test_bands_allow_for_a_ripple_of_exposures_three_stops_apart():
     """Of a response that bends, no pixel shows it; one more exposure, a stop from another, does."""
     three, four = 8.0 ** np.arange(-1, 2), np.array([0.125, 0.5, 1.0, 8.0])

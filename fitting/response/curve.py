@@ -50,6 +50,7 @@ UNCORRECTED = 0.05  # of the variance of ln X, the bias that the score may leave
 SAME = 1e-3  # step of ln t below which two exposures are one
 APART, RIPPLE = 1.4, 0.05  # ln of a step between exposures; ripple of g for each unit beyond it
 BENT = 100.0  # smoothness below which a ripple may hide: a third of the median of measured curves
+FALLS = 0.5  # in ln X, of a curve that has gone astray
 DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
 
 
@@ -183,7 +184,8 @@ def fit_response_curve(
 
     Raises:
         InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, or
-            when the exposures fall into sets that share no such pixel, or agree on no curve.
+            when the exposures fall into sets that share no such pixel, or agree on no
+            rising curve.
     """
     clip = 2.0**bits - 1 if clip is None else clip
     bins = code_bins(bits, black, clip, count=most_bins)
@@ -222,7 +224,23 @@ def fit_response_curve(
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)
-        return _curve(found, total(tiles), bins, noise, exposures[in_use], tau, left_out, seen)
+        curve = _curve(found, total(tiles), bins, noise, exposures[in_use], tau, left_out, seen)
+    _require_rising(curve)
+    return curve
+
+
+def _require_rising(curve: ResponseCurve) -> None:
+    """Refuses a curve that falls far: no camera's does, so the search ended elsewhere."""
+    g, codes = curve.log_exposure[curve.seen], curve.codes[curve.seen]
+    falls = np.maximum.accumulate(g) - g
+    if falls.size and falls.max() > FALLS:
+        at = int(np.argmax(falls))
+        raise InputError(
+            f"codes from {codes[np.argmax(g[: at + 1])]:g} to {codes[at]:g} come out of falling "
+            f"exposure, by {falls[at]:.1f} in ln X: exposures far apart leave the curve open, and "
+            "moving or misaligned images contradict it; add exposures a stop from these, or align "
+            "them."
+        )
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
