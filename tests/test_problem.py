@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from scipy import stats
 
-from fitting import Gaussian, Normal, Parameter, Problem, Tied, fit
+from fitting import Gaussian, Normal, Parameter, Problem, SamplingOptions, Tied, fit
 from fitting.inference.problem import log_density, prediction, values_at
 from fitting.inference.search import spread_starts
 from jaxvision import Lambert, Phong, PointLight, Scene, Sphere, Surface
@@ -64,7 +64,12 @@ def test_least_squares_against_scipy(fitted):
     assert "height" in fitted._repr_html_()
 
 
-def test_a_second_fit_of_equal_shapes_compiles_nothing(fitted):
+ENSEMBLE = {"posterior": "emcee", "sampling": SamplingOptions(walkers=8, block=50)}
+
+
+@pytest.mark.parametrize("options", [{}, ENSEMBLE], ids=["laplace", "emcee"])
+def test_a_second_fit_of_equal_shapes_compiles_nothing(options):
+    """Nor where an ensemble ends after another number of steps."""
     compiled = []
 
     def listen(name, seconds, **_):
@@ -73,13 +78,14 @@ def test_a_second_fit_of_equal_shapes_compiles_nothing(fitted):
 
     other = np.asarray(DECAY + 0.02 * RNG.standard_normal(60))
     problem = decay_problem().with_data(other)
-    fit(decay_problem(), seed=1)  # of what is drawn by seed
+    first = fit(decay_problem(), seed=1, **options)
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        again = fit(problem, seed=2)
+        again = fit(problem, seed=2, **options)
     finally:
         jax.monitoring.clear_event_listeners()
     assert not compiled
+    assert (again.posterior.draws.shape == first.posterior.draws.shape) == (not options)
     assert abs(again.values["height"] - scipy_decay(other)[0][0]) < 0.01
 
 

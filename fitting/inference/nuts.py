@@ -28,6 +28,7 @@ from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import effective_draws, split_r_hat
 from .fingerprint import fingerprint
 from .given import require_whole
+from .natural_draws import natural_draws
 from .parameters import ParameterSpace, to_natural
 from .posterior import LogDensity, Posterior
 
@@ -279,7 +280,7 @@ def _posterior(
     return Posterior(
         space=space,
         method="NUTS",
-        draws=np.asarray(to_natural(space, jnp.asarray(vectors))),
+        draws=natural_draws(space, vectors),
         mode=np.asarray(to_natural(space, jnp.asarray(mode))),
         unconstrained_mode=mode,
         covariance=np.cov(vectors.reshape(-1, len(space)).T).reshape(len(space), len(space)),

@@ -24,6 +24,7 @@ from .diagnostics import identifiability
 from .emcee_run import TIMES_TAU, SamplingOptions, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
 from .fingerprint import fingerprint
+from .natural_draws import natural_draws
 from .parameters import ParameterSpace, names, to_natural
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
@@ -247,7 +248,7 @@ def sample(
     return Posterior(
         space=space,
         method="emcee",
-        draws=np.asarray(to_natural(space, jnp.asarray(np.swapaxes(chain.vectors, 0, 1)))),
+        draws=natural_draws(space, np.swapaxes(chain.vectors, 0, 1)),
         mode=np.asarray(to_natural(space, mode)),
         unconstrained_mode=centre,
         covariance=np.cov(drawn.T).reshape(len(space), len(space)),

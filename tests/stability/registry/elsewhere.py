@@ -525,6 +525,7 @@ ELSEWHERE = (
             fitting.inference.likelihoods: check_data named_width names_within numerics
             fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
+            fitting.inference.natural_draws.*
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: scaled_ends to_natural to_unconstrained
             fitting.inference.priors: support
