@@ -205,12 +205,14 @@ def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
         values, axes = np.linalg.eigh(left[np.ix_(own, own)])
         root = axes / np.sqrt(values) @ axes.T
         columns.append((own, root @ x[own] @ bread))
-    covariance = sum(np.outer(a.T @ residual[own], a.T @ residual[own]) for own, a in columns)
+    scores = np.stack([a.T @ residual[own] for own, a in columns])
+    covariance = scores.T @ scores
     for i, name in enumerate(("a", "b")):
         g = np.stack([left[:, own] @ a[:, i] for own, a in columns], axis=1)
         products = g.T @ g
         freedom = np.trace(products) ** 2 / np.sum(products**2)
         (estimate,) = [e for e in found.estimates if e.name == name]
+        assert estimate.interval_95 is not None
         low, high = estimate.interval_95
         half = stats.t.ppf(0.975, freedom) * np.sqrt(covariance[i, i])
         np.testing.assert_allclose((high - low) / 2, half, rtol=0.05)  # of 4,000 draws

@@ -68,7 +68,7 @@ def fit(
             importance sampling where the posterior is not as Gaussian as that; or draws from the
             exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
             chains follow the gradient: for many parameters, and where `predict` is smooth (the
-            `nuts` extra).
+            `nuts` extra); their metric is the covariance of `laplace`.
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
             or `inflate` the intervals by the square root of chi-square per degree of freedom
             (Birge's factor), which takes the model for a sufficient approximation. The intervals
@@ -293,12 +293,16 @@ def _draw(
     elif isinstance(problem.likelihood, Clustered):
         stretch = jnp.asarray(curvature_stretch(optimum.curvature, covariance), vector.dtype)
         density = (_stretched_log_density, (problem, vector, stretch))
-    if options is None:
-        run = (density[0], space, vector, wide.covariance, density[1])
+    if not isinstance(options, SamplingOptions):
         told: dict[str, Any] = {"freedom": wide.freedom, "wider": covariance, "by_chain": False}
         if failed or problem.stream is not None:
-            told = {"missed": np.zeros(len(space)), **told}
-        return laplace_where_it_holds(*run, seed=seed, **told)
+            told["missed"] = np.zeros(len(space))
+        run = (density[0], space, vector, wide.covariance, density[1])
+        found = laplace_where_it_holds(*run, seed=seed, **told)
+        if options is None:
+            return found
+        if found.method != "Laplace":
+            covariance = found.covariance
     run = (density[0], space, vector, covariance, density[1])
     if isinstance(options, NutsOptions):
         return nuts(*run, options=options, seed=seed, after=after)

@@ -32,6 +32,9 @@ LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
 
 
+DIVERGENT = 0.001  # share of trajectories beyond which they matter
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Draws from a posterior and their provenance.
@@ -344,12 +347,15 @@ def _independent_chains_in_words(posterior: Posterior, name: str, effective: flo
         f"{effective:.0f} independent draws; largest R-hat {posterior.r_hat.max():.3f}; "
         f"{posterior.divergences} divergent trajectories"
     )
-    if not posterior.missing_steps:
-        return f"{told}."
-    return (
-        f"{told}: too few to trust the intervals; about {posterior.missing_steps} more draws of "
-        "each chain are missing."
-    )
+    if posterior.missing_steps:
+        told += (
+            f": too few to trust the intervals; about {posterior.missing_steps} more draws of each "
+            "chain are missing"
+        )
+    if posterior.divergences > DIVERGENT * chains * kept:
+        told += ". Trajectories that diverge miss a part of the posterior: a higher acceptance="
+        return f"{told} of NutsOptions takes smaller steps, which more draws do not replace."
+    return f"{told}."
 
 
 @partial(jax.jit, static_argnums=0)
