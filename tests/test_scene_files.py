@@ -443,7 +443,8 @@ REFUSED = {
     "toml": (SCENE + "[", "not a TOML file"),
     "one table": (SCENE.replace("[[surface]]", "[surface]"), r"head it \[\[surface\]\]"),
     "no table": (SCENE.replace("[material.grey]", "[[material.grey]]"), "grey must be a table"),
-    "long": (SCENE.replace("resolution = [30, 40]", f"resolution = [{'9, ' * 90}]"), r"\.\.\.: "),
+    "many": (SCENE.replace("[30, 40]", f"[{'9, ' * 90}]"), "resolution lists 90; give at most 2"),
+    "long": (SCENE.replace("[30, 40]", f"'{'9' * 900}'"), r"\.\.\.: "),
 }
 
 
