@@ -207,3 +207,9 @@ def test_bands_of_a_response_hold(case):
     for one in coverage(places, response.NAMES):
         low, high = one.band[-1]
         assert low <= one.held[-1] <= high, one
+
+
+def test_a_dark_whose_frames_are_all_alike_is_refused():
+    """Its variance of 0 has no likelihood: errors of 1e-13 were printed for it."""
+    with pytest.raises(InputError, match="frames are all alike"):
+        noise.places(noise.CASES["fine read noise"], 47)
