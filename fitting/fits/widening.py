@@ -260,5 +260,7 @@ def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.
     predicted = np.asarray(predicted_at(vector, problem)[0], np.float64)
     size = max(float(np.std(predicted)), LEAST * float(np.abs(predicted).max())) or 1.0
     step = SMALL * size
-    ends = (residuals_at(problem, vector, seed=seed, shift=s) for s in (step, -step))
-    return np.subtract(*ends) / (2 * step), predicted
+    least = float(predicted.min())
+    below = min(step, least) if least >= 0 else step  # light is not negative
+    ends = (residuals_at(problem, vector, seed=seed, shift=s) for s in (step, -below))
+    return np.subtract(*ends) / (step + below), predicted

@@ -5,19 +5,24 @@ sqrt(C_ii) with c_i the column of the covariance C, a Gaussian falls by s^2 / 2.
 falls otherwise, by more than `TOLERATED` at two standard deviations, draws are taken from
 Student's t about the mode, in a quasi-random sequence, and weighted by density over proposal; the
 proposal takes mean and covariance of the weighted draws until they are worth enough independent
-ones (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). The draws that
-are handed on are resampled by their weights.
+ones (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). Where numbers
+have bounds, half of the proposals are made on the scale of the numbers themselves: a ridge that is
+straight there bends on the unconstrained scale, where no Student's t reaches both of its ends. The
+draws that are handed on are resampled by their weights.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import solve_triangular
 from scipy.special import chdtri, ndtri
 
-from .parameters import ParameterSpace, names, to_natural
+from .parameters import ParameterSpace, from_scaled, names, scaled_ends, to_natural, to_scaled
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
 FAR = 2.0  # standard deviations at which the Gaussian is tested
@@ -75,7 +80,7 @@ def laplace_where_it_holds(
         missed = gaussian_miss(log_density, mode, spread, args)
     if np.max(missed) <= TOLERATED:
         return drawn
-    found = _importance(log_density, mode, spread, args, seed)
+    found = _importance(log_density, space, mode, spread, args, seed)
     worst = names(space)[int(np.argmax(missed))]
     if found is None and not by_chain:
         return replace(drawn, missed=worst)
@@ -119,7 +124,12 @@ def gaussian_miss(
 
 
 def _importance(
-    log_density: LogDensity, mode: Array, covariance: np.ndarray, args: Any, seed: int
+    log_density: LogDensity,
+    space: ParameterSpace,
+    mode: Array,
+    covariance: np.ndarray,
+    args: Any,
+    seed: int,
 ) -> tuple[np.ndarray, float] | None:
     """(draws, P) and what they are worth; None where too little."""
     from scipy.stats import qmc
@@ -128,37 +138,110 @@ def _importance(
     points = qmc.Sobol(size + 1, rng=np.random.default_rng(seed)).random(MOST)
     stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, points[:, -1:]))
     units = ndtri(np.clip(points[:, :-1], 1e-12, 1 - 1e-12)) * stretch
-    log_proposal = -(FREEDOM + size) / 2 * np.log1p(np.sum(units**2, axis=1) / FREEDOM)
-    centre, spread, best = np.asarray(mode, np.float64), covariance, None
+    proposals, best = _proposals(space, mode, covariance), None
     proposed = FEWEST
     for _ in range(ROUNDS):
-        root = np.linalg.cholesky(spread)
-        vectors = centre + units[:proposed] @ root.T
-        values = np.concatenate(
-            [  # blocks of one size, so that one program serves all rounds
-                evaluate_density(log_density, jnp.asarray(block, mode.dtype), args)
-                for block in np.split(vectors, proposed // FEWEST)
-            ]
-        )
-        log_weight = np.where(np.isfinite(values), values - log_proposal[:proposed], -np.inf)
+        blocks, logs = [], []
+        for block in np.split(units[:proposed], proposed // FEWEST):
+            found = _proposed(space, proposals, block)  # of one size: one program for all rounds
+            values = evaluate_density(log_density, jnp.asarray(found.vectors, mode.dtype), args)
+            logs.append(np.where(np.isfinite(values), values, -np.inf) - found.log_proposal)
+            blocks.append(found)
+        log_weight = np.concatenate(logs)
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
         effective = float(1 / np.sum(weight**2))
+        drawn = np.concatenate([found.vectors for found in blocks])
         if best is None or effective > best[2]:
-            best = vectors, weight, effective
+            best = drawn, weight, effective
         if effective > WANTED:
             break
-        centre = weight @ vectors
-        away = vectors - centre
-        tempered = (away * weight[:, None]).T @ away
         share = min(1.0, effective / (10 * size))  # a few heavy draws say little of a covariance
-        spread = share * tempered + (1 - share) * spread
+        scaled = np.concatenate([found.scaled for found in blocks])
+        proposals = [
+            _moved(proposal, places, weight, share)
+            for proposal, places in zip(proposals, (drawn, scaled), strict=False)
+        ]
         settled = effective > SETTLED * proposed
         proposed = min(MOST, max(2 * proposed, USUAL if settled else 0))
     assert best is not None
-    vectors, weight, effective = best
+    drawn, weight, effective = best
     if effective < ENOUGH:
         return None
     places = (np.random.default_rng(seed).uniform() + np.arange(KEPT)) / KEPT
-    chosen = np.minimum(np.searchsorted(np.cumsum(weight), places), len(vectors) - 1)
-    return vectors[chosen], effective
+    chosen = np.minimum(np.searchsorted(np.cumsum(weight), places), len(drawn) - 1)
+    return drawn[chosen], effective
+
+
+Proposal = tuple[np.ndarray, np.ndarray]  # centre and covariance
+
+
+@dataclass(frozen=True)
+class _Proposed:
+    """Vectors that were proposed.
+
+    Attributes:
+        vectors: (n, P) unconstrained.
+        scaled: (n, P) on the scale on which each number is at home.
+        log_proposal: (n,) ln of their density, infinite for those outside of the bounds.
+    """
+
+    vectors: np.ndarray
+    scaled: np.ndarray
+    log_proposal: np.ndarray
+
+
+def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> list[Proposal]:
+    """On the unconstrained scale, and, where there are bounds, on that of the numbers too."""
+    centre = np.asarray(mode, np.float64)
+    if not any(np.isfinite(scaled_ends(parameter)).any() for parameter in space):
+        return [(centre, covariance)]
+    scaled, slope = jax.jvp(lambda u: to_scaled(space, u)[0], (mode,), (jnp.ones_like(mode),))
+    slope = np.asarray(slope, np.float64)
+    return [
+        (centre, covariance),
+        (np.asarray(scaled, np.float64), covariance * np.outer(slope, slope)),
+    ]
+
+
+def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
+    """As many units in a row for each proposal, and the density of all of them together
+    (deterministic mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Every other point of a
+    Sobol sequence would fill but half of the space."""
+    dtype = jnp.result_type(float)
+    roots = [np.linalg.cholesky(spread) for _, spread in proposals]
+    parts = [
+        centre + own @ root.T
+        for own, (centre, _), root in zip(
+            np.split(units, len(proposals)), proposals, roots, strict=True
+        )
+    ]
+    inside = [parts[0], *(np.asarray(from_scaled(space, jnp.asarray(v, dtype))) for v in parts[1:])]
+    vectors = np.concatenate(inside)
+    there = np.all(np.isfinite(vectors), axis=1)
+    vectors = np.where(there[:, None], vectors, proposals[0][0])
+    scaled, slope = (
+        np.asarray(x, np.float64) for x in to_scaled(space, jnp.asarray(vectors, dtype))
+    )
+    terms = [
+        _log_student(places, centre, root) + turned
+        for places, (centre, _), root, turned in zip(
+            (vectors, scaled), proposals, roots, (0.0, slope), strict=False
+        )
+    ]
+    density = np.logaddexp.reduce(terms, axis=0)
+    return _Proposed(vectors, scaled, np.where(there, density, np.inf))
+
+
+def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """ln of Student's density, up to a constant."""
+    z = solve_triangular(root, (places - centre).T, lower=True)
+    fall = (FREEDOM + len(centre)) / 2 * np.log1p(np.sum(z**2, axis=0) / FREEDOM)
+    return -fall - np.sum(np.log(np.diagonal(root)))
+
+
+def _moved(proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float) -> Proposal:
+    """A proposal with the mean of weighted draws, and as much of their covariance as they tell."""
+    centre = weight @ places
+    away = places - centre
+    return centre, share * (away * weight[:, None]).T @ away + (1 - share) * proposal[1]

@@ -292,6 +292,47 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
     return _by_kind(space, natural, columns)
 
 
+@partial(jax.jit, static_argnums=0)
+def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
+    """Unconstrained values on the scale on which each number is at home, inside its bounds.
+
+    Args:
+        space: the P parameters.
+        unconstrained: (..., P).
+
+    Returns:
+        (..., P) natural values or their logarithms; and (...) the logarithm of how much smaller a
+        volume is there.
+    """
+    slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
+    for parameter, index in _kinds(space):
+        slope = _log_slope(unconstrained[..., np.array(index)], *scaled_ends(parameter))
+        slopes = slopes if slope is None else slopes + jnp.sum(slope, axis=-1)
+
+    def columns(parameter: Parameter, u: Array) -> Array:
+        return _into_bounds(u, *scaled_ends(parameter))
+
+    return _by_kind(space, unconstrained, columns), slopes
+
+
+@partial(jax.jit, static_argnums=0)
+def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
+    """Inverse of `to_scaled`.
+
+    Args:
+        space: the P parameters.
+        scaled: (..., P).
+
+    Returns:
+        (..., P) unconstrained; NaN outside of the bounds.
+    """
+
+    def columns(parameter: Parameter, v: Array) -> Array:
+        return _out_of_bounds(v, *scaled_ends(parameter))
+
+    return _by_kind(space, scaled, columns)
+
+
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
     """Log prior density of the unconstrained values, up to a constant.
 

@@ -527,7 +527,8 @@ ELSEWHERE = (
             fitting.inference.misfit: judge
             fitting.inference.natural_draws.*
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
-            fitting.inference.parameters: scaled_ends to_natural to_unconstrained
+            fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
+            fitting.inference.parameters: to_unconstrained
             fitting.inference.priors: support
             fitting.inference.problem: give least_squares_residuals likelihood_at log_density
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
