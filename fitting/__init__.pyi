@@ -1,6 +1,9 @@
 # What `import fitting` offers, each name where it is defined: read by type checkers, and by
 # `__init__.py`, which loads a name when it is first used.
 
+from .fits.bands import (
+    Bands as Bands,
+)
 from .fits.budget import (
     Budget as Budget,
 )
@@ -18,7 +21,6 @@ from .fits.pixels import (
     fit_map as fit_map,
 )
 from .fits.result import (
-    Bands as Bands,
     Fit as Fit,
 )
 from .fits.solve import (

@@ -312,6 +312,13 @@ def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
     assert 0.02 < (high - low) / 4000 < 0.4
 
 
+def test_what_is_no_problem_and_no_start_is_refused():
+    with pytest.raises(InputError, match="fit: give a Problem, got 3"):
+        fit(3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="start: give natural values by name, got 3"):
+        fit(Problem({"a": FREE}, constant, NOISY, ONES, inputs=ONES), start=3)  # type: ignore[arg-type]
+
+
 def test_labels_of_another_shape_are_refused():
     with pytest.raises(InputError, match="labels of shape"):
         grouped(np.zeros(30), np.arange(29))

@@ -15,46 +15,16 @@ from jaxvision.errors import InputError, nearest
 
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
-from ..inference.given import require_whole
-from ..inference.likelihoods import with_noise_scaled
 from ..inference.misfit import Misfit
 from ..inference.posterior import Posterior, estimates
-from ..inference.problem import (
-    Problem,
-    give,
-    likelihood_at,
-    prediction,
-    records_at,
-    values_from,
-)
+from ..inference.problem import Problem, records_at, values_from
 from ..inference.search import Optimum
 from ..report.formatting import format_interval, format_p, format_unit, format_value
+from .bands import Bands, bands, pushed, simulated, thinned_draws
 from .budget import Budget, Noise, budget
 from .information import Target
 from .plan import plan
 from .words import agreeing, prior_share
-
-LEVELS = (0.16, 0.84, 0.025, 0.975)
-BATCH = 8  # draws pushed through a function at a time
-
-
-@dataclass(frozen=True)
-class Bands:
-    """Something that follows from the parameters, with its uncertainty.
-
-    Attributes:
-        mean: of the draws, in the unit of the thing.
-        sd: their standard deviation.
-        interval_68: (2, ...) lower and upper end.
-        interval_95: (2, ...).
-        draws: (draws, ...).
-    """
-
-    mean: Float[np.ndarray, "..."]
-    sd: Float[np.ndarray, "..."]
-    interval_68: Float[np.ndarray, "2 ..."]
-    interval_95: Float[np.ndarray, "2 ..."]
-    draws: Float[np.ndarray, "draws ..."]
 
 
 @dataclass(frozen=True)
@@ -143,7 +113,7 @@ class Fit:
         Raises:
             InputError: for a name that is none.
         """
-        thinned = jnp.asarray(_thinned(self.posterior, draws))
+        thinned = jnp.asarray(thinned_draws(self.posterior, draws))
         return eqx.filter_vmap(lambda natural: self._record_of(name, natural))(thinned)
 
     def _record_of(self, name: str, natural: Array) -> Any:
@@ -177,8 +147,8 @@ class Fit:
             >>> abs(float(total.sd) - 0.1 * 2**0.5) < 0.01
             True
         """
-        thinned = _thinned(self.posterior, draws)
-        return _bands(np.asarray(_pushed(self.problem, function, jnp.asarray(thinned))))
+        thinned = thinned_draws(self.posterior, draws)
+        return bands(np.asarray(pushed(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
         """Data as they are to be expected, the uncertainty of the parameters and noise included.
@@ -192,11 +162,11 @@ class Fit:
             100 cases; noise that a misfit has widened is that wide, and an error that the groups of
             `Clustered` share is left out.
         """
-        thinned = jnp.asarray(_thinned(self.posterior, draws))
+        thinned = jnp.asarray(thinned_draws(self.posterior, draws))
         keys = jax.random.split(jax.random.key(self.posterior.seed), len(thinned))
         given = self.problem.inputs if inputs is None else jax.tree.map(jnp.asarray, inputs)
-        return _bands(
-            np.asarray(_simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
+        return bands(
+            np.asarray(simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
@@ -357,49 +327,3 @@ class Fit:
 
 
 HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
-
-
-def _thinned(posterior: Posterior, draws: int) -> np.ndarray:
-    """(draws, P) spread over all chains."""
-    require_whole("draws", draws)
-    every = posterior.samples
-    return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
-
-
-@eqx.filter_jit
-def _pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
-    def one(natural: Array) -> Array:
-        found = give(problem, function, values_from(problem, natural), problem.inputs)
-        try:
-            return jnp.asarray(found)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"derived: the function returns a {type(found).__name__} that is no array; return "
-                "one array, or call derived once for each."
-            ) from error
-
-    return jax.lax.map(one, natural, batch_size=BATCH)
-
-
-@eqx.filter_jit
-def _simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
-    def one(key_and_natural: tuple[Array, Array]) -> Array:
-        key, natural = key_and_natural
-        values = values_from(problem, natural)
-        likelihood = likelihood_at(problem, values)
-        louder = with_noise_scaled(likelihood, noise)
-        predicted = prediction(problem, values, inputs=inputs)
-        return (likelihood if louder is None else louder).draw(key, predicted)
-
-    return jax.lax.map(one, (keys, natural), batch_size=BATCH)
-
-
-def _bands(draws: np.ndarray) -> Bands:
-    low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
-    return Bands(
-        np.asarray(draws.mean(0)),
-        np.asarray(draws.std(0)),
-        np.stack([low68, high68]),
-        np.stack([low95, high95]),
-        draws,
-    )

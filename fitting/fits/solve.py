@@ -1,5 +1,6 @@
 """`fit`: a problem to its posterior, with a verdict."""
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, Literal
 
@@ -84,9 +85,9 @@ def fit(
         The fit.
 
     Raises:
-        InputError: for a seed that is none, a start that names no parameter, a model that is finite
-            nowhere, data that leave a direction open, chains to go on from that are others, and
-            NUTS without blackjax.
+        InputError: for what is no problem or no seed, a start that names no parameter, a model that
+            is finite nowhere, data that leave a direction open, chains to go on from that are
+            others, and NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -106,6 +107,10 @@ def fit(
         True
     """
     require_seed(seed)
+    if not isinstance(problem, Problem):
+        raise InputError(f"fit: give a Problem, got {problem!r:.60}.")
+    if start is not None and not isinstance(start, Mapping):
+        raise InputError(f"start: give natural values by name, got {start!r:.60}.")
     options = _options(posterior, sampling)
     if problem.stream is not None and options is not None:
         raise InputError(

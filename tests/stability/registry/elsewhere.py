@@ -472,6 +472,7 @@ ELSEWHERE = (
         SOLVERS,
         "test_problem test_plan_and_budget test_called_for",
         """
+            fitting.fits.bands: bands pushed simulated thinned_draws
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
             fitting.fits.information: expected_information slope_of with_inputs

@@ -1,0 +1,132 @@
+"""What follows from the draws of a fit: functions of them and data to be expected, with bands."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.given import require_whole
+from ..inference.likelihoods import with_noise_scaled
+from ..inference.posterior import Posterior
+from ..inference.problem import Problem, give, likelihood_at, prediction, values_from
+
+LEVELS = (0.16, 0.84, 0.025, 0.975)
+BATCH = 8  # draws pushed through a function at a time
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Something that follows from the parameters, with its uncertainty.
+
+    Attributes:
+        mean: of the draws, in the unit of the thing.
+        sd: their standard deviation.
+        interval_68: (2, ...) lower and upper end.
+        interval_95: (2, ...).
+        draws: (draws, ...).
+    """
+
+    mean: Float[np.ndarray, "..."]
+    sd: Float[np.ndarray, "..."]
+    interval_68: Float[np.ndarray, "2 ..."]
+    interval_95: Float[np.ndarray, "2 ..."]
+    draws: Float[np.ndarray, "draws ..."]
+
+
+def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
+    """Draws spread over all chains.
+
+    Args:
+        posterior: of P parameters.
+        draws: how many, at most.
+
+    Returns:
+        (draws, P) in the parameters' units.
+
+    Raises:
+        InputError: unless `draws` is a whole number above 0.
+    """
+    require_whole("draws", draws)
+    every = posterior.samples
+    return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
+
+
+@eqx.filter_jit
+def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
+    """Draws pushed through a function.
+
+    Args:
+        problem: whose parameters, records and inputs the function may ask for.
+        function: to one array.
+        natural: (draws, P).
+
+    Returns:
+        (draws, ...) in the unit of what it returns.
+
+    Raises:
+        InputError: for a function that returns no array.
+    """
+
+    def one(natural: Array) -> Array:
+        found = give(problem, function, values_from(problem, natural), problem.inputs)
+        try:
+            return jnp.asarray(found)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"derived: the function returns a {type(found).__name__} that is no array; return "
+                "one array, or call derived once for each."
+            ) from error
+
+    return jax.lax.map(one, natural, batch_size=BATCH)
+
+
+@eqx.filter_jit
+def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
+    """Data as they might be, one set a draw.
+
+    Args:
+        problem: with its model and likelihood.
+        keys: (draws,).
+        natural: (draws, P).
+        inputs: of the model.
+        noise: factor on the width of the noise.
+
+    Returns:
+        (draws, ...) in the unit of the data.
+    """
+
+    def one(key_and_natural: tuple[Array, Array]) -> Array:
+        key, natural = key_and_natural
+        values = values_from(problem, natural)
+        likelihood = likelihood_at(problem, values)
+        louder = with_noise_scaled(likelihood, noise)
+        predicted = prediction(problem, values, inputs=inputs)
+        return (likelihood if louder is None else louder).draw(key, predicted)
+
+    return jax.lax.map(one, (keys, natural), batch_size=BATCH)
+
+
+def bands(draws: np.ndarray) -> Bands:
+    """Mean and intervals of draws.
+
+    Args:
+        draws: (draws, ...).
+
+    Returns:
+        In their unit.
+    """
+    low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
+    return Bands(
+        np.asarray(draws.mean(0)),
+        np.asarray(draws.std(0)),
+        np.stack([low68, high68]),
+        np.stack([low95, high95]),
+        draws,
+    )
