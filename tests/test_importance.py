@@ -9,7 +9,8 @@ from scipy.stats import norm, t
 
 from fitting.inference.importance import gaussian_miss, laplace_where_it_holds
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import convergence_in_words, estimates
+from fitting.inference.posterior import estimates
+from fitting.inference.trust import convergence_in_words
 from fitting.noise.model import NoiseData, scatter_prior
 
 SPACE = (Parameter("a"), Parameter("scale", transform="log"))

@@ -2,6 +2,7 @@
 they lack, and the optional dependency."""
 
 import sys
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,8 @@ from fitting.inference.convergence import effective_draws
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.nuts import NutsOptions, nuts
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import convergence_in_words, estimates, sample
+from fitting.inference.posterior import estimates, sample
+from fitting.inference.trust import convergence_in_words, is_trusted
 from jaxvision.errors import InputError
 
 COVARIANCE = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.3], [0.0, 0.3, 2.0]])
@@ -68,6 +70,14 @@ def test_nuts_finds_the_gaussian(drawn):
     assert drawn.r_hat.max() < 1.01
     assert 0.6 < drawn.acceptance < 0.95
     assert "4 chains of 1000 draws" in convergence_in_words(drawn)
+
+
+@pytest.mark.parametrize(("divergences", "trusted"), [(4, True), (5, False)])
+def test_trajectories_that_diverge_are_not_trusted(drawn, divergences, trusted):
+    """Beyond one in a thousand, of 4000."""
+    told = replace(drawn, divergences=divergences)
+    assert is_trusted(told) == trusted
+    assert ("a higher acceptance=" in convergence_in_words(told)) != trusted
 
 
 def assert_same_quantiles(a, b, worth):

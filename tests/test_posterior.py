@@ -12,7 +12,8 @@ from scipy import stats
 
 from fitting.inference.emcee_run import SamplingOptions, for_group
 from fitting.inference.parameters import Parameter
-from fitting.inference.posterior import convergence_in_words, estimates, laplace, sample
+from fitting.inference.posterior import estimates, laplace, sample
+from fitting.inference.trust import convergence_in_words
 from jaxvision.errors import InputError
 
 COVARIANCE = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.3], [0.0, 0.3, 2.0]])

@@ -60,6 +60,22 @@ def test_draws_are_those_of_the_posterior_on_a_grid(posterior, sampling):
     assert 0 < result.draws["height"].min() < result.draws["height"].max() < 4
 
 
+def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
+    options = SamplingOptions(walkers=8, steps=40, block=40)
+    result = fit(problem(), starts=4, posterior="emcee", sampling=options)
+    assert not result.converged
+    assert "NOT CONVERGED" in str(result)
+    assert any("more steps are missing" in sentence for sentence in result.failures)
+    assert result.draws["height"].size >= 8
+    assert fit(problem(), starts=4).converged  # the optimum itself is one
+
+
+def test_progress_that_cannot_be_called_is_refused():
+    for options in (SamplingOptions, NutsOptions):
+        with pytest.raises(InputError, match="progress = 3: give a function of"):
+            options(progress=3)
+
+
 @pytest.mark.parametrize(
     ("posterior", "sampling", "expected"),
     [

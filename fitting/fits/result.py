@@ -57,7 +57,7 @@ class Fit:
     @property
     def converged(self) -> bool:
         """Whether the search ended at a maximum that describes the data within their noise, or
-        whose misfit is allowed for."""
+        whose misfit is allowed for, and whether the draws of a sampler can be trusted."""
         return not self.failures
 
     @property

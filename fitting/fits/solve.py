@@ -28,7 +28,7 @@ from ..inference.search_read import derivatives, search_read
 from ..inference.streams import Advance
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
-from .words import about_posterior, about_search, is_confirmed, verdict
+from .words import about_chains, about_posterior, about_search, is_confirmed, verdict
 
 ROUNDS = 4  # of starts, as long as the best of all stands alone
 OTHER_SEED = 1_000_003  # between the seeds of rounds
@@ -146,7 +146,7 @@ def fit(
     before = None if after is None else after.posterior
     failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
     drawn = _draw(problem, vector, optimum, wide, options, seed, before, failed=bool(failures))
-    failures += about_search(optimum, drawn)
+    failures += about_search(optimum, drawn) + about_chains(drawn)
     findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
     settings = {
         "starts": len(optimum.costs),

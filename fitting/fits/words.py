@@ -13,9 +13,10 @@ from ..inference.parameters import (
     scaled_ends,
     to_natural,
 )
-from ..inference.posterior import Posterior, convergence_in_words
+from ..inference.posterior import Posterior
 from ..inference.problem import Problem
 from ..inference.search import SAME_PLACE, Optimum
+from ..inference.trust import convergence_in_words, is_trusted
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
@@ -129,6 +130,18 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
     ]
 
 
+def about_chains(posterior: Posterior) -> list[str]:
+    """Why draws of a posterior are not to be trusted; empty if they are.
+
+    Args:
+        posterior: drawn by a sampler, or Laplace's.
+
+    Returns:
+        Sentences.
+    """
+    return [] if is_trusted(posterior) else [convergence_in_words(posterior)]
+
+
 def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
     """What the data cannot tell, what only the prior tells, and how far the intervals hold.
 
@@ -159,7 +172,8 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
                 f"The intervals of {listed(skew)} are wide, so that a Gaussian may misjudge them: "
                 "posterior='emcee' or 'nuts' draws from the posterior itself."
             )
-    found.append(convergence_in_words(posterior))
+    if is_trusted(posterior):
+        found.append(convergence_in_words(posterior))
     if problem.data.dtype != jnp.float64:
         found.append(
             "Computed with 7 digits: jax.config.update('jax_enable_x64', True) gives 16, which a "

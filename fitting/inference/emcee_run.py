@@ -20,7 +20,7 @@ from jaxvision.errors import InputError
 
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import autocorrelation_times
-from .given import require_whole
+from .given import require_progress, require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
@@ -56,6 +56,7 @@ class SamplingOptions:
     def __post_init__(self) -> None:
         for name in ("walkers", "steps", "block"):
             require_whole(name, getattr(self, name))
+        require_progress(self.progress)
         if self.walkers < 4 or self.walkers % 2:
             raise InputError(f"walkers = {self.walkers}: use an even number of at least 4.")
         if self.steps < self.block:

@@ -50,6 +50,19 @@ def require_whole(
     raise InputError(f"{what} = {value!r}: give a whole number {ends}.")
 
 
+def require_progress(value: Any) -> None:
+    """Refuses what cannot be told how far a chain is.
+
+    Args:
+        value: to judge.
+
+    Raises:
+        InputError: unless it is None or can be called.
+    """
+    if not (value is None or callable(value)):
+        raise InputError(f"progress = {value!r}: give a function of (steps done, steps in all).")
+
+
 def require_seed(value: Any) -> None:
     """Refuses what no generator of random numbers begins from.
 

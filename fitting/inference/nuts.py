@@ -27,7 +27,7 @@ from jaxvision.errors import InputError
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import effective_draws, split_r_hat
 from .fingerprint import fingerprint
-from .given import require_whole
+from .given import require_progress, require_whole
 from .natural_draws import natural_draws
 from .parameters import ParameterSpace, to_natural
 from .posterior import LogDensity, Posterior
@@ -67,6 +67,7 @@ class NutsOptions:
         require_whole("draws", self.draws, least=FEWEST_DRAWS)
         require_whole("chains", self.chains)
         require_whole("block", self.block)
+        require_progress(self.progress)
         if not (isinstance(self.acceptance, float | np.floating) and 0 < self.acceptance < 1):
             raise InputError(f"acceptance = {self.acceptance!r}: use a number between 0 and 1.")
 

@@ -5,7 +5,8 @@ import numpy as np
 
 from ..inference.diagnostics import listed
 from ..inference.parameters import names, prior_gaussian
-from ..inference.posterior import Posterior, convergence_in_words
+from ..inference.posterior import Posterior
+from ..inference.trust import convergence_in_words
 from ..reflectance.from_images.shading_check import contradictions
 from ..report.section import Table
 from .calibration import JointCalibration

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..inference.diagnostics import identifiability
-from ..inference.posterior import convergence_in_words
+from ..inference.trust import convergence_in_words
 from ..report.formatting import format_p
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from jaxvision.errors import InputError
 
-from ..inference.posterior import convergence_in_words
+from ..inference.trust import convergence_in_words
 from .section import Section
 
 

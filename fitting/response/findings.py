@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..inference.posterior import convergence_in_words
+from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
 from .solve import ROUGHEST

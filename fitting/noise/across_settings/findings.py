@@ -4,7 +4,7 @@ import numpy as np
 
 from ...inference.diagnostics import identifiability
 from ...inference.parameters import names
-from ...inference.posterior import convergence_in_words
+from ...inference.trust import convergence_in_words
 from ...report.formatting import format_p
 from ..levels import Levels
 from ..misfit import MISFIT

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...inference.diagnostics import listed
-from ...inference.posterior import convergence_in_words
+from ...inference.trust import convergence_in_words
 from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration

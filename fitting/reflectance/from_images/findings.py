@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ...inference.parameters import names
-from ...inference.posterior import convergence_in_words
+from ...inference.trust import convergence_in_words
 from ...report.section import Table
 from ..models import CLEAR, LABELS, facet_sentence
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters

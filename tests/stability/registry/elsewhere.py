@@ -451,8 +451,8 @@ ELSEWHERE = (
             fitting.inference.fingerprint: fingerprint
             fitting.inference.importance: gaussian_miss laplace_where_it_holds
             fitting.inference.nuts: nuts require_blackjax
-            fitting.inference.posterior: convergence_in_words estimates evaluate_density laplace
-            fitting.inference.posterior: laplace_or_emcee sample
+            fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
+            fitting.inference.trust: convergence_in_words is_trusted
         """,
     ),
     Elsewhere(
