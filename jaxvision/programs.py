@@ -11,29 +11,38 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-# Without optimisation, and by XLA's older emitters: of programs that run once, compiling is most of
-# the time. Fits of 470,000 samples run a fifth longer.
-_QUICKLY = (
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
-    "--xla_cpu_parallel_codegen_split_count=1"
-)
-_KNOWS_THEM = "0.10."  # versions of jaxlib; XLA ends the process at a flag that it does not know
+_QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
+_OLDER_EMITTERS = " --xla_cpu_use_fusion_emitters=false"
+_HAVE_OLDER_EMITTERS = ("0.10.", "0.11.0", "0.11.1")  # versions of jaxlib
+# XLA ends the process at a flag that it does not know, so it gets none in versions not tried yet.
+_TRIED = ("0.10.", "0.11.", "0.12.")
 _MOST_BYTES = 2**29
+
+
+def quick_flags() -> str:
+    """XLA's flags for programs that run once, of which compiling is most of the time: without
+    optimisation, and by the older emitters where this XLA still has them. Fits of 470,000 samples
+    run a fifth longer with them. Empty for a version that has not been tried."""
+    if not version("jaxlib").startswith(_TRIED):
+        return ""
+    return _QUICKLY + _OLDER_EMITTERS * version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
 
 
 def compile_quickly() -> None:
     """Compiles without optimisation on a processor, unless the user's XLA_FLAGS say how (even if
     empty). With an accelerator's plugin nothing is changed."""
-    if version("jaxlib").startswith(_KNOWS_THEM) and find_spec("jax_plugins") is None:
-        os.environ.setdefault("XLA_FLAGS", _QUICKLY)
+    if quick_flags() and find_spec("jax_plugins") is None:
+        os.environ.setdefault("XLA_FLAGS", quick_flags())
 
 
 def thoroughly() -> dict[str, bool | int] | None:
     """`compiler_options` of `jax.jit` for a program that computes for so long that it is compiled
     with optimisation even where `compile_quickly` was asked for; read them after that."""
-    if os.environ.get("XLA_FLAGS") != _QUICKLY:
+    flags = os.environ.get("XLA_FLAGS", "")
+    if not flags or flags != quick_flags():
         return None
-    return {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+    emitters = {"xla_cpu_use_fusion_emitters": True} if _OLDER_EMITTERS in flags else {}
+    return {"xla_backend_optimization_level": 3, **emitters}
 
 
 def keep_programs() -> None:

@@ -15,15 +15,12 @@ import jax
 import jaxlib.version
 import pytest
 
+from jaxvision.programs import quick_flags
+
 gc.set_threshold(20_000, 20, 100)  # what has been traced is much, and seldom garbage
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# A third of the time to compile, for what runs once. `XLA_FLAGS= pytest` compiles as users do.
-QUICK_COMPILE = (
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
-    "--xla_cpu_parallel_codegen_split_count=1"
-)
 DATA = Path(
     os.environ.get("JAXVISION_DATA", Path(__file__).parents[1].parent / "shared" / "data")
 ).resolve()
@@ -52,7 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.option.markexpr == "benchmark":
         return
     if "not slow" in config.option.markexpr:
-        os.environ.setdefault("XLA_FLAGS", QUICK_COMPILE)
+        os.environ.setdefault("XLA_FLAGS", quick_flags())
     share_lowering_context()
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(compiled_folder(config))

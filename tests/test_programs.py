@@ -26,7 +26,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert os.environ["XLA_FLAGS"] == ""
     monkeypatch.delenv("XLA_FLAGS")
-    monkeypatch.setattr(programs, "version", lambda name: "0.11.0")
+    monkeypatch.setattr(programs, "version", lambda name: "0.99.0")
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "version", lambda name: "0.10.9")
@@ -36,6 +36,13 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     monkeypatch.setattr(programs, "find_spec", lambda name: None)
     programs.compile_quickly()
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
+    assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]
+    assert programs.thoroughly()["xla_cpu_use_fusion_emitters"]
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setattr(programs, "version", lambda name: "0.12.0.1")  # would end at that flag
+    programs.compile_quickly()
+    assert "fusion_emitters" not in os.environ["XLA_FLAGS"]
+    assert programs.thoroughly() == {"xla_backend_optimization_level": 3}
 
 
 def test_programs_are_kept_where_they_may_be(untouched, monkeypatch):
