@@ -372,8 +372,10 @@ def test_a_misfit_can_be_allowed_for(fitted):
 def test_arviz_and_the_report(fitted, tmp_path):
     arviz = pytest.importorskip("arviz")
     data = fitted.to_arviz()
-    assert isinstance(data, arviz.InferenceData)
     assert data.posterior["rate"].dims == ("chain", "draw")
+    np.testing.assert_array_equal(data.posterior["rate"], fitted.draws["rate"])
+    np.testing.assert_array_equal(data.observed_data["data"], fitted.problem.data)
+    assert "rate" in arviz.summary(data, var_names=["rate"]).index
     names = {path.name for path in fitted.write(tmp_path)}
     assert names == {"report.html", "results.json", "fit_chains.nc"}
     assert "Before and after the data" in (tmp_path / "report.html").read_text()

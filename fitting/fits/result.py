@@ -226,7 +226,8 @@ class Fit:
         return budget(self, target, noise=noise, nuisances=nuisances)
 
     def to_arviz(self) -> Any:
-        """The draws as ArviZ' InferenceData: array parameters keep their dimensions.
+        """The draws for ArviZ, its DataTree (InferenceData before ArviZ 1.0): array parameters keep
+        their dimensions.
 
         Returns:
             Groups `posterior`, `observed_data` and, for a sampled posterior, `sample_stats`.
@@ -242,11 +243,12 @@ class Fit:
         data = np.asarray(self.problem.data)
         if self.problem.present is not None:
             data = np.where(self.problem.present, data, np.nan)
-        return arviz.from_dict(
-            posterior=self.draws,
-            sample_stats=None if density is None else {"lp": density},
-            observed_data={"data": data},
-        )
+        groups: dict[str, Any] = {"posterior": self.draws, "observed_data": {"data": data}}
+        if density is not None:
+            groups["sample_stats"] = {"lp": density}
+        if arviz.__version__.startswith("0."):
+            return arviz.from_dict(**groups)
+        return arviz.from_dict(groups)
 
     def write(self, folder: Path | str, *, title: str = "Fit") -> list[Path]:
         """Writes the report: `report.html`, `results.json` and the draws as NetCDF.
