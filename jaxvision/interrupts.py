@@ -32,6 +32,8 @@ class _Ending:
         seen: set by the signal.
         said: set when the sentence is on its way to standard error.
         raised: set where the exception is wanted.
+        thrown: set when it was raised; the context that wanted it may be over before the thread
+            looks.
         handled: set by who has caught it and ends by itself.
         behind: set where threads still work for whom nobody waits any more.
         leaving: held by the thread that ends the process, and never released.
@@ -40,7 +42,8 @@ class _Ending:
     def __init__(self) -> None:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
-        self.seen, self.said, self.raised = (threading.Event() for _ in range(3))
+        self.seen, self.said = threading.Event(), threading.Event()
+        self.raised, self.thrown = threading.Event(), threading.Event()
         self.handled, self.behind = threading.Event(), threading.Event()
         self.leaving = threading.Lock()
 
@@ -139,6 +142,7 @@ def _raise_where_wanted(number: int, frame: FrameType | None) -> None:
     del number, frame
     _ending.seen.set()  # which the thread may do later
     if _ending.raised.is_set():
+        _ending.thrown.set()
         raise KeyboardInterrupt
 
 
@@ -146,7 +150,7 @@ def _watch(command: str, reader: int) -> None:
     """Ends the process at a signal; where the exception is raised, at a second one."""
     _wait_for_interrupt(reader)
     _ending.seen.set()
-    if _ending.raised.is_set():
+    if _ending.raised.is_set() or _ending.thrown.is_set():
         again = threading.Event()
 
         def listen() -> None:

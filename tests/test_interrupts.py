@@ -79,6 +79,26 @@ def test_who_asks_for_the_exception_keeps_what_there_is():
     assert (status, out) == (130, "what there is\n")
 
 
+def test_who_asks_keeps_what_there_is_however_late_the_thread_looks():
+    work = """
+    import threading
+    from jaxvision import interrupts
+    seen = interrupts._ending.seen
+    own, main = seen.set, threading.current_thread()
+    seen.set = lambda: (threading.current_thread() is main or time.sleep(0.3), own())
+    try:
+        with raised_interrupts():
+            ready()
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        is_handled()
+        time.sleep(0.6)
+        print("what there is")
+"""
+    status, out, _ = interrupted(work)
+    assert (status, out) == (130, "what there is\n")
+
+
 def test_a_second_interrupt_ends_also_who_asked():
     work = """
     with raised_interrupts():
