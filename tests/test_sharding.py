@@ -1,6 +1,7 @@
-"""Arrays shared out among four devices give the results of one, in a process of its own."""
+"""Arrays shared out among four devices, of one process or of two, give the results of one."""
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +9,15 @@ from pathlib import Path
 import pytest
 
 ON_FOUR = """
+import sys
 import jax
 jax.config.update("jax_enable_x64", True)
+if len(sys.argv) > 1:
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    jax.distributed.initialize(sys.argv[1], num_processes=2, process_id=int(sys.argv[2]))
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit
@@ -21,15 +27,20 @@ assert len(jax.devices()) == 4
 mesh = jax.make_mesh((4,), ("data",), axis_types=(AxisType.Auto,))
 shared = NamedSharding(mesh, PartitionSpec("data"))
 
+
+def shared_out(x):
+    return jax.make_array_from_callback(x.shape, shared, lambda part: x[part])
+
+
 file = read_scene("glass_and_mirror")
 rows, columns = np.divmod(np.arange(64), 8)
 method = jv.Paths(samples=1, depth=3)
 traced = jax.jit(lambda r, c: jv.path_traced_pixels(
     jax.random.key(0), file.scene, file.view, 40 * r, 70 * c, method=method).radiance)
 alone = traced(jnp.asarray(rows), jnp.asarray(columns))
-found = traced(jax.device_put(rows, shared), jax.device_put(columns, shared))
+found = traced(shared_out(rows), shared_out(columns))
 assert len(found.sharding.device_set) == 4
-np.testing.assert_array_equal(alone, found)
+np.testing.assert_array_equal(alone, process_allgather(found, tiled=True))
 
 t = np.linspace(0, 1, 40_000)
 y = 2 * np.exp(-3 * t) + 0.1 * np.random.default_rng(0).standard_normal(t.size)
@@ -46,7 +57,7 @@ def problem(place):
     )
 
 
-many = problem(lambda x: jax.device_put(x, shared))
+many = problem(shared_out)
 assert len(many.data.sharding.device_set) == len(many.present.sharding.device_set) == 4
 options = {"posterior": "emcee", "sampling": SamplingOptions(steps=40, walkers=16, block=20)}
 one, four = (fit(p, **options) for p in (problem(jnp.asarray), many))
@@ -61,14 +72,44 @@ print("equal")
 """
 
 
+def environment(devices):
+    """Of a process whose processor stands for some devices, each of which needs a thread: they wait
+    for each other."""
+    flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
+    root = Path(__file__).parents[1]
+    return os.environ | {"XLA_FLAGS": flags, "NPROC": f"{2 * devices}", "PYTHONPATH": str(root)}
+
+
 @pytest.mark.slow
 def test_pixels_fits_and_chains_are_equal_on_four_devices():
-    root = Path(__file__).parents[1]
-    flags = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
-    # Devices that stand for four on two cores wait for each other: each needs a thread.
-    more = {"XLA_FLAGS": flags, "NPROC": "8", "PYTHONPATH": str(root)}
     done = subprocess.run(
-        [sys.executable, "-c", ON_FOUR], env=os.environ | more, capture_output=True, text=True
+        [sys.executable, "-c", ON_FOUR], env=environment(4), capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip().endswith("equal")
+
+
+@pytest.mark.slow
+def test_they_are_equal_on_two_hosts_of_two_devices():
+    """Two processes that know each other by the loopback alone."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        address = f"localhost:{free.getsockname()[1]}"
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", ON_FOUR, address, str(number)],
+            env=environment(2),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(2)
+    ]
+    try:
+        for process in started:
+            said, error = process.communicate(timeout=600)
+            assert process.returncode == 0, error
+            assert said.strip().endswith("equal")
+    finally:
+        for process in started:
+            process.kill()

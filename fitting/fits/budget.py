@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError, nearest
 
 from ..inference.likelihoods import Clustered
+from ..inference.on_host import on_host
 from ..inference.problem import Problem
 from .information import Target, expected_information, slope_of
 from .plan import in_words
@@ -152,12 +153,12 @@ def _shares_of_data(
     if noise is None:
         if sources is None:
             return {"noise": present.ravel()}
-        parts = {name: np.asarray(x) for name, x in sources(predicted).items()}
+        parts = {name: on_host(x) for name, x in sources(predicted).items()}
         variance = sum(parts.values())
     else:
         variance = _variance(likelihood)
         parts = {
-            name: np.asarray(part(predicted) if callable(part) else part, np.float64)
+            name: on_host(part(predicted) if callable(part) else part, np.float64)
             for name, part in noise.items()
         }
     shares = {
@@ -178,13 +179,13 @@ def _present(problem: Problem) -> np.ndarray:
     """1 for each datum, 0 where it is missing."""
     if problem.present is None:
         return np.ones(problem.data.shape)
-    return np.asarray(problem.present, np.float64)
+    return on_host(problem.present, np.float64)
 
 
 def _variance(likelihood: Any) -> np.ndarray:
     for inside in (likelihood, getattr(likelihood, "likelihood", None)):
         if inside is not None and hasattr(inside, "sd"):
-            return np.asarray(inside.sd, np.float64) ** 2
+            return on_host(inside.sd, np.float64) ** 2
     raise InputError(
         f"noise: {type(likelihood).__name__} states no standard deviation to divide; leave noise "
         "out."

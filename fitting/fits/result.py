@@ -16,6 +16,7 @@ from jaxvision.errors import InputError, nearest
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
 from ..inference.misfit import Misfit
+from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, records_at, values_from
 from ..inference.search import Optimum
@@ -148,7 +149,7 @@ class Fit:
             True
         """
         thinned = thinned_draws(self.posterior, draws)
-        return bands(np.asarray(pushed(self.problem, function, jnp.asarray(thinned))))
+        return bands(on_host(pushed(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
         """Data as they are to be expected, the uncertainty of the parameters and noise included.
@@ -166,7 +167,7 @@ class Fit:
         keys = jax.random.split(jax.random.key(self.posterior.seed), len(thinned))
         given = self.problem.inputs if inputs is None else jax.tree.map(jnp.asarray, inputs)
         return bands(
-            np.asarray(simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
+            on_host(simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
@@ -240,9 +241,9 @@ class Fit:
         except ImportError as error:
             raise InputError("to_arviz needs ArviZ: pip install arviz.") from error
         density = self.posterior.log_density
-        data = np.asarray(self.problem.data)
+        data = on_host(self.problem.data)
         if self.problem.present is not None:
-            data = np.where(self.problem.present, data, np.nan)
+            data = np.where(on_host(self.problem.present), data, np.nan)
         groups: dict[str, Any] = {"posterior": self.draws, "observed_data": {"data": data}}
         if density is not None:
             groups["sample_stats"] = {"lp": density}

@@ -20,6 +20,7 @@ from ..inference.importance import laplace_where_it_holds
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import judge_sums, sums
 from ..inference.nuts import NutsOptions, nuts, require_blackjax
+from ..inference.on_host import on_host
 from ..inference.parameters import log_prior, scalars
 from ..inference.posterior import Posterior, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
@@ -119,7 +120,7 @@ def fit(
         )
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
-    if problem.present is not None and not np.asarray(problem.present).any():
+    if problem.present is not None and not on_host(problem.present).any():
         raise InputError("There is nothing to fit: all data are missing (NaN).")
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
         if after is None:
@@ -169,7 +170,7 @@ def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     if not isinstance(inputs, jax.Array | np.ndarray):
         return residuals
     single = residuals.ndim == 1 and inputs.shape == residuals.shape
-    return residuals[np.argsort(np.asarray(inputs), kind="stable")] if single else residuals
+    return residuals[np.argsort(on_host(inputs), kind="stable")] if single else residuals
 
 
 def _fits_width(problem: Problem) -> bool:

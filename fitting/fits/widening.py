@@ -14,6 +14,7 @@ from jaxvision.errors import InputError
 from ..inference.clustering import cluster_robust, like_gaussian
 from ..inference.likelihoods import Clustered, with_noise_scaled
 from ..inference.misfit import Misfit, judge, sums
+from ..inference.on_host import on_host
 from ..inference.problem import (
     Problem,
     Vector,
@@ -85,7 +86,7 @@ def widening(
         The covariance and what it stands for.
     """
     if isinstance(problem.likelihood, Clustered):
-        labels = np.asarray(problem.likelihood.labels)
+        labels = on_host(problem.likelihood.labels)
         return _of_groups(problem, optimum, labels, residuals, inflate=inflate, seed=seed)
     if not inflate or checks.dof <= 0 or checks.chi_square <= checks.dof:
         return Widening(covariance)
@@ -116,10 +117,10 @@ def _of_groups(
         )
     labels = np.unique(every.ravel(), return_inverse=True)[1]
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
-    scores = np.asarray(_scores(vector, problem), np.float64)
+    scores = on_host(_scores(vector, problem), np.float64)
     prior = optimum.curvature - optimum.data_information
     slope, predicted = _slopes(problem, vector, seed)
-    moved = np.asarray(_predictions(vector, problem), np.float64) * np.nan_to_num(slope.ravel())
+    moved = on_host(_predictions(vector, problem), np.float64) * np.nan_to_num(slope.ravel())
     robust = cluster_robust(scores, optimum.curvature, labels, None, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
     words = f"Residuals share errors within the {labels.max() + 1} groups"
@@ -249,15 +250,15 @@ def _residuals(
     problem: Problem, vector: Array, chance: np.ndarray, shift: float
 ) -> Float[np.ndarray, "..."]:
     predicted, likelihood = predicted_at(vector, problem)
-    place = np.asarray(predicted) + shift
-    found = likelihood.residuals(place, np.asarray(problem.data), chance)
-    found = np.asarray(found, np.float64)
-    return found if problem.present is None else np.where(problem.present, found, np.nan)
+    place = on_host(predicted) + shift
+    found = likelihood.residuals(place, on_host(problem.data), chance)
+    found = on_host(found, np.float64)
+    return found if problem.present is None else np.where(on_host(problem.present), found, np.nan)
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Of each residual by its prediction, by a difference; and the prediction."""
-    predicted = np.asarray(predicted_at(vector, problem)[0], np.float64)
+    predicted = on_host(predicted_at(vector, problem)[0], np.float64)
     size = max(float(np.std(predicted)), LEAST * float(np.abs(predicted).max())) or 1.0
     step = SMALL * size
     least = float(predicted.min())

@@ -11,6 +11,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from .on_host import on_host
+
 ADDRESS = re.compile(r"0x[0-9a-f]+")  # of an object in this process
 PACKAGES = ("jax", "numpy", "scipy")
 
@@ -45,5 +47,5 @@ def fingerprint(
     digest = hashlib.sha256()
     digest.update(ADDRESS.sub("", repr((settings, packages, name, str(closed)))).encode())
     for leaf in jax.tree.leaves((mode, covariance, args, closed.consts)):
-        digest.update(np.asarray(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
+        digest.update(on_host(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
     return digest.hexdigest()

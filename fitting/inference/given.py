@@ -11,6 +11,8 @@ from jaxtyping import Int
 
 from jaxvision.errors import InputError
 
+from .on_host import on_host
+
 INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
 LARGEST_SEED = 2**32 - 1  # that all generators take
 
@@ -126,7 +128,7 @@ def require_positive(what: str, value: Any) -> None:
     """
     if isinstance(value, str) or not is_concrete(value):
         return
-    values = np.asarray(value)
+    values = on_host(value)
     wrong = values[~((values > 0) & (values < np.inf))]
     if wrong.size:
         raise InputError(f"{what} must be positive and finite, got {wrong.flat[0]:g}.")
@@ -145,7 +147,7 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
     """
     ends = {"low": low, "high": high}
     known = {
-        name: np.asarray(end)
+        name: on_host(end)
         for name, end in ends.items()
         if not (end is None or isinstance(end, str)) and is_concrete(end)
     }
@@ -179,7 +181,7 @@ def whole_labels(labels: Any) -> Int[np.ndarray, "..."]:
     Raises:
         InputError: for others than whole numbers.
     """
-    given = np.asarray(labels)
+    given = on_host(labels)
     if given.dtype.kind not in "iuf" or (given != np.round(given)).any():
         raise InputError(
             "Clustered: labels are whole numbers, the group of each datum; "

@@ -29,6 +29,7 @@ from .convergence import effective_draws, split_r_hat
 from .fingerprint import fingerprint
 from .given import require_progress, require_whole
 from .natural_draws import natural_draws
+from .on_host import on_host
 from .parameters import ParameterSpace, to_natural
 from .posterior import LogDensity, Posterior
 
@@ -135,8 +136,8 @@ def nuts(
         )
         blocks.append(
             {"fingerprint": np.array(run)}
-            | {name: np.asarray(values)[:steps] for name, values in drawn.items()}
-            | {name: np.asarray(values) for name, values in vars(state).items()}
+            | {name: on_host(values)[:steps] for name, values in drawn.items()}
+            | {name: on_host(values) for name, values in vars(state).items()}
         )
         store(options.checkpoint, len(blocks) - 1, blocks[-1])
         if options.progress is not None:
@@ -176,7 +177,7 @@ def _start(
     log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
 ) -> _State:
     state = _started(log_density, mode, spread, args, key, chains)
-    if not np.isfinite(np.asarray(state.log_density)).all():
+    if not np.isfinite(on_host(state.log_density)).all():
         raise InputError(
             "The density is impossible at the mode itself, so no chain can start; fit first."
         )

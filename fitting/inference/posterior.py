@@ -25,6 +25,7 @@ from .emcee_run import SamplingOptions, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
 from .fingerprint import fingerprint
 from .natural_draws import natural_draws
+from .on_host import on_host
 from .parameters import ParameterSpace, to_natural
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
@@ -161,7 +162,7 @@ def laplace(
         InputError: when the data leave a direction open.
     """
     if covariance is None:
-        information = np.asarray(_information(log_density, mode, args), np.float64)
+        information = on_host(_information(log_density, mode, args), np.float64)
         judged = identifiability(space, information)
         if not judged.determined:
             raise InputError(" ".join(judged.sentences))
@@ -319,7 +320,7 @@ def evaluate_density(
     Returns:
         (draws,); minus infinity where it is NaN.
     """
-    return np.asarray(_evaluate(log_density, vectors, args), float)
+    return on_host(_evaluate(log_density, vectors, args), float)
 
 
 @eqx.filter_jit

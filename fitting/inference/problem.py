@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from jaxvision.errors import InputError, nearest
 
 from .likelihoods import Likelihood, check_data, with_values
+from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, replaced
 from .statement import (
@@ -175,9 +176,9 @@ class Problem(eqx.Module):
         return self._again(records=records, left_out=left_out)
 
     def _again(self, **changes: Any) -> "Problem":
-        present = True if self.present is None else np.asarray(self.present)
+        present = True if self.present is None else on_host(self.present)
         given = {
-            "data": np.where(present, self.data, np.nan),
+            "data": np.where(present, on_host(self.data), np.nan),
             "records": self.records,
             "inputs": self.inputs,
             "left_out": self.left_out,

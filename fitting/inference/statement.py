@@ -14,6 +14,7 @@ from jaxtyping import Array
 from jaxvision.errors import InputError, nearest
 
 from .likelihoods import names_within
+from .on_host import on_host
 from .parameters import Parameter
 from .records import is_path, reach, read
 
@@ -129,11 +130,10 @@ def placed_like(given: Any, values: np.ndarray) -> Array:
     Returns:
         `values`, on the devices of `given` if that is an array of JAX.
     """
-    return (
-        jax.device_put(values, given.sharding)
-        if isinstance(given, jax.Array)
-        else (jnp.asarray(values))
-    )
+    if not isinstance(given, jax.Array):
+        return jnp.asarray(values)
+    # Not `device_put`, which compares the values of all processes.
+    return jax.make_array_from_callback(values.shape, given.sharding, lambda part: values[part])
 
 
 def finite_data(data: Any) -> np.ndarray:
@@ -148,7 +148,7 @@ def finite_data(data: Any) -> np.ndarray:
     Raises:
         InputError: for an infinite one.
     """
-    data = np.asarray(data, jnp.result_type(float))
+    data = on_host(data, jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
             f"{int(np.isinf(data).sum())} of the data are infinite: mark missing ones by NaN."
