@@ -11,10 +11,11 @@ A pure least-squares fit would shrink the curve, because g multiplies noisy code
 what its gradient amounts to at the true curve (the corrected score of Nakamura, Biometrika 77,
 1990). Errors of all shutters in common, delta ~ 1 or delta ~ ln t, are indistinguishable from
 another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
-sum (ln t - mean)^2, is added to the posterior. So are, code by code, a tenth of the variance of
-ln X itself, what the score leaves of the bias of noisy logarithms; and of the slope, half of that
-variance which does not fall with the light. It comes from misregistration and compression, which
-are not noise of single codes, so that the right share of it in the score is open.
+sum (ln t - mean)^2, is added to the posterior, mixed over tau (`shutter.py`). So are, code by code,
+a tenth of the variance of ln X itself, what the score leaves of the bias of noisy logarithms; and
+of the slope, half of that variance which does not fall with the light. It comes from
+misregistration and compression, which are not noise of single codes, so that the right share of it
+in the score is open.
 
 Of a photograph, no more is believed than repeats: where tiles of the picture or exposures of the
 stack differ by more than this posterior allows, their jackknife (`repeats.py`) sets the error.
@@ -38,7 +39,8 @@ from .code_pairs import PairStatistics, pair_statistics, total
 from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import Layout, steepness_classes, tiles_of
-from .repeats import HeldOut, Repeats, Shutter, over_exposures, over_tiles, widened
+from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
+from .shutter import Shutter, over_tau
 from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
 from .weights import WeightRule, cells_of, hat_rule, noise_rule
 
@@ -224,7 +226,8 @@ def fit_response_curve(
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)
-        curve = _curve(found, total(tiles), bins, noise, exposures[in_use], tau, left_out, seen)
+        times, pairs = exposures[in_use], total(tiles)
+        curve = _curve(found, pairs, bins, noise, times, tau, left_out, seen, least_error)
     _require_rising(curve)
     return curve
 
@@ -291,12 +294,17 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
         return max(found.suggested.shutter_error, least_error)
     if free == 0:
         return None
-    precision = np.linalg.inv(found.free_covariance)
-    from_data = precision - found.prior[len(found.means) :, len(found.means) :]
-    pull = precision @ found.free
-    explained = pull @ np.linalg.solve(from_data, pull)
+    errors, information = _by_the_images(found)
+    explained = errors @ information @ errors
     shaky = explained > chdtri(free, 1 - SIGNIFICANCE)
     return found.suggested.shutter_error if shaky else None
+
+
+def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Free shutter errors and the information on them, without their prior."""
+    precision, size = np.linalg.inv(found.free_covariance), len(found.means)
+    information = precision - found.prior[size:, size:]
+    return np.linalg.solve(information, precision @ found.free), information
 
 
 def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
@@ -315,6 +323,7 @@ def _curve(
     tau: float | None,
     left_out: tuple[Repeats | None, HeldOut | None],
     expected: np.ndarray,
+    least_error: float,
 ) -> ResponseCurve:
     middle, size = bins.middle, len(found.means)
     g = at_centres(found.means, middle)
@@ -324,7 +333,8 @@ def _curve(
     covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
     likely = found.suggested.shutter_error if len(found.free) else 0.0
-    shutter = Shutter(g**2 * likely**2 / spread_of_times(exposures), len(found.free))
+    tau_k, weights = over_tau(*_by_the_images(found), least_error)
+    shutter = Shutter(g**2 / spread_of_times(exposures), likely, tau_k, weights)
     by_exposures, held_out = left_out
     covariance, freedom = widened(covariance, shutter, over_tiles(found, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T

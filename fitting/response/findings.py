@@ -239,10 +239,9 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
     if few:
         count = len(few[0].curve.exposures)
         rests = (
-            "the intervals rest on that one figure (Student's t with one degree of freedom)"
+            "how large the others are, the intervals mix over"
             if count > 2
-            else "the intervals of gamma rest on the assumption of about 1 % (within a factor of "
-            "4.5), and the bands take the times for exact"
+            else "the intervals rest on the assumption of about 1 % (within a factor of 4.5)"
         )
         found.append(
             f"{count} exposures show {'one error' if count > 2 else 'nothing'} of the shutter: "

@@ -39,18 +39,15 @@ from ..inference.parameters import (
     to_unconstrained,
 )
 from ..inference.posterior import Posterior, estimates, laplace, sample
-from ..inference.priors import LogNormal
 from .curve import ResponseCurve, slope_error
 from .left_out import without_effect
+from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
 from .solve import shutter_basis, spread_of_times
 
-SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
-SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
 REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought, by bisection
-TABULATED = (1e-6, 1.0)  # range of tau over which gamma's errors are mixed
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="", transform="log", prior=SHUTTER_PRIOR
@@ -60,8 +57,7 @@ SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 def space_of(free: int) -> ParameterSpace:
     """Gamma and the shutter error, by how many of its errors are visible."""
-    shown = SHUTTER_SHOWN if free else SHUTTER_PRIOR
-    return GAMMA, replace(SHUTTER_ERROR, prior=shown)
+    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free))
 
 
 class GammaSums(eqx.Module):

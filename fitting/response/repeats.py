@@ -20,10 +20,10 @@ from scipy.special import chdtri
 from .code_bins import CodeBins
 from .code_pairs import pair_statistics
 from .pilot import Pilot
+from .shutter import MOST_FREE, Shutter, mixed
 from .solve import Hyperparameters, Solution, at_centres, inverse, solve
 from .weights import cells_of, weighted_mean
 
-MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
 FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, what is left holds another part of the curve
 CHANCE = 0.05  # of a variance between parts that is no more than their pixels'
@@ -80,19 +80,6 @@ class Repeats:
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, CHANCE) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
-
-
-@dataclass(frozen=True)
-class Shutter:
-    """What a common exponent of the shutter does to a curve.
-
-    Attributes:
-        variance: (bins,) of g.
-        freedom: visible shutter errors, that tell its size.
-    """
-
-    variance: Float[np.ndarray, " bins"]
-    freedom: int
 
 
 def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
@@ -178,31 +165,34 @@ def widened(
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
     """A covariance widened to what repeats, and what its variances rest on.
 
-    The shutter's variance is added, what tiles show beyond their pixels, and what exposures show
-    beyond pixels and shutter; correlations stay. Degrees of freedom are Satterthwaite's: one less
-    than tiles, two less than exposures (a factor and an exponent are lost), none counted for what
-    pixels explain.
+    What tiles show beyond their pixels is added, what exposures show beyond pixels and shutter, and
+    the shutter's errors, whatever their size (`shutter.py`); correlations stay. Degrees of freedom
+    of the repeats are Satterthwaite's: one less than tiles, two less than exposures (a factor and
+    an exponent are lost), none counted for what pixels explain.
 
     Args:
         covariance: (bins, bins) that pixels and prior give.
-        shutter: its common exponent.
+        shutter: its common exponent, tau mixed.
         tiles: their jackknife; None for one tile.
         exposures: theirs; None for too few.
 
     Returns:
         Covariance and (bins,) degrees of freedom.
     """
-    parts = [(shutter.variance, shutter.freedom)]
+    parts = []
     if tiles is not None:
         parts.append(tiles.beyond(tiles.pixels, 1))
     if exposures is not None:
         parts.append(exposures.beyond(exposures.pixels + shutter.variance, 2))
     own = np.diagonal(covariance)
-    variance = own + sum(part for part, _ in parts)
-    some = np.where(variance > 0, variance, 1)  # none at mid-scale, where g = 0 by definition
-    share = sum((part / some) ** 2 / max(freedom, 1) for part, freedom in parts)
+    repeated = own + sum(part for part, _ in parts)
+    some = np.where(repeated > 0, repeated, 1)  # none at mid-scale, where g = 0 by definition
+    share = sum(
+        ((part / some) ** 2 / max(freedom, 1) for part, freedom in parts), np.zeros(len(own))
+    )
+    variance, freedom = mixed(repeated, 1 / np.maximum(share, MOST_FREE**-1), shutter)
     scale = np.sqrt(variance / np.where(own > 0, own, 1))
-    return covariance * np.outer(scale, scale), 1 / np.maximum(share, MOST_FREE**-1)
+    return covariance * np.outer(scale, scale), freedom
 
 
 def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:

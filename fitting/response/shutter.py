@@ -1,0 +1,130 @@
+"""What the exposure times' own errors, delta_j ~ N(0, tau^2), do to a curve.
+
+A common exponent of the times cannot be told from another curve; its size, tau, is told by the
+errors that show. Few of them show: of three exposures one, which may be small by chance where tau
+is not. So an error of the curve is a mixture over tau,
+
+    sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
+
+v being the variance from elsewhere and r = g^2 / sum (ln t - mean)^2. A variance at the likeliest
+tau, with a Student's t of as many degrees of freedom as errors show, holds the truth too rarely
+where these happen to be small. The mixture is given as the Student's t whose 68 and 95 % intervals
+it has.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
+
+from ..inference.priors import LogNormal
+
+SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
+SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
+TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
+GRID, HALVINGS = 101, 16  # of ln tau; of ln quantile, to 1e-4
+LEAST = 1e-6  # weight of a tau that is left out
+MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
+LEVELS = ndtr(1.0), 0.975
+FREEDOMS = np.geomspace(0.2, MOST_FREE, 400)
+RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """The common exponent of the times.
+
+    Attributes:
+        per_square: (bins,) variance of g for each unit of tau^2.
+        likeliest: tau.
+        tau: (grid,).
+        weights: (grid,) of each, summing to 1.
+    """
+
+    per_square: Float[np.ndarray, " bins"]
+    likeliest: float
+    tau: Float[np.ndarray, " grid"]
+    weights: Float[np.ndarray, " grid"]
+
+    @property
+    def variance(self) -> Float[np.ndarray, " bins"]:
+        """Of g, at the likeliest tau."""
+        return self.per_square * self.likeliest**2
+
+
+def prior_of(shown: int) -> LogNormal:
+    """The prior on tau, by how many errors show."""
+    return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
+
+
+def over_tau(
+    errors: Float[np.ndarray, " shown"],
+    information: Float[np.ndarray, "shown shown"],
+    known: float,
+) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, " grid"]]:
+    """The posterior of tau.
+
+    Args:
+        errors: (shown,) of the times, by the images alone.
+        information: (shown, shown) of the images on them.
+        known: tau that is known beforehand, in quadrature beneath the unknown one.
+
+    Returns:
+        (grid,) tau and (grid,) weights.
+    """
+    low, high = TABULATED
+    log_tau = np.linspace(np.log(low), np.log(high), GRID)
+    tau, prior = np.hypot(np.exp(log_tau), known), prior_of(len(errors))
+    noise, axes = np.linalg.eigh(np.linalg.inv(information))
+    variance = noise + tau[:, None] ** 2
+    log_weight = -(((errors @ axes) ** 2 / variance) + np.log(variance)).sum(axis=1) / 2
+    log_weight -= ((log_tau - np.log(prior.median)) / prior.log_sd) ** 2 / 2
+    weights = np.exp(log_weight - log_weight.max())
+    kept = weights > LEAST * weights.sum()
+    return tau[kept], weights[kept] / weights[kept].sum()
+
+
+def mixed(
+    variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
+) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
+    """Student's t of the errors that a variance and the shutter make together.
+
+    Args:
+        variance: (bins,) from elsewhere.
+        freedom: (bins,) degrees of freedom of that variance.
+        shutter: its tau mixed.
+
+    Returns:
+        (bins,) squared scale and (bins,) degrees of freedom.
+    """
+    parts = variance[:, None] + shutter.per_square[:, None] * shutter.tau**2
+    some = np.where(parts > 0, parts, 1)  # none at mid-scale, where g = 0 by definition
+    uncertain = np.where(variance > 0, variance, 1)[:, None]
+    free = np.minimum(freedom[:, None] * (some / uncertain) ** 2, MOST_FREE)  # Satterthwaite's
+    gaussian = bool((freedom >= MOST_FREE).all())
+
+    def below(at: np.ndarray) -> np.ndarray:
+        z = at[:, None] / np.sqrt(some)
+        return (ndtr(z) if gaussian else stdtr(free, z)) @ shutter.weights
+
+    inner, outer = (_quantile(below, some, level, freedom.min()) for level in LEVELS)
+    ratio = np.clip(outer / inner, RATIOS[-1], RATIOS[0])
+    own = np.exp(np.interp(-ratio, -RATIOS, np.log(FREEDOMS)))
+    scale = np.where(parts.max(axis=1) > 0, outer / stdtrit(own, LEVELS[1]), 0)
+    return scale**2, own
+
+
+def _quantile(
+    below: Callable[[np.ndarray], np.ndarray], variances: np.ndarray, level: float, freedom: float
+) -> np.ndarray:
+    """Where a mixture's distribution reaches a level above one half: between the quantiles of its
+    narrowest and of its widest part."""
+    low = np.log(np.sqrt(variances.min(axis=1)) * ndtri(level))
+    high = np.log(np.sqrt(variances.max(axis=1)) * stdtrit(freedom, level))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        short = below(np.exp(middle)) < level
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return np.exp((low + high) / 2)
