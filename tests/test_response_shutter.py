@@ -11,7 +11,7 @@ SPREAD, KNOWN = 4.0, 3e-4  # sum (ln t - mean)^2; errors of pixels' making
 
 def posterior_of_exponent(error, known=0.0):
     """(squared scale, freedom) of an exponent after one error has shown."""
-    tau, weights = over_tau(np.array([error]), np.array([[KNOWN**-2]]), known)
+    tau, weights = over_tau(np.array([error / KNOWN**2]), np.array([[KNOWN**-2]]), known)
     shutter = Shutter(np.array([1 / SPREAD]), 0.0, tau, weights)
     square, freedom = mixed(np.array([KNOWN**2]), np.array([1e6]), shutter)
     return square[0], freedom[0]
@@ -58,3 +58,10 @@ def test_nothing_is_uncertain_at_mid_scale():
     square, freedom = mixed(np.array([0.0, 4.0]), np.array([1e6, 7.0]), shutter)
     assert square[0] == 0
     np.testing.assert_allclose([square[1], freedom[1]], [4.0, 7.0], rtol=0.02)
+
+
+def test_errors_of_which_images_tell_nothing_tell_nothing():
+    """Differences of precisions leave rounding in the place of zeros, of either sign."""
+    alone = over_tau(np.array([2.0]), np.array([[1e6]]), 0.0)
+    beside = over_tau(np.array([2.0, 1e-9]), np.diag([1e6, -1e-8]), 0.0)
+    np.testing.assert_allclose(alone, beside, rtol=1e-12)

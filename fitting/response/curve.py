@@ -294,17 +294,17 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
         return max(found.suggested.shutter_error, least_error)
     if free == 0:
         return None
-    errors, information = _by_the_images(found)
-    explained = errors @ information @ errors
+    pull, information = _by_the_images(found)
+    explained = pull @ np.linalg.solve(information, pull)
     shaky = explained > chdtri(free, 1 - SIGNIFICANCE)
     return found.suggested.shutter_error if shaky else None
 
 
 def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Free shutter errors and the information on them, without their prior."""
+    """Score and information of the images on free shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
-    return np.linalg.solve(information, precision @ found.free), information
+    return precision @ found.free, information
 
 
 def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at 
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID, HALVINGS = 101, 16  # of ln tau; of ln quantile, to 1e-4
+UNTOLD = 1e-9  # of the information: an error of which the images tell nothing
 LEAST = 1e-6  # weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
 LEVELS = ndtr(1.0), 0.975
@@ -60,15 +61,15 @@ def prior_of(shown: int) -> LogNormal:
 
 
 def over_tau(
-    errors: Float[np.ndarray, " shown"],
+    score: Float[np.ndarray, " shown"],
     information: Float[np.ndarray, "shown shown"],
     known: float,
 ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, " grid"]]:
     """The posterior of tau.
 
     Args:
-        errors: (shown,) of the times, by the images alone.
-        information: (shown, shown) of the images on them.
+        score: (shown,) of the images on errors of 0; the information times what they show.
+        information: (shown, shown) of the images on the errors.
         known: tau that is known beforehand, in quadrature beneath the unknown one.
 
     Returns:
@@ -76,10 +77,15 @@ def over_tau(
     """
     low, high = TABULATED
     log_tau = np.linspace(np.log(low), np.log(high), GRID)
-    tau, prior = np.hypot(np.exp(log_tau), known), prior_of(len(errors))
-    noise, axes = np.linalg.eigh(np.linalg.inv(information))
-    variance = noise + tau[:, None] ** 2
-    log_weight = -(((errors @ axes) ** 2 / variance) + np.log(variance)).sum(axis=1) / 2
+    tau = np.hypot(np.exp(log_tau), known)
+    known_by, axes = np.linalg.eigh(information)
+    told = known_by > UNTOLD * known_by.max(initial=0.0)
+    known_by, pull = known_by[told], (score @ axes)[told]
+    square = tau[:, None] ** 2
+    log_weight = (pull**2 * square / (1 + known_by * square) - np.log1p(known_by * square)).sum(
+        axis=1
+    ) / 2
+    prior = prior_of(int(told.sum()))
     log_weight -= ((log_tau - np.log(prior.median)) / prior.log_sd) ** 2 / 2
     weights = np.exp(log_weight - log_weight.max())
     kept = weights > LEAST * weights.sum()
