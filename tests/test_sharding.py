@@ -22,6 +22,7 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit
 from jaxvision.scene_files import read_scene
+from jaxvision.transport import radiosity
 
 assert len(jax.devices()) == 4
 mesh = jax.make_mesh((4,), ("data",), axis_types=(AxisType.Auto,))
@@ -41,6 +42,25 @@ alone = traced(jnp.asarray(rows), jnp.asarray(columns))
 found = traced(shared_out(rows), shared_out(columns))
 assert len(found.sharding.device_set) == 4
 np.testing.assert_array_equal(alone, process_allgather(found, tiled=True))
+
+scene = read_scene("cornell_box").scene
+plan = radiosity.plan_patches(scene, size=0.1, split=1)
+count = len(radiosity.patches_of(scene, plan).area)
+by_rows = jax.shard_map(
+    lambda scene, part: radiosity.form_factor_table(scene, plan, elements=part),
+    mesh=mesh, in_specs=(PartitionSpec(), PartitionSpec("data")), out_specs=PartitionSpec("data"))
+table = jax.jit(lambda scene: radiosity.form_factor_table(scene, plan))(scene)
+rows = jax.jit(by_rows)(scene, shared_out(np.arange(count)))
+assert {part.data.shape for part in rows.addressable_shards} == {(count // 4, count)}
+np.testing.assert_array_equal(table, process_allgather(rows, tiled=True))
+solve = jax.jit(
+    lambda scene, table: radiosity.radiosity(scene, plan, table=table, method="iterative"))
+one, many = solve(scene, table), solve(scene, rows)
+for name in ("radiosity", "irradiance", "sent"):
+    found = getattr(many, name)
+    assert not found.sharding.is_fully_replicated  # no device holds it all
+    found, wanted = process_allgather(found, tiled=True), getattr(one, name)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * float(wanted.max()))
 
 t = np.linspace(0, 1, 40_000)
 y = 2 * np.exp(-3 * t) + 0.1 * np.random.default_rng(0).standard_normal(t.size)
@@ -81,7 +101,7 @@ def environment(devices):
 
 
 @pytest.mark.slow
-def test_pixels_fits_and_chains_are_equal_on_four_devices():
+def test_pixels_patches_fits_and_chains_are_equal_on_four_devices():
     done = subprocess.run(
         [sys.executable, "-c", ON_FOUR], env=environment(4), capture_output=True, text=True
     )

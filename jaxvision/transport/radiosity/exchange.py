@@ -38,8 +38,8 @@ Numbered = tuple[Patches, Int[Array, "..."]]
 
 
 def form_factor_table(
-    scene: Scene, plan: Plan, *, rays: int = 1
-) -> Float[Array, "elements patches"]:
+    scene: Scene, plan: Plan, *, rays: int = 1, elements: Int[Array, " rows"] | None = None
+) -> Float[Array, "rows patches"]:
     """The form factor from each element to each patch of a plan.
 
     Elements receive at their centres, those covered in part where they are open: reciprocity holds
@@ -53,9 +53,11 @@ def form_factor_table(
             to places spread over the patch, differently for each pair, so that a patch split into
             elements sees others by split^2 `rays` rays. The error of a half-hidden factor is of the
             order of itself over sqrt(rays), and averages out over patches.
+        elements: (rows,) numbers of those whose factors are wanted, as where devices share them
+            out; None for all.
 
     Returns:
-        (elements, patches), no unit.
+        (rows, patches), no unit.
 
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
@@ -64,8 +66,11 @@ def form_factor_table(
     shapes = shapes_of(scene)
     rounding = offset_length(largest_of(shapes))
     receivers = receivers_of(scene, plan, shapes)
-    patches, elements = receivers.patches, receivers.elements
-    counts = len(elements.area), len(patches.area)
+    patches, numbers = receivers.patches, elements
+    if numbers is None:
+        numbers = jnp.arange(len(receivers.elements.area))
+    wanted = jax.tree.map(lambda x: x[numbers], receivers.elements)
+    counts = len(numbers), len(patches.area)
 
     def seen(receiver: Numbered, sender: Numbered) -> Scalar:
         (element, row), (patch, column) = receiver, sender
@@ -85,17 +90,17 @@ def form_factor_table(
         )
         return jax.lax.cond((factors > 0).any(), lambda: factors * every(seen), lambda: factors)
 
-    senders = _in_tiles(patches)
+    senders = _in_tiles(patches, jnp.arange(len(patches.area)))
 
     def rows(receivers: Tile) -> Array:
         return jax.lax.map(jax.checkpoint(partial(tile, receivers)), senders)
 
-    table = jax.lax.map(rows, _in_tiles(elements))  # (tiles, tiles, TILE, TILE)
+    table = jax.lax.map(rows, _in_tiles(wanted, numbers))  # (tiles, tiles, TILE, TILE)
     table = table.swapaxes(1, 2).reshape(table.shape[0] * TILE, -1)
     return table[: counts[0], : counts[1]]
 
 
-def _in_tiles(patches: Patches) -> Tile:
+def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
     """Patches and their numbers, tile by tile; the last patch is repeated to fill the last tile.
     All real numbers are in one array and all whole numbers in another, since each array that is cut
     adds to the compiled code."""
@@ -104,7 +109,7 @@ def _in_tiles(patches: Patches) -> Tile:
     leaves = jax.tree.leaves(patches)
     measured = jnp.stack([x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)])
     counted = [x for x in leaves if not jnp.issubdtype(x.dtype, jnp.floating)]
-    counted = jnp.stack([*counted, jnp.arange(count, dtype=jnp.int32)])
+    counted = jnp.stack([*counted, numbers.astype(jnp.int32)])
     return measured[:, tiles].swapaxes(0, 1), counted[:, tiles].swapaxes(0, 1)
 
 

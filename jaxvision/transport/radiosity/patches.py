@@ -179,6 +179,8 @@ def by_patch(
     Returns:
         (patches, n) in the unit of `values`; 0 for a patch without area.
     """
+    if plan.split == 1:  # rows of a table stay on the devices that share it out
+        return jnp.where(elements.area[:, None] > 0, values, 0)
     of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
     weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
     sums = jax.ops.segment_sum(weighted * elements.area[:, None], of_patch, count)

@@ -76,11 +76,16 @@ def solve_radiosity(
     iterative = lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
     solver = lineax.LU() if method == "direct" else iterative
 
+    structure = jax.ShapeDtypeStruct(table.shape[:1], table.dtype)
+
     def band(rho: Float[Array, " patches"], b: Float[Array, " patches"]) -> Array:
-        matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
         brightest = jax.lax.stop_gradient(jnp.abs(b).max())
         scale = or_one(brightest)
-        operator = lineax.MatrixLinearOperator(matrix)
+        if method == "direct":
+            matrix = jnp.eye(len(b), dtype=table.dtype) - rho[:, None] * table
+            operator = lineax.MatrixLinearOperator(matrix)
+        else:  # all bands by one table, of which no copy is made
+            operator = lineax.FunctionLinearOperator(lambda x: x - rho * (table @ x), structure)
         # float32 may not reach the tolerance; its best result is then the answer
         return scale * lineax.linear_solve(operator, b / scale, solver, throw=False).value
 
