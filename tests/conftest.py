@@ -6,6 +6,7 @@ import itertools
 import os
 import pickle
 import shutil
+import threading
 import time
 from pathlib import Path
 
@@ -71,13 +72,17 @@ def share_lowering_context() -> None:
     if make is None:  # another JAX: it makes its own
         return
     contexts = (context for _ in itertools.count() for context in itertools.repeat(make(), 256))
+    one_at_a_time = threading.Lock()  # fits compile in threads
 
     def shared() -> object:
         try:
             inside = mlir.ir.Context.current is not None  # a program compiled while one is lowered
         except ValueError:
             inside = False
-        return make() if inside else next(contexts)
+        if inside:
+            return make()
+        with one_at_a_time:
+            return next(contexts)
 
     mlir.make_ir_context = shared
 

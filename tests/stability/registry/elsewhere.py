@@ -451,6 +451,7 @@ ELSEWHERE = (
             fitting.inference.fingerprint: fingerprint
             fitting.inference.importance: gaussian_miss laplace_where_it_holds
             fitting.inference.nuts: nuts require_blackjax
+            fitting.inference.on_host: on_host
             fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
             fitting.inference.trust: convergence_in_words is_trusted
         """,
@@ -584,6 +585,7 @@ ELSEWHERE = (
         STATISTICS,
         "test_response_curve test_response_gamma test_response",
         """
+            fitting.response.shutter: mixed over_tau prior_of
             fitting.response.calibration: calibrate radiance_images
             fitting.response.code_bins: code_bins interval_variance
             fitting.response.code_pairs: pair_statistics total
