@@ -179,13 +179,13 @@ def _present(problem: Problem) -> np.ndarray:
     """1 for each datum, 0 where it is missing."""
     if problem.present is None:
         return np.ones(problem.data.shape)
-    return on_host(problem.present, np.float64)
+    return on_host(problem.present, dtype=np.float64)
 
 
 def _variance(likelihood: Any) -> np.ndarray:
     for inside in (likelihood, getattr(likelihood, "likelihood", None)):
         if inside is not None and hasattr(inside, "sd"):
-            return on_host(inside.sd, np.float64) ** 2
+            return on_host(inside.sd, dtype=np.float64) ** 2
     raise InputError(
         f"noise: {type(likelihood).__name__} states no standard deviation to divide; leave noise "
         "out."

@@ -61,7 +61,7 @@ def expected_information(
     keys = jax.random.split(jax.random.key(seed), 1 if exact else draws)
     at = jnp.asarray(vector, problem.data.dtype)
     found = _information(at, problem, jnp.asarray(weights, at.dtype), keys)
-    return on_host(found, np.float64)
+    return on_host(found, dtype=np.float64)
 
 
 @eqx.filter_jit
@@ -140,7 +140,7 @@ def slope_of(
         value, slope = _gradient(at, problem, _number, jnp.asarray(place))
     else:
         value, slope = _gradient(at, problem, target, None)
-    return float(value), on_host(slope, np.float64)
+    return float(value), on_host(slope, dtype=np.float64)
 
 
 def _place(problem: Problem, target: str) -> int:

@@ -252,7 +252,7 @@ def _residuals(
     predicted, likelihood = predicted_at(vector, problem)
     place = on_host(predicted) + shift
     found = likelihood.residuals(place, on_host(problem.data), chance)
-    found = on_host(found, np.float64)
+    found = on_host(found, dtype=np.float64)
     return found if problem.present is None else np.where(on_host(problem.present), found, np.nan)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 
 
-def on_host(values: Any, dtype: Any = None) -> np.ndarray:
+def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     """All values, gathered from the processes where one alone does not hold them; all must call.
 
     Args:

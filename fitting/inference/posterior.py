@@ -162,7 +162,7 @@ def laplace(
         InputError: when the data leave a direction open.
     """
     if covariance is None:
-        information = on_host(_information(log_density, mode, args), np.float64)
+        information = on_host(_information(log_density, mode, args), dtype=np.float64)
         judged = identifiability(space, information)
         if not judged.determined:
             raise InputError(" ".join(judged.sentences))
@@ -320,7 +320,7 @@ def evaluate_density(
     Returns:
         (draws,); minus infinity where it is NaN.
     """
-    return on_host(_evaluate(log_density, vectors, args), float)
+    return on_host(_evaluate(log_density, vectors, args), dtype=float)
 
 
 @eqx.filter_jit

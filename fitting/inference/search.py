@@ -228,7 +228,7 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
         vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
     else:
         vectors, costs = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
-    vectors, costs = on_host(vectors, np.float64), on_host(costs, np.float64)
+    vectors, costs = on_host(vectors, dtype=np.float64), on_host(costs, dtype=np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
@@ -238,10 +238,10 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
         )
     found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
     return Optimum(
-        vector=on_host(found.vector, np.float64),
+        vector=on_host(found.vector, dtype=np.float64),
         cost=float(found.cost),
-        information=on_host(found.information, np.float64),
-        prior_information=on_host(prior_information, np.float64),
+        information=on_host(found.information, dtype=np.float64),
+        prior_information=on_host(prior_information, dtype=np.float64),
         decrement=float(found.decrement),
         stationary=bool(found.converged),
         ends=vectors,

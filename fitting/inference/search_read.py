@@ -88,7 +88,7 @@ def derivatives(
     of_chunk = _squares if by_squares else _of_data
     totals: Any = None
     for part in chunks(problem, advance=advance):
-        found = [on_host(x, np.float64) for x in of_chunk(vector, part)]
+        found = [on_host(x, dtype=np.float64) for x in of_chunk(vector, part)]
         totals = found if totals is None else [a + b for a, b in zip(totals, found, strict=True)]
     cost, gradient, curvature = (jnp.asarray(x, vector.dtype) for x in totals)
     if by_squares:

@@ -148,7 +148,7 @@ def finite_data(data: Any) -> np.ndarray:
     Raises:
         InputError: for an infinite one.
     """
-    data = on_host(data, jnp.result_type(float))
+    data = on_host(data, dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
             f"{int(np.isinf(data).sum())} of the data are infinite: mark missing ones by NaN."
