@@ -158,7 +158,7 @@ def _shares_of_data(
     else:
         variance = _variance(likelihood)
         parts = {
-            name: on_host(part(predicted) if callable(part) else part, np.float64)
+            name: on_host(part(predicted) if callable(part) else part, dtype=np.float64)
             for name, part in noise.items()
         }
     shares = {

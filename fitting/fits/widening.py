@@ -117,10 +117,10 @@ def _of_groups(
         )
     labels = np.unique(every.ravel(), return_inverse=True)[1]
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
-    scores = on_host(_scores(vector, problem), np.float64)
+    scores = on_host(_scores(vector, problem), dtype=np.float64)
     prior = optimum.curvature - optimum.data_information
     slope, predicted = _slopes(problem, vector, seed)
-    moved = on_host(_predictions(vector, problem), np.float64) * np.nan_to_num(slope.ravel())
+    moved = on_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
     robust = cluster_robust(scores, optimum.curvature, labels, None, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
     words = f"Residuals share errors within the {labels.max() + 1} groups"
@@ -258,7 +258,7 @@ def _residuals(
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Of each residual by its prediction, by a difference; and the prediction."""
-    predicted = on_host(predicted_at(vector, problem)[0], np.float64)
+    predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
     size = max(float(np.std(predicted)), LEAST * float(np.abs(predicted).max())) or 1.0
     step = SMALL * size
     least = float(predicted.min())
