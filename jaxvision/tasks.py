@@ -8,6 +8,7 @@ returned is computed again by another.
 """
 
 import hashlib
+import io
 import os
 import platform
 import sys
@@ -30,6 +31,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 4  # tasks a thread that are handed out before the first result of them is used
+MEMORY = 0.9  # of the machine, for all workers together
+TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 LOSSES = 100  # workers that may be lost with one task before it is given up
 _PATIENCE = 20.0  # s, for a scheduler to answer
 _LOOK = 5.0  # s, between two looks at the workers while a result is awaited
@@ -131,13 +134,23 @@ def _local(count: int) -> "Iterator[Client]":
         "distributed.nanny.pre-spawn-environ": single | _of_jax(),
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.deploy.lost-worker-timeout": f"{_LOOK} s",
+        # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
+        "distributed.worker.profile.enabled": False,
+        # Compiled programs cannot be moved to disk, and a worker that waits for memory waits for
+        # ever; one that takes more than its share is started again.
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": False,
     }
     # Python's resource tracker outlives an interrupted command and warns of what ended with it.
     sys.warnoptions.append("ignore:resource_tracker")
+    share = MEMORY / count
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with config.set(options):
         try:
-            made = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **quiet)
+            made = LocalCluster(
+                n_workers=count, threads_per_worker=1, processes=True, memory_limit=share, **quiet
+            )
         except RuntimeError as error:
             raise InputError(f"{count} workers could not be started ({error}).") from error
         with made, Client(made) as client:
@@ -185,10 +198,9 @@ def _on(
     shared: Shared,
     items: Iterator[Item],
 ) -> Iterator[Result]:
-    import cloudpickle
     from distributed.scheduler import KilledWorker
 
-    packed = cloudpickle.dumps(shared)
+    packed = _packed(shared)
     # The bytes go through the scheduler, which can hand them out again when a worker is lost.
     held = client.submit(bytes, packed, pure=False)
     task = _Task(function, _environment(), hashlib.sha256(packed).hexdigest())
@@ -217,15 +229,47 @@ def _on(
         client.cancel([*waiting, held])
 
 
+def _packed(shared: Any) -> bytes:
+    """What tasks share as bytes. Equinox 0.13 keeps what pickle makes of a record for ever, as one
+    that is being made; here it is made otherwise."""
+    import cloudpickle
+    from equinox import Module
+
+    class Packer(cloudpickle.Pickler):
+        def reducer_override(self, obj: Any) -> Any:
+            if isinstance(obj, Module) and not isinstance(obj, type):
+                return _record, (type(obj), vars(obj))
+            return super().reducer_override(obj)
+
+    with io.BytesIO() as stream:
+        Packer(stream).dump(shared)
+        return stream.getvalue()
+
+
+def _record(kind: type, fields: Mapping[str, Any]) -> Any:
+    """A record of Equinox as it was."""
+    made = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
 def _awaited(client: "Client", future: "Future") -> Any:
-    """The result, unless all workers are gone for good."""
-    missed = time.monotonic()
+    """The result, unless all workers are gone for good or have too little memory for it."""
+    missed, before = time.monotonic(), None
     while True:
         try:
             return future.result(timeout=_LOOK)
         except TimeoutError:
             if future.done():  # the task's own
                 raise
+        full: Any = client.get_events("worker-restart-memory")
+        before = len(full) if before is None else before
+        if len(full) - before >= TOO_LARGE:
+            raise InputError(
+                f"a worker took {full[-1][1]['rss'] / 1e9:.2g} GB, more than its share of memory, "
+                f"and was started again, {TOO_LARGE} times; use fewer workers or smaller tasks."
+            )
         _replace_lost(client)
         if client.nthreads():
             missed = time.monotonic()

@@ -1,8 +1,11 @@
 """Independent tasks give the same results on workers as alone, in the order of the tasks."""
 
+import gc
 import os
+import pickle
 import signal
 import time
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -20,6 +23,7 @@ from jaxvision.render_command import render_to_file
 from jaxvision.scene_files import read_scene
 
 distributed = pytest.importorskip("distributed")
+system = pytest.importorskip("distributed.system")
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +133,33 @@ def test_a_picture_has_the_same_bytes(client, tmp_path):
         )
     assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "many.exr").read_bytes()
     assert counted == [(n, 10) for n in range(11)]
+
+
+def test_records_that_tasks_share_are_not_kept_when_they_are_done():
+    """Equinox keeps for ever what plain pickle makes of its modules, a scene for each render."""
+    light = jv.PointLight([1.0, 2.0, 3.0], [4.0])
+    made = pickle.loads(tasks._packed({"light": light, "add": lambda x: x + 1}))
+    np.testing.assert_array_equal(made["light"].position, light.position)
+    assert made["add"](1) == 2
+    known = weakref.ref(made.pop("light"))
+    gc.collect()
+    assert known() is None
+
+
+def greedy(shared, item):
+    held = np.ones(shared)
+    time.sleep(5)
+    return held.sum()
+
+
+@pytest.mark.slow
+def test_a_task_too_large_for_its_workers_memory_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(tasks, "MEMORY", 700e6 / system.MEMORY_LIMIT)
+    sentence = r"a worker took 0.* GB, more than its share of memory, and was started again, 3"
+    with tasks.workers(1):
+        assert list(tasks.in_order(greedy, 10, range(1))) == [10]
+        with pytest.raises(InputError, match=sentence):
+            list(tasks.in_order(greedy, 100_000_000, range(2)))
 
 
 def slow_tile(shared, item):
