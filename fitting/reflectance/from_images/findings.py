@@ -133,6 +133,13 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider on "
             "average over the parameters."
         )
+    lights, groups = (len(np.unique(x)) for x in (fit.selection.light, fit.regions))
+    if groups < lights:
+        found.append(
+            f"{name}Images of neighbouring lights miss the model alike, so that the intervals take "
+            f"{groups} regions of the {lights} lights for independent, not the lights; parameters "
+            "may differ under lights from elsewhere."
+        )
     return found
 
 

@@ -21,6 +21,7 @@ from ...inference.bounded import minimise_in_box
 from ...inference.clustering import Robustness, cluster_robust
 from ...inference.diagnostics import Identifiability, identifiability
 from ...inference.least_squares import minimise_residuals
+from ...inference.neighbours import regions
 from ...inference.newton import minimise
 from ...inference.parameters import ParameterSpace, names, to_natural
 from ...inference.separable import SeparableFit, fit_amplitudes, fit_separable
@@ -68,6 +69,7 @@ class ChannelFit:
         requested: the form asked for.
         samples: with the form and the deviations of the fit.
         selection: of the samples.
+        regions: (lights,) of lights that err alike; each its own where neighbours do not.
         space: the P parameters.
         vector: (P,) unconstrained.
         information: (P, P) on that scale, as if all samples were independent.
@@ -85,6 +87,7 @@ class ChannelFit:
     requested: Form
     samples: Samples
     selection: Selection
+    regions: Int[np.ndarray, " lights"]
     space: ParameterSpace
     vector: Float[np.ndarray, " parameters"]
     information: Float[np.ndarray, "parameters parameters"]
@@ -146,9 +149,10 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     judged = identifiability(space, information)
     robustness = None
     stated = stated_errors(observation, channel, vector, samples, selection)
+    alike = _lights_alike(observation, vector, samples, selection)
     if judged.determined:
         robustness = robust_covariance(
-            vector, samples, selection, information, np.arange(len(space)), stated
+            vector, samples, selection, information, np.arange(len(space)), stated, alike
         )
     residual, signal, slope = _residual_signal_slope(vector, samples)
     likeliest = _weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
@@ -158,6 +162,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         requested=form,
         samples=samples,
         selection=selection,
+        regions=alike,
         space=space,
         vector=np.asarray(vector, np.float64),
         information=information,
@@ -181,6 +186,7 @@ def robust_covariance(
     information: Float[np.ndarray, "parameters parameters"],
     known: Int[np.ndarray, " known"],
     stated: StatedErrors,
+    alike: Int[np.ndarray, " lights"],
 ) -> Robustness:
     """Covariance of some parameters, the others held at their best values.
 
@@ -191,6 +197,7 @@ def robust_covariance(
         information: (parameters, parameters), as if all samples were independent.
         known: (known,) indices of the parameters.
         stated: what the rig calls uncertain, of the same fit.
+        alike: (lights,) regions of lights that err alike.
 
     Returns:
         What lights and pixels share, and what the rig states, allowed for.
@@ -199,8 +206,19 @@ def robust_covariance(
         np.asarray(x, np.float64)[known] for x in scores_and_slopes(vector, samples)
     )
     among = information[np.ix_(known, known)]
-    found = cluster_robust(gradients, among, selection.light, selection.pixel, slopes=slopes)
+    found = cluster_robust(gradients, among, alike[selection.light], selection.pixel, slopes=slopes)
     return with_stated_errors(found, stated, among, known)
+
+
+def _lights_alike(
+    observation: ReflectanceObservation,
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+) -> Int[np.ndarray, " lights"]:
+    """Regions of lights whose images a fit misses alike."""
+    gradients = np.asarray(scores_and_slopes(vector, samples)[0], np.float64)
+    return regions(gradients, selection.light, observation.wi.mean(axis=1))
 
 
 def predicted_image(

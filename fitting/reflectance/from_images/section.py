@@ -91,7 +91,13 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
     if known:
         vector, chosen = jnp.asarray(fit.vector), np.asarray(known)
         robust = robust_covariance(
-            vector, fit.samples, fit.selection, fit.information, chosen, fit.stated
+            vector,
+            fit.samples,
+            fit.selection,
+            fit.information,
+            chosen,
+            fit.stated,
+            fit.regions,
         )
         errors[known] = np.sqrt(np.diagonal(robust.covariance))
         freedom[known] = robust.freedom

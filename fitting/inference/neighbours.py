@@ -1,0 +1,74 @@
+"""Clusters that err alike where they are neighbours, as images do whose lights are close.
+
+A model that is not the surface's misses by an amount that changes slowly with the place of the
+light, so that neighbouring lights say much the same, and their images are fewer than they look.
+Whether they do is asked of their scores y_g, each parameter at unit variance and none correlated
+with another: the mean of y_g . y_h over pairs of neighbours, against what it is when the places are
+permuted. Where it is larger, the clusters are merged into regions, and those are taken for
+independent (Conley, J. Econometrics 92, 1999; regions of many clusters: Bester, Conley & Hansen,
+J. Econometrics 165, 2011).
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+FEWEST = 16  # clusters: of fewer, regions would be too few to tell a variance by
+REGIONS = 8
+NEAREST = 2  # neighbours of each
+PERMUTATIONS, CHANCE = 499, 0.01
+
+
+def regions(
+    scores: Float[np.ndarray, "parameters samples"],
+    cluster: Int[np.ndarray, " samples"],
+    places: Float[np.ndarray, "clusters axes"],
+) -> Int[np.ndarray, " clusters"]:
+    """The region of each cluster.
+
+    Args:
+        scores: (parameters, samples), gradient of each sample's log likelihood.
+        cluster: (samples,) of each.
+        places: (clusters, axes) where clusters lie, in units that compare.
+
+    Returns:
+        (clusters,) labels: one for each cluster where neighbours do not err alike, or clusters are
+        fewer than 16.
+    """
+    count = len(places)
+    sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
+    present = np.flatnonzero(np.bincount(cluster, minlength=count))
+    alone = np.arange(count)
+    if len(present) < FEWEST or not _alike(sums[present], places[present]):
+        return alone
+    labels = np.zeros(count, int)
+    labels[present] = _halved(places[present], REGIONS)
+    return labels
+
+
+def _alike(sums: np.ndarray, places: np.ndarray) -> bool:
+    """Whether scores of neighbours are more alike than those of permuted places."""
+    centred = sums - sums.mean(axis=0)
+    left, size, _ = np.linalg.svd(centred, full_matrices=False)
+    scores = left[:, size > 1e-9 * size.max(initial=0.0)]
+    apart = ((places[:, None] - places) ** 2).sum(axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    near = np.argsort(apart, axis=1)[:, :NEAREST].ravel()
+    own, products = np.repeat(np.arange(len(scores)), NEAREST), scores @ scores.T
+    rng = np.random.default_rng(0)
+    orders = rng.permuted(np.tile(np.arange(len(scores)), (PERMUTATIONS, 1)), axis=1)
+    chance = products[orders[:, own], orders[:, near]].sum(axis=1)
+    beyond = np.count_nonzero(chance >= products[own, near].sum())
+    return bool((1 + beyond) / (1 + PERMUTATIONS) <= CHANCE)
+
+
+def _halved(places: np.ndarray, parts: int) -> np.ndarray:
+    """Labels of regions of equally many places, each half cut along its longest axis."""
+    if parts == 1:
+        return np.zeros(len(places), int)
+    centred = places - places.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    second = np.argsort(np.argsort(along, kind="stable"), kind="stable") >= len(places) / 2
+    labels = np.empty(len(places), int)
+    for half, offset in ((~second, 0), (second, parts // 2)):
+        labels[half] = offset + _halved(places[half], parts // 2)
+    return labels
