@@ -515,9 +515,10 @@ ELSEWHERE = (
     Elsewhere(
         STATISTICS,
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
-        "test_joint_left_out test_stated_errors",
+        "test_joint_left_out test_stated_errors test_neighbours",
         """
             fitting.inference.clustering: cluster_robust curvature_stretch like_gaussian
+            fitting.inference.neighbours: regions
             fitting.inference.design: ranked
             fitting.inference.left_out: distance negligible
             fitting.inference.diagnostics: identifiability listed
