@@ -17,14 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtr, ndtri, stdtr, stdtrit
+from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 
 from ..inference.priors import LogNormal
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
-GRID, HALVINGS = 101, 16  # of ln tau; of ln quantile, to 1e-4
+GRID = 101  # of ln tau
+MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
 UNTOLD = 1e-9  # of the information: an error of which the images tell nothing
 LEAST = 1e-6  # weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
@@ -111,11 +112,19 @@ def mixed(
     free = np.minimum(freedom[:, None] * (some / uncertain) ** 2, MOST_FREE)  # Satterthwaite's
     gaussian = bool((freedom >= MOST_FREE).all())
 
-    def below(at: np.ndarray) -> np.ndarray:
-        z = at[:, None] / np.sqrt(some)
-        return (ndtr(z) if gaussian else stdtr(free, z)) @ shutter.weights
+    def reached(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The distribution function and the density, at one place a bin."""
+        scales = np.sqrt(some)
+        z = at[:, None] / scales
+        if gaussian:
+            below, density = ndtr(z), np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+        else:
+            below = stdtr(free, z)
+            height = np.exp(gammaln((free + 1) / 2) - gammaln(free / 2)) / np.sqrt(np.pi * free)
+            density = height * (1 + z**2 / free) ** (-(free + 1) / 2)
+        return below @ shutter.weights, (density / scales) @ shutter.weights
 
-    inner, outer = (_quantile(below, some, level, freedom.min()) for level in LEVELS)
+    inner, outer = (_quantile(reached, some, level) for level in LEVELS)
     ratio = np.clip(outer / inner, RATIOS[-1], RATIOS[0])
     own = np.exp(np.interp(-ratio, -RATIOS, np.log(FREEDOMS)))
     scale = np.where(parts.max(axis=1) > 0, outer / stdtrit(own, LEVELS[1]), 0)
@@ -123,14 +132,19 @@ def mixed(
 
 
 def _quantile(
-    below: Callable[[np.ndarray], np.ndarray], variances: np.ndarray, level: float, freedom: float
+    reached: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    variances: np.ndarray,
+    level: float,
 ) -> np.ndarray:
-    """Where a mixture's distribution reaches a level above one half: between the quantiles of its
-    narrowest and of its widest part."""
-    low = np.log(np.sqrt(variances.min(axis=1)) * ndtri(level))
-    high = np.log(np.sqrt(variances.max(axis=1)) * stdtrit(freedom, level))
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        short = below(np.exp(middle)) < level
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return np.exp((low + high) / 2)
+    """Where a mixture's distribution reaches a level above one half, by Newton's steps: concave
+    there, it is approached from the near side."""
+    least = np.sqrt(variances.min(axis=1)) * ndtri(level)
+    at = least
+    for _ in range(MOST_STEPS):
+        below, density = reached(at)
+        ahead = np.maximum(at + (level - below) / density, least)
+        settled = np.abs(ahead - at).max() <= NEAR * ahead.max()
+        at = ahead
+        if settled:
+            break
+    return at

@@ -10,6 +10,9 @@ from fitting.response.read import read_exposure_stack
 from fitting.response.section import section as response_section
 from fitting.rig import load_rig
 
+LINEARITY = 0.01  # of this camera, rms; published as .1 to 4 %
+DARKEST = 8.0  # DN, below which hardly a pixel counts
+
 
 @pytest.mark.slow
 @pytest.mark.real
@@ -31,7 +34,10 @@ def test_linear_camera_has_gamma_one(data_folder, tmp_path):
         assert abs(gamma.value - 1) < 2.5 * gamma.standard_error
         assert gamma.standard_error < 0.005
         assert largest_departure(channel.curve, channel.gamma.departure)[0] < 0.04
-    holding = [c.gamma.gamma.interval_95[0] < 1 < c.gamma.gamma.interval_95[1] for c in bright]
-    assert np.mean(holding) >= 0.6
-    # Where an interval misses 1, the report says that the exposure times disagree.
+    # The truth has an error of its own: 1 % between two codes is so much of an exponent.
+    of_truth = LINEARITY / np.log(255 / DARKEST)
+    for channel in bright:
+        own = np.diff(channel.gamma.gamma.interval_95)[0] / 2
+        assert abs(channel.gamma.gamma.value - 1) < np.hypot(own, 1.96 * of_truth)
+    # Shutter and lamp are not exact either, and the report says so.
     assert any("disagree on their exposure" in s for s in response_section(calibration).findings)
