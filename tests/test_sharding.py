@@ -20,7 +20,8 @@ import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 import jaxvision as jv
-from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit
+from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit, fit_map
+from jaxvision.errors import InputError
 from jaxvision.scene_files import read_scene
 from jaxvision.transport import radiosity
 
@@ -88,6 +89,26 @@ for estimate, other in zip(four.estimates, one.estimates, strict=True):
     np.testing.assert_allclose(four.values[estimate.name], mode, rtol=0, atol=1e-6 * error)
 # The order of a sum differs, so a step may be taken here and refused there; not in so few steps.
 np.testing.assert_allclose(four.posterior.samples, one.posterior.samples, rtol=1e-9)
+
+if len(sys.argv) > 1:  # what is read in parts lies on one host
+    curve = lambda a, k, inputs: a * jnp.exp(-k * inputs["t"])
+    free, noise = {"a": Parameter(lower=0, upper=10), "k": 1.0}, Gaussian(sd=0.1)
+    refused = [
+        ("data", lambda: Problem(
+            free, curve, noise, inputs={"t": t}, data=shared_out(y), chunk=1000)),
+        ("inputs", lambda: Problem(
+            free, curve, noise, inputs={"t": shared_out(t)}, data=y, chunk=1000)),
+        ("data", lambda: fit_map(
+            Problem(free, curve, noise, inputs={"t": t[:4]}, data=y[:4]),
+            shared_out(np.ones((4, 8))))),
+    ]
+    for name, call in refused:
+        try:
+            call()
+        except InputError as error:
+            assert str(error).startswith(f"{name}: an array lies on several hosts"), error
+        else:
+            raise AssertionError(name)
 print("equal")
 """
 

@@ -14,6 +14,7 @@ from jaxvision.progress import progress_bar
 from ..inference.estimates import QUANTILES
 from ..inference.given import require_seed, require_whole
 from ..inference.misfit import CHANCE
+from ..inference.on_host import require_here
 from ..inference.parameters import to_natural
 from ..inference.pixelwise import Ends, fit_side_by_side
 from ..inference.problem import Problem, prediction
@@ -86,6 +87,8 @@ def fit_map(
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
     require_seed(seed)
     require_whole("chunk", chunk, of="pixels to be fitted at a time")
+    for name, values in (("data", data), ("inputs", inputs), ("labels", labels)):
+        require_here(name, values)
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])

@@ -10,6 +10,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from jaxvision.errors import InputError
+
 
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     """All values, gathered from the processes where one alone does not hold them; all must call.
@@ -21,9 +23,33 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     Returns:
         Of the same shape.
     """
-    apart = isinstance(values, jax.Array) and not isinstance(values, Tracer)
-    if apart and not (values.is_fully_addressable or values.is_fully_replicated):
+    if _apart(values):
         from jax.experimental.multihost_utils import process_allgather
 
         values = process_allgather(values, tiled=True)
     return np.asarray(values, dtype)
+
+
+def require_here(name: str, values: Any) -> None:
+    """Refuses arrays whose parts lie in several processes, for what is read in parts.
+
+    Args:
+        name: of the argument.
+        values: PyTree.
+
+    Raises:
+        InputError: for such an array in it.
+    """
+    if any(_apart(leaf) for leaf in jax.tree.leaves(values)):
+        raise InputError(
+            f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "
+            "fit it whole (without chunk), or give each host's own part to a task."
+        )
+
+
+def _apart(values: Any) -> bool:
+    return (
+        isinstance(values, jax.Array)
+        and not isinstance(values, Tracer)
+        and not (values.is_fully_addressable or values.is_fully_replicated)
+    )

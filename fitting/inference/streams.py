@@ -19,6 +19,7 @@ from jaxvision.errors import InputError
 
 from .given import require_whole
 from .likelihoods import Clustered, check_data
+from .on_host import require_here
 
 Advance = Callable[[int, int], None]  # called with chunks read and chunks in all
 SEED = 0  # of the sample
@@ -93,6 +94,8 @@ def opened(
             "out."
         )
     require_whole("chunk", size, of="rows to be read at a time")
+    for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
+        require_here(name, values)
     if hasattr(data, "__next__"):
         raise InputError(
             "data: an iterator ends after one reading, and a fit reads its data many times: give "
