@@ -1,13 +1,16 @@
 """Data read in chunks: the fit of the same data in memory, from a file and from a function; what
 cannot be read."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fitting import Censored, Clustered, Gaussian, Parameter, Problem, fit
 from fitting.inference.misfit import judge, judge_sums, sums
-from fitting.inference.search_read import derivatives
+from fitting.inference.search import search, spread_starts
+from fitting.inference.search_read import derivatives, search_read
 from fitting.inference.streams import chunks
 from jaxvision.errors import InputError
 
@@ -195,3 +198,14 @@ def test_data_that_change_and_chains_are_refused():
         list(chunks(changing))
     with pytest.raises(InputError, match="reads all data at every step"):
         fit(problem(chunk=CHUNK), posterior="emcee")
+
+
+def test_ends_that_only_all_data_tell_apart_are_one():
+    """Searches of a sample stop within its precision, which is coarser than that of all data."""
+    own = problem(chunk=CHUNK)
+    sampled = search(own, jnp.asarray(spread_starts(own, 4, seed=0)))
+    sd = 1 / np.sqrt(np.diagonal(sampled.information))
+    moved = sampled.ends + 0.05 * sd * np.array([[0.0], [1.0], [-1.0], [1000.0]])
+    found = search_read(own, replace(sampled, ends=moved), ignored)
+    assert (found.costs[:3] == 0).all()
+    assert found.costs[3] > 1

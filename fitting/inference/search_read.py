@@ -23,6 +23,10 @@ from .problem import Problem, Vector, log_likelihood
 from .search import BATCH, Optimum
 from .streams import Advance, chunks
 
+# Squared standard errors of the sample within which its searches ended at one place: all data tell
+# apart what the sample's searches, at rest in its own precision, do not.
+ONE_END = 0.1
+
 Derivatives = tuple[Array, Array, Array]
 
 
@@ -35,12 +39,14 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
         advance: is told how far each reading is.
 
     Returns:
-        The mode, and the searches' ends with their cost by all data.
+        The mode, and the searches' ends with their cost by all data, 0 for those at one place with
+        the best.
 
     Raises:
         InputError: when the prediction is finite at none of the ends.
     """
-    dtype = problem.data.dtype
+    assert problem.stream is not None
+    dtype, count = problem.data.dtype, problem.stream.count
     ends = jnp.asarray(sampled.ends, dtype)
     costs = sum(
         np.asarray(_costs(ends, part), np.float64) for part in chunks(problem, advance=advance)
@@ -58,15 +64,19 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
         jnp.asarray(start, dtype),
         tolerance=1e-7 if dtype == jnp.float64 else 1e-3,
     )
+    information = np.asarray(found.information, np.float64)
+    apart = sampled.ends - sampled.ends[best]
+    share = min(1.0, problem.data.shape[0] / count)
+    one_end = share * np.einsum("ip,pq,iq->i", apart, information, apart) < ONE_END
     return Optimum(
         vector=np.asarray(found.vector, np.float64),
         cost=float(found.cost),
-        information=np.asarray(found.information, np.float64),
+        information=information,
         prior_information=np.asarray(_of_prior(found.vector, problem)[2], np.float64),
         decrement=float(found.decrement),
         stationary=bool(found.converged),
         ends=sampled.ends,
-        costs=costs - costs[best],
+        costs=np.where(one_end, 0.0, costs - costs[best]),
     )
 
 

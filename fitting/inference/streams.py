@@ -94,8 +94,6 @@ def opened(
             "out."
         )
     require_whole("chunk", size, of="rows to be read at a time")
-    for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
-        require_here(name, values)
     if hasattr(data, "__next__"):
         raise InputError(
             "data: an iterator ends after one reading, and a fit reads its data many times: give "
@@ -103,6 +101,8 @@ def opened(
         )
     if not callable(data) and not hasattr(data, "shape"):
         data = np.asarray(data)
+    for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
+        require_here(name, values)
     stream = Stream(data, inputs, likelihood, *_beside(data, inputs, likelihood), size)
     rng = np.random.default_rng(SEED)
     count, kept, keys = 0, None, np.empty(0)
