@@ -100,6 +100,8 @@ def test_images_of_an_exposure_stack(tmp_path, colours):
     assert len(ours.planes) == len(theirs.planes) == (colours or (1,))[0]
     for a, b in zip(ours.planes, theirs.planes, strict=True):
         assert_equal(a, b)
+    told = from_stack(images, times, camera=CAMERA, mask=mask, exposure_sd=0.01)
+    assert told.planes[0].exposure_sd == pytest.approx(0.01)
 
 
 LIGHTS = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.6, 0.0, 0.8]])

@@ -33,6 +33,8 @@ class Sphere:
         lights: how many.
         truth: k_d, k_s, n.
         light_sd: relative error of each light's intensity.
+        direction_sd: rad, error of each light's direction along both axes across it, which the fit
+            is told.
         black_sd: DN, error of the black level, which the fit is told.
         stated: whether the fit is told of `light_sd`.
         prnu: relative error of each pixel's gain.
@@ -44,6 +46,7 @@ class Sphere:
     lights: int = 12
     truth: tuple[float, float, float] = (0.4, 0.45, 40.0)
     light_sd: float = 0.0
+    direction_sd: float = 0.0
     black_sd: float = 0.0
     stated: bool = False
     prnu: float = 0.0
@@ -53,8 +56,19 @@ class Sphere:
 
     @cached_property
     def signal(self) -> np.ndarray:
-        """(lights, h, w) DN above black."""
-        normals, wi = _normals(), directions(self.lights)
+        """(lights, h, w) DN above black, where lights stand as stated."""
+        return self.shaded(directions(self.lights))
+
+    def shaded(self, wi: np.ndarray) -> np.ndarray:
+        """Under some lights.
+
+        Args:
+            wi: (lights, 3) unit vectors toward them.
+
+        Returns:
+            (lights, h, w) DN above black.
+        """
+        normals = _normals()
         diffuse, specular, exponent = self.truth
         cosine = np.einsum("hwc,lc->lhw", normals, wi)
         mirrored = 2 * cosine * normals[..., 2] - wi[:, None, None, 2]
@@ -77,7 +91,8 @@ class Sphere:
             sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
             intensities=np.full(self.lights, WHITE),
         )
-        told = {"intensity_sd": np.full(self.lights, self.light_sd)} if self.stated else {}
+        sizes = {"intensity_sd": self.light_sd * self.stated, "direction_sd": self.direction_sd}
+        told = {name: np.full(self.lights, size) for name, size in sizes.items() if size}
         observation = replace(
             observation,
             held_out=np.zeros(self.lights, bool),
@@ -110,6 +125,7 @@ CASES = {
     "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
     "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=True),
     "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=True),
+    "directions off by 0.3 degrees, as stated": Sphere(direction_sd=np.radians(0.3)),
     "black off by 3 DN, as stated": Sphere(black_sd=3.0),
 }
 
@@ -126,7 +142,10 @@ def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
     """
     lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
-    counted = rng.poisson(np.maximum(sphere.signal * lights * pixels, 0) / GAIN)
+    signal = sphere.signal
+    if sphere.direction_sd:
+        signal = sphere.shaded(_turned(directions(sphere.lights), sphere.direction_sd, rng))
+    counted = rng.poisson(np.maximum(signal * lights * pixels, 0) / GAIN)
     return counted + sphere.read_noise * rng.standard_normal(counted.shape)
 
 
@@ -177,6 +196,13 @@ def _normals() -> np.ndarray:
     x, y = column / RADIUS, -row / RADIUS
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     return np.where((z > 0)[..., None], np.stack([x, y, z], axis=-1), 0)
+
+
+def _turned(wi: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+    """Unit vectors by so much elsewhere along each of two axes across them."""
+    step = sd * rng.standard_normal(wi.shape)
+    moved = wi + step - np.sum(step * wi, axis=1, keepdims=True) * wi
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def directions(lights: int) -> np.ndarray:

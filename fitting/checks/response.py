@@ -36,6 +36,9 @@ class Stack:
         decode: the inverse.
         gamma: of `encode`; None where it is no power.
         shutter_sd: relative error of each exposure.
+        black: DN.
+        black_sd: DN, error of the black level, which the fit is told.
+        stated: whether the fit is told of `shutter_sd`.
         quality: of JPEG files; None for files without loss.
         hand: pixels by which a picture is shifted at most, along each axis; moving leaves too
             where it is not 0.
@@ -46,6 +49,9 @@ class Stack:
     decode: Callable[[np.ndarray], np.ndarray] = lambda v: v**2.2
     gamma: float | None = 2.2
     shutter_sd: float = 0.0
+    black: float = 0.0
+    black_sd: float = 0.0
+    stated: bool = False
     quality: int | None = None
     hand: float = 0.0
 
@@ -64,6 +70,9 @@ CASES = {
     "sRGB": Stack(encode=_srgb_encode, decode=_srgb_decode, gamma=None),
     "shutters off by 1 %": Stack(shutter_sd=0.01),
     "three exposures off by 1 %": Stack(times=THREE, shutter_sd=0.01),
+    "shutters off by 1 %, as stated": Stack(shutter_sd=0.01, stated=True),
+    "three exposures off by 1 %, as stated": Stack(times=THREE, shutter_sd=0.01, stated=True),
+    "black off by 1 DN, as stated": Stack(black=16.0, black_sd=1.0),
     "JPEG": Stack(quality=90),
     "hand-held JPEG": Stack(quality=90, hand=0.5, shutter_sd=0.01),
 }
@@ -83,9 +92,13 @@ def places(stack: Stack, seed: int) -> np.ndarray:
         InputError: where no curve is found.
     """
     images = photographs(stack, seed)
-    camera = Camera(bits=8, black_level=0.0, saturation=255.0)
-    channel = calibrate(from_stack(list(images), stack.times, camera=camera)).channels[0]
-    own = [_of_code(channel.curve, stack, code) for code in CODES]
+    camera = Camera(
+        bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0
+    )
+    told = stack.shutter_sd if stack.stated else None
+    read = from_stack(list(images), stack.times, camera=camera, exposure_sd=told)
+    channel, black = calibrate(read).channels[0], _black(stack, seed)
+    own = [_of_code(channel.curve, stack, code, black) for code in CODES]
     of_gamma = np.nan if stack.gamma is None else _of_estimate(channel.gamma.gamma, stack.gamma)
     return np.array([*own, of_gamma])
 
@@ -101,13 +114,14 @@ def photographs(stack: Stack, seed: int) -> np.ndarray:
         (exposures, h, w) uint16 codes.
     """
     rng = np.random.default_rng(seed)
-    scene, frames = _scene(rng), []
+    scene, frames, black = _scene(rng), [], _black(stack, seed)
     corners = rng.integers(RIM, np.array(SHAPE) + RIM - LEAF, (LEAVES, 2))
     for time in stack.times * np.exp(stack.shutter_sd * rng.standard_normal(len(stack.times))):
         light = _moved(scene, corners, stack.hand, rng) if stack.hand else scene
         light = np.clip(light[RIM:-RIM, RIM:-RIM] * time, 0, 50)
         electrons = rng.poisson(light * FULL_WELL) + READ_NOISE * rng.standard_normal(SHAPE)
-        codes = np.round(255 * stack.encode(np.clip(electrons / FULL_WELL, 0, 1)))
+        encoded = stack.encode(np.maximum(electrons / FULL_WELL, 0))
+        codes = np.clip(np.round(black + (255 - stack.black) * encoded), 0, 255)
         if stack.quality is not None:
             picture = jpeg(jnp.asarray(codes[..., None] / 255), quality=stack.quality)
             codes = np.round(255 * np.asarray(picture)[..., 0])
@@ -141,11 +155,17 @@ def _scene(rng: np.random.Generator) -> np.ndarray:
     return gaussian_filter(0.2 * np.exp(log_light), 0.7)
 
 
-def _of_code(curve: ResponseCurve, stack: Stack, code: int) -> float:
+def _black(stack: Stack, seed: int) -> float:
+    """DN, that of the camera."""
+    return stack.black + stack.black_sd * np.random.default_rng([seed, 1]).standard_normal()
+
+
+def _of_code(curve: ResponseCurve, stack: Stack, code: int, black: float) -> float:
     place = int(np.argmin(np.abs(curve.codes - code)))
     if not curve.seen[place]:
         return np.nan
-    true, middle = np.log(stack.decode(curve.codes[[place, curve.bins.middle]] / 255))
+    codes = (curve.codes[[place, curve.bins.middle]] - black) / (255 - stack.black)
+    true, middle = np.log(stack.decode(codes))
     miss = (true - middle - curve.log_exposure[place]) / curve.standard_error[place]
     return float(t.cdf(miss, curve.freedom[place]))
 

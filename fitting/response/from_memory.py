@@ -17,6 +17,7 @@ def from_stack(
     *,
     camera: Camera,
     mask: Bool[np.ndarray, "h w"] | None = None,
+    exposure_sd: float | None = None,
 ) -> ExposureStack:
     """An exposure stack of one still scene in memory, for `response.calibration.calibrate`.
 
@@ -25,6 +26,8 @@ def from_stack(
         exposures: of the images, s.
         camera: its bits, and what else is known of it.
         mask: (h, w), true where the scene may be used; None for everywhere.
+        exposure_sd: relative standard deviation of each exposure's error; None where nothing is
+            known of it, so that the images tell it.
 
     Returns:
         The stack, checked as one of a folder is.
@@ -34,7 +37,7 @@ def from_stack(
     """
     require_as_many("exposures", exposures, "images", images)
     entries = [
-        {"file": f"images[{i}]", "exposure": float(exposure)}
+        {"file": f"images[{i}]", "exposure": float(exposure), "exposure_sd": exposure_sd}
         for i, exposure in enumerate(exposures)
     ]
     named = {f"images[{i}]": image for i, image in enumerate(images)}

@@ -451,7 +451,7 @@ ELSEWHERE = (
             fitting.inference.fingerprint: fingerprint
             fitting.inference.importance: gaussian_miss laplace_where_it_holds
             fitting.inference.nuts: nuts require_blackjax
-            fitting.inference.on_host: on_host
+            fitting.inference.on_host: on_host require_here
             fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
             fitting.inference.trust: convergence_in_words is_trusted
         """,
