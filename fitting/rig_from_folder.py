@@ -1,5 +1,6 @@
 """A first `rig.toml` of a folder of images, from their names and heads, asking nothing."""
 
+import json
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -30,8 +31,10 @@ _DARK, _FLAT, _LIGHT = (
     for words in ("darks?|bias|black", "flats?|bright|ff", "lights?|lamps?|led")
 )
 _NORMALS, _MASK = (re.compile(word, re.IGNORECASE) for word in ("normal", "mask"))
-_TIME = re.compile(
-    r"(?<![a-z\d.])(?:(\d+)[_-](\d+)|(\d+(?:[.,]\d+)?)) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE
+_TIME = re.compile(r"(?<![a-z\d.,])(\d+(?:[.,]\d+)?) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE)
+_FRACTION, _COUNTED = (
+    re.compile(rf"(?<![\d.,])(?<!\d[_-]){over}[_-]([1-9]\d*) ?(?:s|sec)(?![a-z])", re.IGNORECASE)
+    for over in ("1", r"(?!1[_-])\d+")
 )
 _UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
 
@@ -55,9 +58,19 @@ class FoundRig:
 
 @dataclass(frozen=True)
 class _Image:
+    """A file.
+
+    Attributes:
+        name: below the folder.
+        settings: of its head.
+        exposure: s, from there or from the name.
+        doubt: a sentence, where the name says it in two ways.
+    """
+
     name: str
     settings: ImageSettings
     exposure: float | None
+    doubt: str = ""
 
 
 def write_rig(folder: Path) -> tuple[Path, FoundRig]:
@@ -108,7 +121,8 @@ def rig_of(folder: Path) -> FoundRig:
         raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
     names = sorted((path.relative_to(folder).as_posix() for path in files), key=_natural)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
-    images = [_image(folder, name) for name in names if name not in shape]
+    counted = any(_COUNTED.search(Path(name).stem) for name in names)
+    images = [_image(folder, name, counted=counted) for name in names if name not in shape]
     dark = [image for image in images if _DARK.search(image.name)]
     flat = [image for image in images if _FLAT.search(image.name) and image not in dark]
     light = [image for image in images if _LIGHT.search(image.name) and image not in dark + flat]
@@ -123,6 +137,10 @@ def rig_of(folder: Path) -> FoundRig:
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
         lines += _geometry(shape, found)
+    doubts = [image.doubt for image in images if image.doubt]
+    if doubts:
+        others = f" {len(doubts) - 1} more names are alike." if len(doubts) > 1 else ""
+        found.missing.append(doubts[0] + others)
     if flat and not dark:
         found.missing.append("No name has the word dark: photon transfer needs darks.")
     found.text = "\n".join(lines) + "\n"
@@ -135,25 +153,37 @@ def _natural(name: str) -> list[tuple[int, float | str]]:
     return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
 
 
-def _image(folder: Path, name: str) -> _Image:
+def _image(folder: Path, name: str, *, counted: bool) -> _Image:
     settings = read_settings(folder / name)
-    return _Image(name, settings, settings.exposure or _time_in(name))
+    if settings.exposure:
+        return _Image(name, settings, settings.exposure)
+    return _Image(name, settings, *_time_in(name, counted=counted))
 
 
-def _time_in(name: str) -> float | None:
-    """Seconds of a name such as flat_8ms, or scene_1-8s for an eighth."""
-    found = _TIME.search(Path(name).stem)
+def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
+    """Seconds of a name such as flat_8ms, or scene_1-8s for an eighth unless images are counted so;
+    and what else the name may say."""
+    stem = Path(name).stem
+    fraction = _FRACTION.search(stem)
+    if fraction and fraction[1] != "1" and not counted:
+        under = float(fraction[1])
+        return 1 / under, f"{name}: read as 1/{under:g} s; correct it if that is {under:g} s."
+    found = _TIME.search(stem)
     if found is None:
-        return None
-    over, under, number, unit = found.groups()
-    value = float(over) / float(under) if over else float(number.replace(",", "."))
-    return value * _UNITS[unit.lower()] or None
+        return None, ""
+    number, unit = found.groups()
+    return float(number.replace(",", ".")) * _UNITS[unit.lower()] or None, ""
+
+
+def _quoted(name: str) -> str:
+    """As TOML writes it."""
+    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str]:
     said = [image.settings for image in images]
     cameras = sorted({one.camera for one in said if one.camera})
-    lines = [f"# {', '.join(cameras)}"] if cameras else []
+    lines = [f"# {' '.join(', '.join(cameras).split())}"] if cameras else []
     lines += ["[camera]", _depth(folder, images, found)]
     for name in ("black_level", "saturation"):
         values = [getattr(one, name) for one in said if getattr(one, name) is not None]
@@ -237,7 +267,7 @@ def _levels(
         groups = grouped(False)
     lines = []
     for (exposure, iso, kelvin, _), names in groups.items():
-        listed = "".join(f'\n    "{name}",' for name in names)
+        listed = "".join(f"\n    {_quoted(name)}," for name in names)
         lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", _seconds(exposure)]
         lines += [f"iso = {iso:g}"] if iso else []
         lines += [f"temperature = {kelvin:g}"] if kelvin else []
@@ -255,7 +285,7 @@ def _levels(
 def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
     lines = []
     for image in images:
-        lines += ["", "[[exposure]]", f'file = "{image.name}"', _seconds(image.exposure)]
+        lines += ["", "[[exposure]]", f"file = {_quoted(image.name)}", _seconds(image.exposure)]
     if any(image.exposure is None for image in images):
         found.missing.append("Exposures are in neither files nor names; give them in seconds.")
     return lines
@@ -268,7 +298,7 @@ def _seconds(exposure: float | None) -> str:
 def _lights(images: Sequence[_Image], found: FoundRig) -> list[str]:
     lines = []
     for image in images:
-        lines += ["", "[[light]]", f'file = "{image.name}"', "# direction = [?, ?, ?]"]
+        lines += ["", "[[light]]", f"file = {_quoted(image.name)}", "# direction = [?, ?, ?]"]
     if images:
         found.missing.append("Directions toward lights are in no file; give a unit vector each.")
     return lines
@@ -279,8 +309,8 @@ def _geometry(shape: Iterable[str], found: FoundRig) -> list[str]:
     masks = [name for name in shape if _MASK.search(name)]
     lines = ["", "[geometry]"]
     if normals:
-        lines.append(f'normals = "{normals[0]}"')
+        lines.append(f"normals = {_quoted(normals[0])}")
     else:
         lines.append("# sphere = { centre = [?, ?], radius = ? }  # column, row, pixels")
         found.missing.append("The shape: give the sphere's centre and radius, or normals.")
-    return lines + [f'mask = "{name}"' for name in masks[:1]]
+    return lines + [f"mask = {_quoted(name)}" for name in masks[:1]]

@@ -117,13 +117,13 @@ def _raw_tags(file: Path) -> dict[str, Any]:
 
 
 def _of_fits(header: Mapping[str, Any]) -> ImageSettings:
-    celsius = header.get("CCD-TEMP", header.get("SET-TEMP"))
+    celsius = _number(header.get("CCD-TEMP", header.get("SET-TEMP")))
     pattern = str(header.get("BAYERPAT", "")).strip().upper()
     return ImageSettings(
         exposure=_positive(header.get("EXPTIME", header.get("EXPOSURE"))),
         iso=_positive(header.get("ISOSPEED")),
         taken=_time(header.get("DATE-OBS")),
-        temperature=None if celsius is None else float(celsius) - ABSOLUTE_ZERO,
+        temperature=None if celsius is None else celsius - ABSOLUTE_ZERO,
         camera=_name(header.get("INSTRUME")),
         black_level=_number(header.get("PEDESTAL")),
         saturation=_positive(header.get("SATURATE")),

@@ -140,6 +140,11 @@ def test_what_is_not_known_stands_as_comments(tmp_path):
         ("a 2.5s", 2.5),
         ("b_500us", 5e-4),
         ("v2 30ms", 0.03),
+        ("img_0001_8ms", 0.008),
+        ("DSC_0123_1s", 1.0),
+        ("2026-11-20_8ms", 0.008),
+        ("2026-11-1-4s", 4.0),
+        ("flat_0_0s", None),
         ("plain_12", None),
         ("frames3", None),
     ],
@@ -149,6 +154,25 @@ def test_times_in_names(name, seconds, tmp_path):
     found = tomllib.loads(rig_of(tmp_path).text)
     entry = {**found}.get("flat", found.get("exposure"))[0]
     assert entry.get("exposure") == (None if seconds is None else pytest.approx(seconds))
+
+
+def test_a_number_before_the_time_counts_images_or_is_a_fraction(tmp_path):
+    """1_5s may be either: the other names tell, or a sentence does."""
+    for name in ("flat_1_5s", "flat_2_10s"):
+        write_image(tmp_path / f"{name}.png", np.full((4, 4), 7, np.uint8))
+    found = rig_of(tmp_path)
+    assert [one["exposure"] for one in tomllib.loads(found.text)["flat"]] == [5, 10]
+    assert not any("read as" in sentence for sentence in found.missing)
+    (tmp_path / "flat_2_10s.png").unlink()
+    found = rig_of(tmp_path)
+    assert tomllib.loads(found.text)["flat"][0]["exposure"] == pytest.approx(0.2)
+    assert any("read as 1/5 s; correct it if that is 5 s." in said for said in found.missing)
+
+
+def test_names_are_quoted_as_toml_wants_them(tmp_path):
+    name = 'a "b" c\\d\x7f.png'
+    write_image(tmp_path / name, np.full((4, 4), 7, np.uint8))
+    assert tomllib.loads(rig_of(tmp_path).text)["exposure"][0]["file"] == name
 
 
 def test_folders_that_hold_nothing(tmp_path):
