@@ -124,6 +124,32 @@ def test_an_old_file_is_read_with_its_names(tmp_path):
     np.testing.assert_allclose(source.scene.lights[0].position, [5, 0, 0])
 
 
+def test_lights_without_a_colour_are_white(tmp_path):
+    """Of sRGB, as Mitsuba's are; `<spectrum>` of one value is of equal energy."""
+    lamp = '<shape type="sphere"><emitter type="area">{}</emitter></shape>'
+    for inside, white in (("", True), ('<spectrum name="radiance" value="1"/>', False)):
+        surface = read(tmp_path, SENSOR, lamp.format(inside)).scene.surfaces[0]
+        rgb = np.broadcast_to(surface.emission, 3)
+        assert (np.ptp(rgb) < 1e-6) == white
+        assert (rgb == pytest.approx(1)) == white
+    aside = '<point name="position" x="5" y="0" z="0"/>'
+    for kind, name, inside in (
+        ("point", "intensity", aside),
+        ("directional", "irradiance", ""),
+        ("constant", "radiance", ""),
+    ):
+        lamp = f'<shape type="sphere"/><emitter type="{kind}">{inside}</emitter>'
+        light = read(tmp_path, SENSOR, lamp).scene.lights[0]
+        np.testing.assert_allclose(getattr(light, name), 1, rtol=1e-6)  # a sky: of each pixel
+
+
+def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
+    """As in Mitsuba's documentation; its width is twice the scale."""
+    turned = f'<transform name="to_world"><scale x="10" y="10"/>{mitsuba_pictures.LOOK}</transform>'
+    view = read(tmp_path, f'<sensor type="orthographic">{turned}</sensor>', BALL).view
+    assert view.pixel_pitch * view.resolution[1] == pytest.approx(20)
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [

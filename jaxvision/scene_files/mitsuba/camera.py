@@ -29,6 +29,9 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"))
     to_world = node.take("to_world", np.ndarray, np.eye(4))
+    if kind == "orthographic":  # how far its axis is stretched changes no picture
+        across, along = lengths_of_axes(to_world)[[0, 2]]
+        to_world = to_world @ np.diag([1, 1, across / along, 1])
     if mirrors(to_world) or not keeps_shape(to_world):
         raise InputError(f"{node.label}: to_world mirrors or stretches the picture; correct it.")
     made = {"resolution": [rows, columns], **_pose(to_world)}

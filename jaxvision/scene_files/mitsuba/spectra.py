@@ -19,8 +19,8 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
     """A radiance, an intensity or an irradiance by its name. A flat spectrum is that of equal
-    energy, which is not the white of sRGB."""
-    match node.take(name, SPECTRUM, Flat(otherwise)):
+    energy, which is not the white of sRGB; where nothing is given, Mitsuba takes that white."""
+    match node.take(name, SPECTRUM, otherwise):
         case Table(pairs):
             return {"pairs": [list(pair) for pair in pairs]}
         case Flat(value):
