@@ -12,12 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
+from scipy.special import ndtri, stdtrit
 
 from jaxvision.errors import InputError
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
+CHANCE = 0.01  # that a pixel without broken readings leaves one out
+RETURNS = 5  # rounds in which readings come back, each by the scatter of those before
 FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
 
 
@@ -60,9 +63,12 @@ def photometric_stereo(
         lowest: readings at or below count as shadow and are left out, in the unit of the images.
         highest: readings at or above count as clipped and are left out, likewise.
         robust: also leave out what the other readings contradict, as highlights and cast shadows:
-            beyond 2.5 standard deviations of the fit of least absolute residuals. It takes five
-            lights that count; pixels with fewer keep them all. With two broken readings among six,
-            as at the rim of a body, a broken one may be kept and the normal be off by .25 rad.
+            those beyond 2.5 standard deviations of the fit of least absolute residuals that the
+            others' least squares and their scatter would predict so far off once in a hundred
+            pixels. It takes six lights that count: of five, whose one residual tells little,
+            hardly any is left out, and the errors are as large as the contradiction. With two
+            broken readings among six, as at the rim of a body, a broken one may be kept and the
+            normal be off by .25 rad.
 
     Returns:
         Normals, albedo, and standard deviations from the residuals of each pixel.
@@ -112,7 +118,7 @@ def _checked(
             f"{directions.shape}; give one direction an image, and one channel at a time."
         )
     irradiance = np.ones(len(stack)) if intensities is None else np.asarray(intensities, float)
-    if irradiance.shape != (len(stack),) or not (irradiance > 0).all():
+    if irradiance.shape != (len(stack),) or not ((irradiance > 0) & (irradiance < np.inf)).all():
         raise InputError(f"intensities must be {len(stack)} numbers above 0, got {irradiance}.")
     lengths = np.linalg.norm(directions, axis=1)
     if not np.allclose(lengths, 1, atol=1e-3):
@@ -146,9 +152,19 @@ def _least_squares(
     """g, its covariance by the scatter of the residuals, and how many readings count."""
     g, inverse = _solved(rows, readings, weights)
     used = weights.sum(axis=0).astype(int)
-    residuals = np.where(weights > 0, readings - rows @ g.T, 0)
-    free = np.where(used > 3, used - 3, np.nan)
-    return g, inverse * ((residuals**2).sum(axis=0) / free)[:, None, None], used
+    return g, inverse * _scatter(rows, readings, weights > 0, g, used)[:, None, None], used
+
+
+def _scatter(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    near: Bool[np.ndarray, "lights pixels"],
+    g: Float[np.ndarray, "pixels 3"],
+    used: Int[np.ndarray, " pixels"],
+) -> Float[np.ndarray, " pixels"]:
+    """Variance of a reading about g; NaN where no residual is left."""
+    residuals = np.where(near, readings - rows @ g.T, 0)
+    return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
 
 def _consistent(
@@ -167,17 +183,49 @@ def _consistent(
         residuals = np.where(counts, np.abs(readings - rows @ g.T), np.nan)
         weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
         weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))
-    scale = NORMAL_MAD * _upper_median(residuals, used)
+    scale = NORMAL_MAD * _median(residuals, used)
     near = counts & ~(residuals > FAR * np.maximum(scale, least))
-    enough = (used >= 5) & (near.sum(axis=0) >= 3)
-    return np.where(enough, near, counts)
+    near = np.where((used >= 5) & (near.sum(axis=0) >= 4), near, counts)
+    for _ in range(RETURNS):
+        back = _explained(rows, readings, counts & ~near, near)
+        if not back.any():
+            break
+        near |= back
+    return near
 
 
-def _upper_median(
+def _explained(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    apart: Bool[np.ndarray, "lights pixels"],
+    near: Bool[np.ndarray, "lights pixels"],
+) -> Bool[np.ndarray, "lights pixels"]:
+    """Which of the readings apart are as the others predict, by Student's t of their prediction
+    error for whichever of all lay farthest. Were none broken, the others would be those nearest to
+    the fit, which scatter less: by the variance of a Gaussian cut off where their share is."""
+    some = np.flatnonzero(apart.any(axis=0))
+    found = np.zeros_like(apart)
+    if not some.size:
+        return found
+    own, own_near, own_apart = readings[:, some], near[:, some], apart[:, some]
+    g, covariance, used = _least_squares(rows, own, own_near.astype(float))
+    several = own_apart.sum(axis=0)
+    share = used / (used + several)
+    cut = ndtri((1 + share) / 2)
+    narrower = 1 - 2 * cut * np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / share
+    scatter = _scatter(rows, own, own_near, g, used)
+    variance = scatter + np.einsum("ki,pij,kj->kp", rows, covariance, rows)
+    error = np.sqrt(variance / narrower)
+    limit = stdtrit(used - 3.0, 1 - CHANCE / 2 / (used + several))
+    found[:, some] = own_apart & (np.abs(own - rows @ g.T) < limit * error)
+    return found
+
+
+def _median(
     residuals: Float[np.ndarray, "lights pixels"], used: Int[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """The median of the residuals that are not 0 by construction: three are, of least absolute
-    residuals in three unknowns."""
+    """The lower median of the residuals that are not 0 by construction: three are, of least
+    absolute residuals in three unknowns."""
     ordered = np.sort(residuals, axis=0)  # NaN last
-    place = np.clip(3 + (used - 3) // 2, 0, len(ordered) - 1)
+    place = np.clip(3 + (used - 4) // 2, 0, len(ordered) - 1)
     return np.take_along_axis(ordered, place[None], axis=0)[0]
