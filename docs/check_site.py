@@ -1,9 +1,11 @@
 """Open each page of the built site in Chromium, narrow to wide, light and dark.
 
 `python docs/check_site.py [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
-errors in the console, bodies wider than the window, links to pages or places that do not exist, a
-search that does not find PhongBRDF. It needs `pip install playwright` and Chromium, whose program
-the variable CHROMIUM names. Other hosts are not asked for anything.
+errors in the console, bodies wider than the window, what is wider than the column of an article and
+does not scroll by itself (on a laptop, code and tables that must scroll, too; what notebooks print
+may), links to pages or places that do not exist, a search that does not find PhongBRDF. It needs
+`pip install playwright` and Chromium, whose program the variable CHROMIUM names. Other hosts are
+not asked for anything.
 """
 
 import functools
@@ -19,10 +21,25 @@ from playwright.sync_api import sync_playwright
 
 WIDTHS = (360, 1366, 1920)  # CSS pixels: a phone, a laptop, a desk
 SCHEMES = ("light", "dark")
-WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth,
-    [...document.querySelectorAll('main *')].filter(
-        e => e.getBoundingClientRect().right > window.innerWidth + 1
-    ).slice(0, 1).map(e => e.outerHTML.slice(0, 80)).join('')]"""
+WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth]"""
+# Of what lies in the article, the theme's scroller: what reaches beyond it, or is cut by its own
+# box, and does not lie in a box that scrolls; on a laptop code and tables need not scroll either.
+CUT = """wide => {
+    const article = document.querySelector('.bd-article-container')
+    if (!article) return []
+    const scrolls = e => ['auto', 'scroll'].includes(getComputedStyle(e).overflowX)
+    const within = e => e !== article && (scrolls(e.parentElement) && e.parentElement !== article
+        || within(e.parentElement))
+    const seen = Math.min(window.innerWidth, article.getBoundingClientRect().right)
+    return [...article.querySelectorAll('*')].filter(e => {
+        const box = e.getBoundingClientRect(), inside = within(e)
+        const hidden = box.width < 2 || !e.checkVisibility()
+        const more = e.scrollWidth > e.clientWidth + 1
+        const cut = getComputedStyle(e).overflowX === 'hidden' && more && !inside
+        const long = wide && more && scrolls(e) && !e.closest('.cell_output')
+        return !hidden && (!inside && box.right > seen + 1 || cut || long)
+    }).slice(0, 1).map(e => `${e.tagName} ${e.className}: ${e.textContent.trim().slice(0, 60)}`)
+}"""
 
 
 class Quiet(SimpleHTTPRequestHandler):
@@ -68,13 +85,16 @@ def opened(browser, site, root):
         errors.clear()
         window.set_viewport_size({"width": WIDTHS[1], "height": 900})
         window.goto(f"{root}/{name}")
+        window.add_style_tag(content="* { transition: none !important }")  # sizes hold at once
         for scheme in SCHEMES:
             window.emulate_media(color_scheme=scheme)
             for width in WIDTHS:
                 window.set_viewport_size({"width": width, "height": 900})
-                whole, seen, which = window.evaluate(WIDER)
+                whole, seen = window.evaluate(WIDER)
                 if whole > seen:
-                    yield f"{name}: {whole} wide at {width}, {scheme}: {which}"
+                    yield f"{name}: {whole} wide at {width}, {scheme}"
+                for which in window.evaluate(CUT, width >= WIDTHS[1]):
+                    yield f"{name}: cut at {width}, {scheme}: {which}"
         yield from (f"{name}: {error}" for error in errors if not foreign.search(error))
     window.goto(f"{root}/search.html?q=PhongBRDF")
     window.wait_for_selector("#search-results li a", timeout=20_000)

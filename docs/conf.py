@@ -53,9 +53,13 @@ intersphinx_mapping = {  # empty without a network: the build needs none
 if not all(reachable(address) for address, _ in intersphinx_mapping.values()):
     intersphinx_mapping = {}
 
+# Pages of wide tables, which have the room of the contents beside them.
+TABLES = ("errors", "coverage", "comparison", "effects", "speed")
+
 html_theme = "pydata_sphinx_theme"
 html_title = f"jaxvision {version}"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_favicon = "_static/ball.svg"
 html_context = {"default_mode": "auto"}  # light or dark, as the reader's system
 html_show_sourcelink = False
@@ -67,6 +71,7 @@ html_theme_options = {
     },
     "navigation_with_keys": False,
     "show_toc_level": 2,
+    "secondary_sidebar_items": {"**": ["page-toc"], **dict.fromkeys(TABLES, ())},
     "header_links_before_dropdown": 7,
     "footer_start": ["copyright"],
     "footer_end": [],
