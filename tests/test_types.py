@@ -129,6 +129,11 @@ def test_records_print_their_numbers():
     assert "Dielectric(eta=[1.5])" in repr(
         jv.TorranceSparrow([0.1], [0.2], 0.3, interface=jv.Dielectric([1.5]))
     )
+    ones = jnp.ones((8, 8, 1), jnp.float32)
+    mean = jv.transport.Traced(ones, 0 * ones)
+    assert repr(mean) == (
+        "Traced(radiance=float32[8, 8, 1] from 1 to 1, error=float32[8, 8, 1] from 0 to 0)"
+    )
     html = ball._repr_html_()
     rows = re.findall(r"<tr>(.*?)</tr>", html)
     cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows[1:]]

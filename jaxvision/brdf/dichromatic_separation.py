@@ -21,14 +21,13 @@ bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinke
 "The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, check_shape, print_by_name
+from .._types import Colour, Scalar, Shown, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
 Mask = Bool[Array, "..."]
@@ -36,7 +35,7 @@ Factors = Float[Array, "..."]
 print_by_name(globals(), "Pixels", "Mask", "Factors")
 
 
-class Separation(eqx.Module):
+class Separation(Shown):
     """The two terms of a picture, and how far to trust them.
 
     Attributes:

@@ -20,7 +20,7 @@ from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._staging import LANES
-from .._types import Key, Scalar, Spectrum, check_count, is_known
+from .._types import Key, Scalar, Shown, Spectrum, check_count, is_known
 from ..geometry import Ray
 from ..optics import view_ray
 from ..scene import ThinLens, View
@@ -56,7 +56,7 @@ class PixelSamples(eqx.Module):
         check_count("PixelSamples.count", self.count, 1)
 
 
-class Traced(eqx.Module):
+class Traced(Shown):
     """A mean over samples.
 
     Attributes:
