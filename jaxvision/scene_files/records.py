@@ -1,5 +1,7 @@
 """The surfaces, lights and camera of a scene file as records."""
 
+from typing import assert_never
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -108,6 +110,8 @@ def light_of(entry: light_schema.Light, bands: Bands, folder: Folder) -> Light:
             return environment_map(
                 entry.scale * _sky(entry, bands, folder), rotation=_map_axes(entry)
             )
+        case _:
+            assert_never(entry)  # a kind of `light_schema` that has no record here
 
 
 def view_of(entry: camera_schema.Camera) -> View:
