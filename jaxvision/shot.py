@@ -3,17 +3,20 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
+import base64
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
 from ._band_count import band_count
-from ._types import Image, Key, Scalar, Shown
+from ._types import Image, Key, Scalar, Shown, is_known
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
@@ -27,6 +30,7 @@ from .transport import Paths, path_traced
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
 
+PREVIEW = 320  # pixels of the longer side of what a notebook shows
 _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
@@ -47,6 +51,17 @@ class Capture(Shown):
     raw: Float[Array, "*batch h w channels"]
     picture: Float[Array, "*batch h w colours"] | None
     certificate: Certificate | None = eqx.field(static=True, default=None)
+
+    def _repr_html_(self) -> str:
+        """The picture that a notebook shows, or the raw numbers in grey, beside the table."""
+        table = super()._repr_html_()
+        if not is_known(self.raw) or not np.size(self.raw):
+            return table
+        return (
+            '<div style="display: flex; flex-wrap: wrap; gap: 1em">'
+            f'<div><img alt="preview" src="data:image/png;base64,{_preview(self)}"></div>'
+            f"<div>{table}</div></div>"
+        )
 
 
 @takes_numbers
@@ -132,6 +147,23 @@ def capture(
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture, certificate)
+
+
+def _preview(shot: Capture) -> str:
+    """A PNG, base64-encoded: of the first of a batch the developed picture if it is RGB, else the
+    mean of the bands between its least and its largest; thinned to 320 pixels."""
+    from matplotlib.image import imsave
+
+    seen = np.asarray(shot.raw if shot.picture is None else shot.picture, float)
+    seen = seen.reshape(-1, *seen.shape[-3:])[0]
+    step = -(-max(seen.shape[:2]) // PREVIEW)
+    seen = np.nan_to_num(seen[::step, ::step], posinf=0, neginf=0)
+    if shot.picture is None or seen.shape[2] != 3:
+        seen = np.repeat(seen.mean(axis=2, keepdims=True), 3, axis=2)
+        seen = (seen - seen.min()) / (np.ptp(seen) or 1)
+    file = io.BytesIO()
+    imsave(file, np.rint(255 * np.clip(seen, 0, 1)).astype(np.uint8), format="png")
+    return base64.b64encode(file.getvalue()).decode()
 
 
 def _bands(scene: Scene) -> int:

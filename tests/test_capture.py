@@ -1,10 +1,13 @@
 """The whole path against a naive loop, and proof that what is absent leaves nothing behind."""
 
+import base64
+import io
 import re
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from oracles import loops
@@ -23,7 +26,7 @@ from jaxvision import (
 from jaxvision import scene as s
 from jaxvision.optics import sensor_irradiance
 from jaxvision.rendering import PixelSamples, render
-from jaxvision.shot import capture
+from jaxvision.shot import Capture, capture
 from jaxvision.transport import Paths, path_traced
 
 BANDS = 3
@@ -411,3 +414,26 @@ def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
         integrator=lambda scene, view: jnp.ones((10, 12, 3)),
     )
     assert shot.raw.shape == (10, 12, 3)
+
+
+def shown(shot):
+    """(h, w, 3) of the picture in what a notebook shows."""
+    (found,) = re.findall('src="data:image/png;base64,([^"]+)"', shot._repr_html_())
+    return plt.imread(io.BytesIO(base64.b64decode(found)))[..., :3]
+
+
+def test_a_notebook_shows_the_picture_beside_the_table():
+    rng = np.random.default_rng(0)
+    light, raw = jnp.ones((40, 60, 3)), jnp.asarray(rng.uniform(100, 4000, (40, 60, 1)))
+    developed = jnp.asarray(rng.uniform(-0.2, 1.2, (40, 60, 3)))
+    shot = Capture(light, light, raw, developed)
+    np.testing.assert_allclose(shown(shot), np.clip(developed, 0, 1), atol=0.003)
+    assert "<td" in shot._repr_html_()
+    grey = np.asarray((raw - raw.min()) / (raw.max() - raw.min()))
+    np.testing.assert_allclose(
+        shown(Capture(light, light, raw, None)), np.repeat(grey, 3, axis=2), atol=0.003
+    )
+    frames = Capture(light[None], light[None], jnp.stack([raw.at[0, 0].set(jnp.nan)] * 2), None)
+    assert shown(frames).shape == (40, 60, 3)
+    large = jnp.zeros((1000, 1281, 1))
+    assert max(shown(Capture(large, large, large, None)).shape) <= 320
