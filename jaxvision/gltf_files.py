@@ -9,15 +9,17 @@ import binascii
 import json
 import os
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
 
 from .errors import InputError
 
+Value = TypeVar("Value")
 SUFFIXES = (".gltf", ".glb")
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -163,9 +165,10 @@ def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
     accessor, label = file.item("accessors", index), f"{file.path}: accessors[{index}]"
     if "sparse" in accessor or "bufferView" not in accessor:
         raise InputError(f"{label}: sparse accessors are not read; export it without.")
-    kind, count = _TYPES.get(accessor.get("componentType", 0)), accessor.get("count")
+    count = accessor.get("count")
+    kind = _of(_TYPES, accessor.get("componentType"))
     whole = width == 1  # indices count, points measure
-    if kind is None or _WIDTHS.get(accessor.get("type", "")) != width or (kind == "<f4") == whole:
+    if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
         raise InputError(
             f"{label}: is not of {'whole numbers' if whole else 'three float numbers'}; export it "
             "again."
@@ -190,9 +193,16 @@ def _buffer(file: Gltf, index: Any) -> bytes:
         if file.binary is None or index != 0:
             raise InputError(f"{file.path}: buffers[{index}] has no bytes; export it again.")
         return file.binary
+    if not isinstance(uri, str):
+        raise InputError(f"{file.path}: buffers[{index}] names no file; export it again.")
     if uri not in file.files:
-        file.files[uri] = _bytes_at(file.path, str(uri))
+        file.files[uri] = _bytes_at(file.path, uri)
     return file.files[uri]
+
+
+def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
+    """What a table holds of a key, which may be a list that damage has put there."""
+    return table.get(key) if isinstance(key, str | int) else None
 
 
 def _bytes_at(path: Path, uri: str) -> bytes:

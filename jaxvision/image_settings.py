@@ -4,12 +4,14 @@ and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
 import datetime
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .errors import InputError
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
@@ -67,12 +69,17 @@ def _attributes(file: Path) -> dict[str, Any]:
 
     source = oiio.ImageInput.open(str(file))
     if source is None:
-        oiio.geterror()  # else it is printed when the process ends
+        with suppress(UnicodeDecodeError):  # it quotes the file
+            oiio.geterror()  # else it is printed when the process ends
         return {}
+    found = {}
     try:
-        return {attribute.name: attribute.value for attribute in source.spec().extra_attribs}
+        for attribute in source.spec().extra_attribs:
+            with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
+                found[attribute.name] = attribute.value
     finally:
         source.close()
+    return found
 
 
 def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
@@ -107,8 +114,11 @@ def _of_raw(file: Path) -> ImageSettings:
 def _raw_tags(file: Path) -> dict[str, Any]:
     """EXIF by exifread's names, each its first value."""
     exifread = extra("exifread", "raw", file)
-    with file.open("rb") as stream:
-        tags = exifread.process_file(stream, details=False)
+    try:
+        with file.open("rb") as stream:
+            tags = exifread.process_file(stream, details=False)
+    except Exception as error:  # of any kind, where the head is damaged
+        raise InputError(f"{file}: its EXIF is damaged ({error}); copy it again.") from error
     return {
         name: tag.values if isinstance(tag.values, str) else tag.values[0]
         for name, tag in tags.items()

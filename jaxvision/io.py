@@ -9,11 +9,13 @@ uint16); floating files come as float32. Every failure is an `InputError` of one
 import logging
 import os
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -328,11 +330,40 @@ def _reads_back(file: Path, written: np.ndarray) -> bool:
     return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)
 
 
+_NOT_NUMPY = (ValueError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
+
+
 def _read_npy(file: Path) -> np.ndarray:
     try:
         return np.load(file, allow_pickle=False)
-    except (ValueError, OSError, EOFError, MemoryError, SyntaxError, TokenError) as error:
+    except _NOT_NUMPY as error:
         raise InputError(f"{file}: not a NumPy array file ({_one_line(str(error))}).") from error
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The arrays of a `.npz` file, which the library writes beside records and for chains.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Arrays by name, in the order of the file; each is as it was written, or the file is refused.
+
+    Raises:
+        InputError: for a file that is damaged, or no archive of NumPy arrays.
+    """
+    file = Path(path)
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
+            return dict(content)
+    except (*_NOT_NUMPY, *_NOT_ARCHIVE) as error:
+        raise InputError(
+            f"{file}: no whole archive of arrays ({_one_line(str(error))})."
+        ) from error
+
+
+# of an array alone; of sums that do not agree; of a kind of compression or of encryption
+_NOT_ARCHIVE = (TypeError, BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
 def _reason(teller: Any) -> str:

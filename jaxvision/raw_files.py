@@ -1,6 +1,8 @@
 """Files as cameras for measurement write them: raw files (DNG, CR2, NEF, ARW, ...) by rawpy, and
 FITS by astropy, each an extra of the package that is loaded on first use."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -34,21 +36,24 @@ def read_raw(file: Path) -> np.ndarray:
         return np.array(raw.raw_image_visible)
 
 
-def opened_raw(file: Path) -> Any:
+@contextmanager
+def opened_raw(file: Path) -> Iterator[Any]:
     """A raw file as rawpy gives it: a context.
 
     Args:
         file: the file.
 
-    Returns:
+    Yields:
         `rawpy.RawPy`.
 
     Raises:
-        InputError: for a file that it cannot read, and without the `raw` extra.
+        InputError: for a file that it cannot read, also within the context, where it reads the
+            pixels, and without the `raw` extra.
     """
     rawpy = extra("rawpy", "raw", file)
     try:
-        return rawpy.imread(str(file))
+        with rawpy.imread(str(file)) as raw:
+            yield raw
     except (rawpy.LibRawError, OSError) as error:
         told = str(error.args[0].decode() if isinstance(error.args[0], bytes) else error)
         raise InputError(f"{file}: not readable as a raw file ({told}); copy it again.") from error
@@ -77,22 +82,27 @@ def read_fits(file: Path) -> np.ndarray:
     return pixels.astype(pixels.dtype.newbyteorder("="))
 
 
-def opened_fits(file: Path) -> Any:
+@contextmanager
+def opened_fits(file: Path) -> Iterator[Any]:
     """A FITS file as astropy gives it: a context.
 
     Args:
         file: the file.
 
-    Returns:
+    Yields:
         `astropy.io.fits.HDUList`.
 
     Raises:
-        InputError: for a file that it cannot read, and without the `fits` extra.
+        InputError: for a file that it cannot read, also within the context, where it reads heads
+            and pixels, and without the `fits` extra.
     """
     fits = extra("astropy.io.fits", "fits", file)
     try:
-        return fits.open(file, memmap=False)
-    except (OSError, ValueError) as error:
+        with fits.open(file, memmap=False) as units:
+            yield units
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, fits.VerifyError) as error:
         told = " ".join(str(error).split())
         raise InputError(f"{file}: not readable as FITS ({told}); copy it again.") from error
 
@@ -115,7 +125,8 @@ def fits_header(file: Path) -> dict[str, Any]:
 
 def _image_unit(file: Path, units: Any) -> Any:
     for unit in units:
-        if unit.header.get("NAXIS", 0) >= 2 and getattr(unit, "is_image", False):
+        axes = unit.header.get("NAXIS", 0)
+        if isinstance(axes, int) and axes >= 2 and getattr(unit, "is_image", False):
             return unit
     raise InputError(f"{file}: holds no image; name a FITS file with one.")
 

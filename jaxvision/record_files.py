@@ -11,7 +11,6 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
-from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -20,7 +19,7 @@ import numpy as np
 
 from .colour_filters import bayer
 from .errors import InputError, nearest
-from .io import replaced_on_success
+from .io import read_arrays, replaced_on_success
 
 Record = TypeVar("Record", bound=eqx.Module)
 
@@ -95,10 +94,9 @@ def with_draws(file: Path, record: Record, count: int) -> Record:
     if not beside.is_file():
         raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
     try:
-        with beside.open("rb") as stream, np.load(stream) as content:
-            stored = dict(content)
-        there = len(next(iter(stored.values())))
-    except (ValueError, OSError, EOFError, TypeError, StopIteration, BadZipFile) as error:
+        stored = read_arrays(beside)
+        (there,) = {len(values) if values.ndim else 0 for values in stored.values()}
+    except ValueError as error:  # several lengths, or none
         raise InputError(f"{beside}: not a file of draws; save the fit again.") from error
     if not 1 <= count <= there:
         raise InputError(f"{beside}: {count} draws were asked for, {there} are there.")

@@ -258,3 +258,12 @@ def test_bytes_that_are_no_gltf(tmp_path):
         (tmp_path / "a.glb").write_bytes(raw)
         with pytest.raises(InputError, match=r"a\.glb"):
             read_scene(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize("place", ["componentType", "type", "uri"])
+def test_lists_where_words_belong(tmp_path, place):
+    made = content()
+    (made["buffers"] if place == "uri" else made["accessors"])[0][place] = [1]
+    (tmp_path / "a.gltf").write_text(json.dumps(made))
+    with pytest.raises(InputError, match=r"a\.gltf: .*export it again"):
+        read_scene(tmp_path / "a.gltf")

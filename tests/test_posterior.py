@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fitting.inference import blocks
 from fitting.inference.emcee_run import SamplingOptions, for_group
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates, laplace, sample
@@ -142,6 +143,23 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
             chain_of(options, **other)
         with pytest.raises(InputError, match="go on from is the chain of another run"):
             chain_of(SamplingOptions(**SHORT, steps=100), after=begun, **other)
+
+
+def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
+    """A gap would go on from the last block, its own numbers left out."""
+    block = {"chain": np.arange(3.0), "fingerprint": np.array("this run")}
+    for number in range(3):
+        blocks.store(tmp_path, number, block)
+    assert len(blocks.begun(tmp_path, (), "this run")) == 3
+    second = tmp_path / "block-00001.npz"
+    whole = second.read_bytes()
+    for content in (whole[:-30], whole.replace(b"chain", b"chaim"), whole.replace(b"@", b"A"), b""):
+        second.write_bytes(content)
+        with pytest.raises(InputError, match=r"block-00001\.npz: a damaged block; delete it"):
+            blocks.begun(tmp_path, (), "this run")
+    second.unlink()
+    with pytest.raises(InputError, match=r"block-00001\.npz: missing; delete the blocks behind"):
+        blocks.begun(tmp_path, (), "this run")
 
 
 def test_a_short_chain_is_kept_and_says_what_it_lacks():

@@ -106,6 +106,45 @@ def test_fits_files_give_their_numbers_and_header(tmp_path, codes):
     np.testing.assert_array_equal(read_image(tmp_path / "b.fit"), np.moveaxis(cube, 0, -1))
 
 
+def test_raw_files_whose_pixels_or_head_are_damaged(tmp_path, codes):
+    """The pixels are read after the file is opened, and the head by another library."""
+    whole, path = dng(codes), tmp_path / "a.dng"
+    path.write_bytes(whole[:-100])
+    for read in (read_image, read_settings):
+        with pytest.raises(InputError, match=r"a\.dng: not readable as a raw file"):
+            read(path)
+    path.write_bytes(whole.replace(struct.pack("<HHI", 34665, 4, 1), bytes(8)))
+    assert read_settings(path).exposure is None
+    path.write_bytes(b"II*\0" + struct.pack("<I", 2**31))
+    with pytest.raises(InputError, match=r"a\.dng: (its EXIF is damaged|not readable)"):
+        read_settings(path)
+
+
+CARDS = {
+    "without a width": ("NAXIS1  ", "WIDTH   "),
+    "a number of axes that is a word": (
+        "NAXIS   =                    2",
+        "NAXIS   = 'two'               ",
+    ),
+    "a width that is a word": ("NAXIS1  =                   64", "NAXIS1  = 'wide'              "),
+    "no end": ("END     ", "OPEN    "),
+}
+
+
+@pytest.mark.parametrize("damage", CARDS)
+@pytest.mark.filterwarnings("ignore")
+def test_fits_with_a_damaged_head(damage, tmp_path, codes):
+    fits = pytest.importorskip("astropy.io.fits")
+    path = tmp_path / "a.fits"
+    fits.writeto(path, codes)
+    card, other = (text.encode() for text in CARDS[damage])
+    content = path.read_bytes()
+    assert card in content
+    path.write_bytes(content.replace(card, other, 1))
+    with pytest.raises(InputError, match=r"a\.fits: "):
+        read_image(path)
+
+
 @pytest.mark.parametrize("suffix", [".dng", ".fits"])
 def test_damaged_files_and_missing_extras_are_sentences(suffix, tmp_path, monkeypatch):
     pytest.importorskip("rawpy")

@@ -113,9 +113,14 @@ def test_draws_that_are_none_are_refused(tmp_path):
         with pytest.raises(InputError, match="diffuse must hold finite numbers"):
             read_material(file)
     write_material(material, file, draws=drawn(material))
-    file.with_suffix(".npz").write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(InputError, match=r"\.npz: not a file of draws"):
-        read_material(file, draws=2)
+    beside = file.with_suffix(".npz")
+    content = beside.read_bytes()
+    directory = content.rindex(b"PK\1\2")
+    unknown = content[: directory + 10] + b"\x63" + content[directory + 11 :]  # a compression
+    for damaged in (b"PK\x03\x04 cut short", content[:-9], unknown):
+        beside.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"\.npz: not a file of draws"):
+            read_material(file, draws=2)
 
 
 def ball():

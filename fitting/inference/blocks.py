@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success
+from jaxvision.io import read_arrays, replaced_on_success
 
 Progress = Callable[[int, int], None]
 Block = dict[str, np.ndarray]
@@ -30,12 +30,9 @@ def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) 
         The blocks, a new list.
 
     Raises:
-        InputError: for blocks of another run.
+        InputError: for blocks of another run, a damaged one, and one that is missing.
     """
-    stored: list[Block] = []
-    for file in sorted(Path(folder).glob("block-*.npz")) if folder is not None else ():
-        with np.load(file) as content:
-            stored.append(dict(content))
+    stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _all_of(stored, fingerprint):
         raise InputError(
@@ -58,9 +55,31 @@ def store(folder: Path | str | None, index: int, block: Block) -> None:
     """
     if folder is None:
         return
-    file = Path(folder) / f"block-{index:05d}.npz"
+    file = _place(folder, index)
     with replaced_on_success(file) as partial, partial.open("wb") as stream:
         np.savez(stream, **block)  # type: ignore[arg-type]
+
+
+def _stored(folder: Path) -> list[Block]:
+    """The blocks in a folder, each whole and none missing between two."""
+    found: list[Block] = []
+    for file in sorted(folder.glob("block-*.npz")):
+        due = _place(folder, len(found))
+        rest = "delete {} behind it, and the chain goes on from there."
+        if file != due:
+            raise InputError(f"{due}: missing; {rest.format('the blocks')}")
+        try:
+            block = read_arrays(file)
+        except InputError as error:
+            raise InputError(f"{file}: a damaged block; {rest.format('it and those')}") from error
+        if not {"chain", "fingerprint"} <= block.keys():
+            raise InputError(f"{file}: a damaged block; {rest.format('it and those')}")
+        found.append(block)
+    return found
+
+
+def _place(folder: Path | str, index: int) -> Path:
+    return Path(folder) / f"block-{index:05d}.npz"
 
 
 def length(blocks: Sequence[Block]) -> int:

@@ -9,6 +9,12 @@ NUMBERS = (
     b"0 -0.0 1 -1 2 3000000000 99999999999999999999999 1e-16 1e-28 1e30 1e39 1e308 1e309 -1e39 "
     b"nan inf -inf 0.5 1e-45 255 256 65536 2147483647 4294967296"
 ).split()
+# what stands behind `=` or `:`, in TOML, JSON and XML, and what may take its place
+VALUE = re.compile(rb"""(?<=[=:]) *("[^"\n]*"|\[[^\]\n]*\]|[^\s,\]}>"]+)""")
+VALUES = (
+    b'"" "nan" "-1" "0" "text" "1,2" true false [] [1] [nan,0,1] [0,0,0] [[1,2],[3]] {} null '
+    b'1979-05-27 0x7fffffffffffffff [1e30,1e30,1e30] [-1,-1,-1] [0.5,0.5,0.5,0.5] "1e39" 7'
+).split()
 BYTES = (0x00, 0xFF, 0x7F, 0x80, 0x0A, 0x20, 0x22, 0x5B)
 
 
@@ -55,6 +61,16 @@ def _number(content, rng):
     return content[: one.start()] + NUMBERS[rng.integers(len(NUMBERS))] + content[one.end() :]
 
 
+def _value(content, rng):
+    """Another value, or that of another key."""
+    found = list(VALUE.finditer(content))
+    if not found:
+        return content
+    one, other = (found[k] for k in rng.integers(len(found), size=2))
+    new = VALUES[rng.integers(len(VALUES))] if rng.uniform() < 0.6 else other.group(1)
+    return content[: one.start(1)] + new + content[one.end(1) :]
+
+
 def _line(content, rng):
     lines = content.split(b"\n")
     i, j = rng.integers(len(lines), size=2)
@@ -73,4 +89,4 @@ def _line(content, rng):
 
 
 BYTE_CHANGES = (_byte, _byte, _cut, _slice, _doubled, _noise)
-TEXT_CHANGES = (_number, _number, _line, _byte)
+TEXT_CHANGES = (_number, _number, _value, _value, _line, _byte)

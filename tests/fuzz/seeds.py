@@ -2,13 +2,17 @@
 
 import io
 import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import gltf_contents
 import numpy as np
+import trimesh
+from astropy.io import fits
 from oracles import measured, mitsuba_pictures
+from test_raw_files import dng
 
 import jaxvision
 from fitting.noise.levels_table import read_table
@@ -16,10 +20,13 @@ from fitting.rig import load_rig
 from jaxvision import measured_files
 from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.camera_files import read_camera, shipped_cameras
+from jaxvision.image_settings import read_settings
 from jaxvision.io import read_image, write_image
 from jaxvision.material_files import read_material, write_material
 from jaxvision.mesh_files import read_mesh
 from jaxvision.scene_files import read_scene
+
+from . import kept
 
 PACKAGE = Path(jaxvision.__file__).parent
 RNG = np.random.default_rng(3)
@@ -122,6 +129,26 @@ def numpy_file() -> bytes:
     return file.getvalue()
 
 
+def binary_gltf(content: bytes) -> bytes:
+    """A `.glb` of one chunk."""
+    content += b" " * (-len(content) % 4)
+    chunk = struct.pack("<I4s", len(content), b"JSON") + content
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunk)) + chunk
+
+
+def astronomical(folder: Path) -> bytes:
+    codes = RNG.integers(0, 4096, (6, 5)).astype(np.uint16)
+    unit = fits.PrimaryHDU(codes)
+    unit.header["EXPTIME"] = 0.5
+    return written(folder, "seed.fits", unit.writeto)
+
+
+def pixels(file: Path) -> object:
+    """What a picture holds, its head read too."""
+    read_settings(file)
+    return read_image(file)
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind by name; `folder` for what writers need, and what files name beside them."""
     cameras = tuple((PACKAGE / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
@@ -132,6 +159,8 @@ def kinds(folder: Path) -> dict[str, Kind]:
     write_image(folder / "sky.exr", mitsuba_pictures.sky())
     mitsuba = tuple(text.encode() for text in mitsuba_pictures.SCENES.values())
     gltf = json.dumps(gltf_contents.content(), indent=1).encode()
+    ball = written(folder, "seed.stl", trimesh.creation.icosphere(subdivisions=0).export)
+    own = kept.sound(folder)
     merl = measured.merl_bytes(
         lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
     )
@@ -148,9 +177,9 @@ def kinds(folder: Path) -> dict[str, Kind]:
     )
     return {
         "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
-        "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene, finite=False),
-        "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene, finite=False),
-        "gltf": Kind(".gltf", (gltf,), lambda file: read_scene(file).scene, finite=False),
+        "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene),
+        "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene),
+        "gltf": Kind(".gltf", (gltf,), lambda file: read_scene(file).scene),
         "material": Kind(".toml", (material,), read_material),
         "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),
         "levels": Kind(".csv", (TABLE.encode(),), lambda file: read_table(file, None)),
@@ -159,11 +188,20 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "cornell": Kind(".brdf", (cornell,), measured_files.read_cornell),
         "obj": Kind(".obj", (TETRAHEDRON.encode(),), read_mesh, finite=False),
         "ply": Kind(".ply", (PLY.encode(),), read_mesh, finite=False),
-        "png": Kind(".png", (picture(folder, ".png", np.uint8),), read_image),
-        "png16": Kind(".png", (picture(folder, ".png", np.uint16),), read_image),
-        "tiff": Kind(".tif", (picture(folder, ".tif", np.uint16),), read_image),
-        "jpeg": Kind(".jpg", (picture(folder, ".jpg", np.uint8),), read_image),
-        "exr": Kind(".exr", (picture(folder, ".exr", np.float32),), read_image, finite=False),
-        "hdr": Kind(".hdr", (picture(folder, ".hdr", np.float32),), read_image),
-        "npy": Kind(".npy", (numpy_file(),), read_image, finite=False),
+        "png": Kind(".png", (picture(folder, ".png", np.uint8),), pixels),
+        "png16": Kind(".png", (picture(folder, ".png", np.uint16),), pixels),
+        "tiff": Kind(".tif", (picture(folder, ".tif", np.uint16),), pixels),
+        "jpeg": Kind(".jpg", (picture(folder, ".jpg", np.uint8),), pixels),
+        "exr": Kind(".exr", (picture(folder, ".exr", np.float32),), pixels, finite=False),
+        "hdr": Kind(".hdr", (picture(folder, ".hdr", np.float32),), pixels),
+        "fits": Kind(".fits", (astronomical(folder),), pixels, finite=False),
+        "dng": Kind(".dng", (dng(RNG.integers(64, 4096, (24, 32)).astype(np.uint16)),), pixels),
+        "glb": Kind(".glb", (binary_gltf(gltf),), lambda file: read_scene(file).scene),
+        "glb_mesh": Kind(".glb", (binary_gltf(gltf),), read_mesh),
+        "stl": Kind(".stl", (ball,), read_mesh, finite=False),
+        "draws": Kind(".npz", (own["draws"],), kept.draws),
+        "tiles": Kind(".partial", (own["tiles"],), kept.tiles, finite=False),
+        "passes": Kind(".partial", (own["passes"],), kept.passes, finite=False),
+        "chain": Kind(".npz", (own["chain"],), kept.chain, finite=False),
+        "npy": Kind(".npy", (numpy_file(),), pixels, finite=False),
     }
