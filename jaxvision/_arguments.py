@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from ._types import axes_of, check_shape, is_known
+from ._types import axes_of, check_shape, is_any_axes, is_known
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,17 +30,24 @@ class _Wanted(NamedTuple):
     """What a parameter holds.
 
     Attributes:
-        shapes: of one point, in which a word is any length; none where there may be more axes, and
-            for pictures, whose functions answer for themselves.
+        shapes: in which a word is any length, and a first `...` any axes.
+        is_exact: whether these are all; functions of pictures and colours answer for themselves.
+        is_picture: whether it has rows and columns.
+        may_be_absent: whether None is meant.
         is_direction: whether its length must be 1, or 0 where there is no surface.
         is_wavelength: whether it is in metres, of light.
         keeps_integers: whether whole numbers stay so: there may be codes.
+        keeps_numbers: whether a plain number stays so, which may be no number of the dtype.
     """
 
     shapes: tuple[tuple[int | str, ...], ...]
+    is_exact: bool
+    is_picture: bool
+    may_be_absent: bool
     is_direction: bool
     is_wavelength: bool
     keeps_integers: bool
+    keeps_numbers: bool
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
@@ -72,6 +79,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             value = values[name]
             if isinstance(value, jax.Array):
                 _check(function, name, value, want)
+            elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
+                raise ValueError(f"{_place(function, name)} must be numbers, got {value!r}.")
         return function(*args, **kwargs)
 
     return of_numbers
@@ -80,11 +89,18 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 def _is_plain(value: Any, want: _Wanted) -> bool:
     """Whether to make an array of it, or of floating numbers where it is one. Unsigned integers
     are codes, which the functions of pictures answer for."""
+    if isinstance(value, int | float) and want.keeps_numbers:
+        return False
     if isinstance(value, PLAIN) or want.keeps_integers:
         return isinstance(value, PLAIN)
     if isinstance(value, np.ndarray | np.generic):
         return value.dtype.kind != "u"
-    return isinstance(value, jax.Array) and value.dtype.kind == "i"
+    return isinstance(value, jax.Array) and value.dtype.kind in "ib"
+
+
+def _has_numbers(value: Any) -> bool:
+    """Whether it is a number, a record, or something like an array."""
+    return isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
 
 
 @cache
@@ -98,7 +114,9 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
 def _of_hint(name: str, hint: Any) -> _Wanted | None:
     union = get_origin(hint) in (Union, UnionType)
     parts = [kind for p in (get_args(hint) if union else [hint]) for kind in _kinds(p)]
-    arrays = [part for part in parts if part is not np.ndarray and not _is_record(part)]
+    numbers = {float, int} & set(parts)
+    others = {np.ndarray, *numbers}
+    arrays = [part for part in parts if part not in others and not _is_record(part)]
     if not arrays or not all(hasattr(part, "dim_str") for part in arrays):
         return None
     if not all(_dtypes(part) in (_dtypes(Float), _dtypes(Shaped)) for part in arrays):
@@ -106,13 +124,17 @@ def _of_hint(name: str, hint: Any) -> _Wanted | None:
     floating = all(_dtypes(part) == _dtypes(Float) for part in arrays)
     shapes = tuple(axes_of(part) for part in arrays)
     is_picture = any("h" in shape for shape in shapes)
-    words = [axis for shape in shapes for axis in shape if isinstance(axis, str)]
-    is_one_point = not any(word == "..." or word[0] == "*" for word in words)
+    many = any(is_any_axes(axis) for shape in shapes for axis in shape)
+    is_vector = any(_is_record(part) for part in parts)
     return _Wanted(
-        shapes if is_one_point and not is_picture else (),
+        shapes,
+        is_picture=is_picture,
+        is_exact=is_vector or not (many or is_picture),
+        may_be_absent=type(None) in get_args(hint),
         is_direction=getattr(hint, "__name__", "") == "Direction",
         is_wavelength=name == "wavelength",
         keeps_integers=not floating or is_picture,
+        keeps_numbers=bool(numbers),
     )
 
 
@@ -148,8 +170,11 @@ def _as_array(
 
 
 def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted) -> None:
-    if want.shapes:
-        several = value.ndim > max(map(len, want.shapes))
+    if value.dtype.kind == "c" and want.is_exact:
+        raise ValueError(f"{_place(function, name)} must be real, got {value.dtype}.")
+    fixed = [sum(not is_any_axes(axis) for axis in shape) for shape in want.shapes]
+    if want.is_exact or (value.ndim < min(fixed) and not want.is_picture):
+        several = fixed == [*map(len, want.shapes)] and value.ndim > max(fixed)
         advice = "; for many at once take jax.vmap of the function" if several else ""
         check_shape(_place(function, name), value, *want.shapes, advice=advice)
     if want.is_direction and is_known(value):

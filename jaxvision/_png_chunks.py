@@ -30,7 +30,8 @@ def png_fault(file: Path) -> str | None:
                 break
             needed = kind[:1].isupper()
             if needed and zlib.crc32(content, zlib.crc32(kind)) != struct.unpack(">I", check)[0]:
-                return f"the check sum of its chunk {kind.decode('latin-1')} is wrong"
+                name = kind.decode() if kind.isalpha() else kind.hex()  # damaged, it is no text
+                return f"the check sum of its chunk {name} is wrong"
             if kind == b"IEND":
                 return None
     return "its last chunk is missing"

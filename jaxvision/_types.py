@@ -64,10 +64,19 @@ def as_float(x: Any) -> Array:
     Returns:
         The same numbers: floating arrays keep their dtype, anything else gets JAX's default.
     """
-    array = jnp.asarray(x)
+    array = _as_numbers(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
         return array
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise ValueError(f"real numbers are wanted, got {x!r}.")
     return array.astype(jnp.result_type(float))
+
+
+def _as_numbers(x: Any) -> Array:
+    try:
+        return jnp.asarray(x)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"numbers are wanted, got {x!r}.") from error
 
 
 def common_dtype(*records: object) -> jnp.dtype:
@@ -94,7 +103,7 @@ def as_relative(x: Any) -> Array:
 
     `ValueError` for any other, codes and complex numbers alike.
     """
-    array = jnp.asarray(x)
+    array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
         largest = jnp.iinfo(array.dtype).max if codes else "the largest value"
@@ -134,7 +143,7 @@ def axes_of(alias: Any) -> tuple[int | str, ...]:
 
 def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
     """Raises `ValueError` unless `x` has one of the expected shapes; a word stands for any length.
-    `advice` ends the sentence.
+    A first `...` or `*word` stands for any axes. `advice` ends the sentence.
 
     None, an absent effect, has no shape to check.
     """
@@ -147,7 +156,15 @@ def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str
     raise ValueError(f"{name} must have shape {allowed}, got {shape}{advice}.")
 
 
+def is_any_axes(axis: int | str) -> bool:
+    """Whether it stands for any number of axes."""
+    return isinstance(axis, str) and (axis == "..." or axis.startswith("*"))
+
+
 def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    if wanted and is_any_axes(wanted[0]):
+        wanted = wanted[1:]
+        shape = shape[len(shape) - len(wanted) :] if len(shape) >= len(wanted) else ()
     return len(wanted) == len(shape) and all(
         isinstance(size, str) or size == got for size, got in zip(wanted, shape, strict=True)
     )
@@ -371,6 +388,8 @@ def check_fields(record: Any, **ranges: Range) -> None:
             shape = jnp.shape(value)
             fitting = [axes for axes, own in zip(shapes, known, strict=True) if _fits(shape, own)]
             sizes |= zip(fitting[0], shape, strict=True)
+            if sizes.get("bands") == 0:
+                raise ValueError(f"{place} must have at least one band, got shape {shape}.")
     for name, allowed in ranges.items():
         value = getattr(record, name)
         if not isinstance(value, eqx.Module):

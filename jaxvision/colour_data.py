@@ -340,7 +340,7 @@ def luma_weights(standard: str) -> tuple[float, float, float]:
 
 
 def _entry(table: Mapping[str, Any], name: str, kind: str) -> Any:
-    if name in table:
+    if isinstance(name, str) and name in table:
         return table[name]
     raise InputError(f"No {kind} {name!r}; use one of {_listed(table)}.")
 

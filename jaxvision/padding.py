@@ -210,6 +210,7 @@ def continued(
     Returns:
         (images, rows, columns, bands), `before` + `after` longer along the axis.
     """
+    check_picture(image)
     n = image.shape[axis]
     rule = ghosts(border, n, before, after)
     first_sample, last_sample = (lax.slice_in_dim(image, k, k + 1, axis=axis) for k in (0, n - 1))

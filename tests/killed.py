@@ -1,9 +1,11 @@
-"""Commands killed at random moments by SIGKILL, which no program can answer, and run again: what
-lies in their folder is whole at every moment, and ends like that of a run that nobody killed.
+"""Commands ended at random moments, by SIGKILL, which no program can answer, or by Ctrl-C, and run
+again: what lies in their folder is whole at every moment, and ends like that of a run that nobody
+ended. After Ctrl-C they end within 2 s, with status 130 and one line.
 
-    python tests/killed.py [--moments 200] [--only render|chain|report]
+    python tests/killed.py [--moments 200] [--first 0] [--only render|chain|report] [--interrupt]
 
-Each moment is a seed; counts are printed as they grow.
+Each moment is a seed; counts are printed as they grow. Of interrupted runs those of odd moments
+compile all their programs anew, and one in four is run again.
 """
 
 import argparse
@@ -12,6 +14,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,6 +31,7 @@ JOBS = {
     "chain": "fitting noise levels.csv --mcmc --walkers 16 --steps 1000 --out out",
     "report": "fitting noise levels.csv --out out",
 }
+AT_ONCE = 2.0  # s from Ctrl-C to the end
 PASSING = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d UTC")  # when a report was made
 
 
@@ -55,20 +59,46 @@ class Job:
     def start_over(self) -> None:
         shutil.rmtree(self.place / "out", ignore_errors=True)
 
-    def run(self, *, kill_after: float | None = None) -> int:
-        """Exit status; that of SIGKILL is negative."""
-        process = subprocess.Popen(
+    def begun(self, *, cache: str = "cache") -> subprocess.Popen[str]:
+        return subprocess.Popen(
             [sys.executable, "-m", *self.words],
             cwd=self.place,
-            env={**os.environ, "JAX_COMPILATION_CACHE_DIR": str(self.place / "cache")},
+            env={**os.environ, "JAX_COMPILATION_CACHE_DIR": str(self.place / cache)},
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
         )
+
+    def run(self, *, kill_after: float | None = None) -> int:
+        """Exit status; that of SIGKILL is negative."""
+        process = self.begun()
         try:
-            return process.wait(kill_after)
+            process.communicate(timeout=kill_after)
         except subprocess.TimeoutExpired:
             process.kill()
-            return process.wait()
+            process.communicate()
+        return process.returncode
+
+    def interrupt(self, after: float, *, cache: str) -> float | None:
+        """Seconds that the command took to end, None if it was done before; `AssertionError` where
+        it does not end as it should."""
+        process = self.begun(cache=cache)
+        try:
+            process.communicate(timeout=after)
+        except subprocess.TimeoutExpired:
+            begun = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            _, error = process.communicate(timeout=60)
+            seconds = time.monotonic() - begun
+            last = error.strip().split("\n")[-1]
+            assert process.returncode == 130, (process.returncode, error)
+            assert "interrupted" in last or "goes on from here" in last, error
+            assert "Traceback" not in error, error
+            partial = [file.name for file in self.place.rglob(".partial-*")]
+            assert not partial, (partial, error)
+            return seconds
+        assert process.returncode == 0
+        return None
 
     def written(self) -> dict[str, bytes]:
         """The files that lie under their final names."""
@@ -86,31 +116,55 @@ class Job:
         with np.load(io.BytesIO(content)) as block:
             return not [block[key] for key in block.files]  # the archive checks its sums
 
+    def interrupted_at(self, moment: int) -> str:
+        """As `killed_at`, by Ctrl-C."""
+        rng = random.Random(f"interrupt {moment}")
+        anew = moment % 2 == 1
+        self.start_over()
+        shutil.rmtree(self.place / "anew", ignore_errors=True)
+        seconds = self.interrupt(
+            rng.uniform(0, (1 + anew) * self.seconds), cache="anew" if anew else "cache"
+        )
+        assert seconds is None or seconds <= AT_ONCE, (moment, seconds)
+        return self.compared(moment, again=moment % 4 == 0)
+
     def killed_at(self, moment: int) -> str:
         """What a run that is killed at a moment leaves behind: "nothing", "some files" or "all";
         `AssertionError` where a file is torn, or the next run ends otherwise."""
         self.start_over()
         self.run(kill_after=random.Random(moment).uniform(0, self.seconds))
+        return self.compared(moment, again=True)
+
+    def compared(self, moment: int, *, again: bool) -> str:
+        """What lies there, and if it is run `again` ends like a whole run."""
         left = self.written()
         torn = [name for name, content in left.items() if self.is_torn(name, content)]
         assert not torn, (moment, torn)
-        assert self.run() == 0, moment
-        assert self.written() == self.whole, moment
+        if again:
+            assert self.run() == 0, moment
+            assert self.written() == self.whole, moment
         return "all" if left == self.whole else "some files" if left else "nothing"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--moments", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", choices=JOBS)
+    parser.add_argument("--interrupt", action="store_true")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         names = [asked.only] if asked.only else list(JOBS)
         jobs = {name: Job(name, Path(folder) / name) for name in names}
         counts: Counter[tuple[str, str]] = Counter()
-        for moment in range(asked.moments):
+        for moment in range(asked.first, asked.first + asked.moments):
             name = names[moment % len(names)]
-            counts[name, jobs[name].killed_at(moment)] += 1
+            job = jobs[name]
+            try:
+                left = job.interrupted_at(moment) if asked.interrupt else job.killed_at(moment)
+            except AssertionError as error:
+                left = f"wrong: {error}"
+            counts[name, left] += 1
             print(sum(counts.values()), dict(sorted(counts.items())), flush=True)
 
 

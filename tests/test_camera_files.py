@@ -186,6 +186,11 @@ MISTAKES = {
         "step = 1e-28\n[sensor.photon_conversion]\nx = 1",
         r"bands: A grid .* has 3e\+21 wavelengths, more than 100,000; take longer steps",
     ),
+    "a list for a camera": (
+        "transmission = [[1.0], [0.5], [0.2]]",
+        "sensitivities = [1.0]\npeak = 0.5\n[bands]\nfirst = 4e-7\nlast = 7e-7\nstep = 1e-8",
+        r"No camera \[1\.0\]; use one of ",
+    ),
     "conversion": (
         "transmission = [[1.0], [0.5], [0.2]]",
         'sensitivities = "Nikon 5100 (NPL)"\npeak = 0.5\n[bands]\nfirst = 4e-7\nlast = 7e-7\n'

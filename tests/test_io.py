@@ -89,18 +89,21 @@ def test_files_cut_short_are_named(tmp_path, suffix):
         read_image(file)
 
 
-@pytest.mark.parametrize("damage", ["cut", "end", "bit"])
+@pytest.mark.parametrize("damage", ["cut", "end", "bit", "name"])
 def test_a_damaged_png_is_one_sentence_and_no_line_of_libpng(tmp_path, capfd, damage):
     file = tmp_path / "a.png"
     write_image(file, RNG.integers(0, 255, (40, 40), np.uint8))
     assert png_fault(file) is None
     whole = file.read_bytes()
-    if damage == "bit":
+    if damage == "name":
+        file.write_bytes(whole.replace(b"IDAT", b"IDA\n"))
+    elif damage == "bit":
         middle = len(whole) // 2
         file.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
     else:
         file.write_bytes(whole[: 700 if damage == "cut" else -4])
-    expected = "check sum of its chunk IDAT" if damage == "bit" else "last chunk is missing"
+    expected = {"bit": "check sum of its chunk IDAT", "name": "check sum of its chunk 4944410a is"}
+    expected = expected.get(damage, "last chunk is missing")
     with pytest.raises(InputError, match=rf"a\.png: the file is damaged.*{expected}"):
         read_image(file)
     assert capfd.readouterr() == ("", "")

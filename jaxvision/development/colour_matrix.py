@@ -8,10 +8,11 @@ the light and on the objects. Colours are linear and relative; 1 is white.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._types import Spectrum, as_float, check_fields
+from .._types import Spectrum, as_float, check_fields, check_range, is_known
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
 from .white_balancing import neutral_gains
@@ -54,7 +55,8 @@ def fit_colour_matrix(
         (3, 3) no unit.
 
     Raises:
-        ValueError: for too few patches or unequal shapes.
+        ValueError: for too few patches, unequal shapes, and colours that are not finite or do not
+            span the dimensions.
 
     Source: Finlayson and Drew, "White-point preserving color correction", CIC 1997, for `white`.
     """
@@ -64,6 +66,10 @@ def fit_colour_matrix(
             f"camera and wanted must be (patches, 3) with at least {least} patches, got shapes "
             f"{camera.shape} and {wanted.shape}."
         )
+    for name, colours in (("camera", camera), ("wanted", wanted)):
+        check_range(name, colours, -jnp.inf)
+    if is_known(camera) and np.linalg.matrix_rank(np.asarray(camera)) < least:
+        raise ValueError(f"camera must span {least} dimensions, but its colours do not.")
     if weights is not None:
         root = jnp.sqrt(weights)[:, None]
         camera, wanted = root * camera, root * wanted

@@ -124,9 +124,10 @@ def jpeg(
         ValueError: for another choice, or other than one or three bands.
     """
     picture = as_relative(picture)
-    if picture.ndim < 3 or picture.shape[-1] not in (1, 3):
+    if picture.ndim < 3 or picture.shape[-1] not in (1, 3) or not picture.size:
         raise ValueError(
-            f"picture must be (..., h, w, 1) or (..., h, w, 3), got shape {picture.shape}."
+            f"picture must be (..., h, w, 1) or (..., h, w, 3) with at least one pixel, got shape "
+            f"{picture.shape}."
         )
     check_choice("subsampling", subsampling, SUBSAMPLINGS)
     whole = _is_whole(rounding)

@@ -9,7 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._types import as_float, is_known
+from .._types import as_float, check_shape, is_known
 from ..padding import Filtered
 
 
@@ -32,6 +32,7 @@ def impulse_response(
         The result of the filter, of the given shape.
     """
     height = as_float(height)
+    check_shape("height", height, ())
     if len(shape) == 1:
         return operator(jnp.zeros(shape, height.dtype).at[shape[0] // 2].set(height))
     rows, columns = shape if len(shape) == 2 else shape[-3:-1]

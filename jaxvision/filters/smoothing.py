@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
 from .._types import Scalar, as_float
-from ..padding import Filtered, Picture
+from ..padding import Filtered, Picture, check_picture
 from ._terms import Fill
 from .convolution import correlate_separable
 from .gaussians import Sigma, gaussian
@@ -135,6 +135,7 @@ def blur_straight(
 
     Source: Porter and Duff, SIGGRAPH 1984.
     """
+    check_picture(picture)
     light, alpha = picture[..., :-1], picture[..., -1:]
     layer = blur(jnp.concatenate([light * alpha, alpha], axis=-1))
     covered = jnp.abs(layer[..., -1:]) > smallest_divisor(layer.dtype)
