@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from ._types import axes_of, check_shape, is_any_axes, is_known
+from ._types import axes_of, check_shape, in_short, is_any_axes, is_known
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -77,10 +77,12 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             kwargs = {name: values[name] for name in kwargs}  # type: ignore[assignment]
         for name, want in arrays.items():
             value = values[name]
-            if isinstance(value, jax.Array):
+            if isinstance(value, jax.Array | np.ndarray):
                 _check(function, name, value, want)
             elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
-                raise ValueError(f"{_place(function, name)} must be numbers, got {value!r}.")
+                raise ValueError(
+                    f"{_place(function, name)} must be numbers, got {in_short(value)}."
+                )
         return function(*args, **kwargs)
 
     return of_numbers
@@ -88,14 +90,14 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
     """Whether to make an array of it, or of floating numbers where it is one. Unsigned integers
-    are codes, which the functions of pictures answer for."""
+    may be codes, for which the functions of pictures and colours answer."""
     if isinstance(value, int | float) and want.keeps_numbers:
         return False
     if isinstance(value, PLAIN) or want.keeps_integers:
         return isinstance(value, PLAIN)
     if isinstance(value, np.ndarray | np.generic):
-        return value.dtype.kind != "u"
-    return isinstance(value, jax.Array) and value.dtype.kind in "ib"
+        return value.dtype.kind != "u" or want.is_exact
+    return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if want.is_exact else "ib")
 
 
 def _has_numbers(value: Any) -> bool:
@@ -163,13 +165,19 @@ def _as_array(
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{_place(function, name)} must be numbers, got {value!r}.") from error
+        raise ValueError(
+            f"{_place(function, name)} must be numbers, got {in_short(value)}."
+        ) from error
+    if array.dtype.kind == "c" and isinstance(value, PLAIN):
+        raise ValueError(f"{_place(function, name)} must be real, got {in_short(value)}.")
     given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"
     whole = array.dtype.kind != "f" and want.keeps_integers
     return array if given or whole else array.astype(dtype)
 
 
-def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted) -> None:
+def _check(
+    function: Callable[..., Any], name: str, value: Array | np.ndarray, want: _Wanted
+) -> None:
     if value.dtype.kind == "c" and want.is_exact:
         raise ValueError(f"{_place(function, name)} must be real, got {value.dtype}.")
     fixed = [sum(not is_any_axes(axis) for axis in shape) for shape in want.shapes]
@@ -190,6 +198,10 @@ def _check(function: Callable[..., Any], name: str, value: Array, want: _Wanted)
             raise ValueError(
                 f"{_place(function, name)} is in metres, got {longest:.6g}; 550 nm are 550e-9."
             )
+
+
+def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:
+    return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
 
 
 def _place(function: Callable[..., Any], name: str) -> str:

@@ -90,7 +90,7 @@ def _difference_of_products_jvp(primals, tangents):
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
     """The upper half of the digits, and the rest."""
-    bits, low = (jnp.int64, 27) if x.dtype == jnp.float64 else (jnp.int32, 12)
+    bits, low = {2: (jnp.int16, 6), 4: (jnp.int32, 12), 8: (jnp.int64, 27)}[x.dtype.itemsize]
     kept = jax.lax.bitcast_convert_type(x, bits) & -(1 << low)
     upper = jax.lax.bitcast_convert_type(kept, x.dtype)
     return upper, x - upper

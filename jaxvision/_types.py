@@ -68,15 +68,21 @@ def as_float(x: Any) -> Array:
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
         return array
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise ValueError(f"real numbers are wanted, got {x!r}.")
+        raise ValueError(f"real numbers are wanted, got {in_short(x)}.")
     return array.astype(jnp.result_type(float))
+
+
+def in_short(x: Any) -> str:
+    """What was given, on one line and not longer than a sentence bears."""
+    words = " ".join(repr(x).split())
+    return words if len(words) <= 80 else f"{words[:80]} ..."
 
 
 def _as_numbers(x: Any) -> Array:
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"numbers are wanted, got {x!r}.") from error
+        raise ValueError(f"numbers are wanted, got {in_short(x)}.") from error
 
 
 def common_dtype(*records: object) -> jnp.dtype:

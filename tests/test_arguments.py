@@ -12,9 +12,10 @@ from public_names import traced
 
 import jaxvision as jv
 from jaxvision.brdf.phong import phong_shading
+from jaxvision.development import fit_colour_matrix
 from jaxvision.histogram import equalise, exact_histogram
 from jaxvision.optics import airy_radius
-from jaxvision.point_ops import cross_dissolve
+from jaxvision.point_ops import cross_dissolve, gain_bias
 
 UP = [0, 0, 1]
 THREE_NORMALS = np.eye(3)
@@ -56,6 +57,12 @@ def test_numbers_take_the_dtype_beside_them():
     assert jv.dot(np.ones(3, np.float32), jnp.ones(3, jnp.float32)).dtype == jnp.float32
 
 
+def test_lists_are_taken_beside_plain_numbers():
+    """Where a plain number stays one, as it may be no number of the dtype."""
+    np.testing.assert_allclose(gain_bias([0.1, 0.2], [2, 3], 1), [1.2, 1.6])
+    np.testing.assert_array_equal(jv.norm(np.full(3, 200, np.uint8)), np.sqrt(3 * 200.0**2))
+
+
 def test_whole_numbers_do_not_divide_silently():
     found = jv.image_distance(jnp.asarray(3), jnp.asarray(2))
     assert float(found) == 6.0
@@ -81,6 +88,26 @@ SENTENCES = {
         r"normal must have shape \(3,\), got \(3, 3\); for many at once take jax.vmap",
     ),
     "words": (lambda: jv.dot("abc", UP), "dot: u must be numbers, got 'abc'"),
+    "nothing": (lambda: jv.dot(None, UP), "dot: u must be numbers, got None"),
+    "a table": (lambda: jv.dot({"x": UP}, UP), r"dot: u must be numbers, got \{'x': "),
+    "nothing beside a plain number": (
+        lambda: jv.gamma_decode([0.5], None),
+        "gamma_decode: gamma must be numbers, got None",
+    ),
+    "complex numbers": (lambda: jv.dot([1j, 0, 0], UP), r"dot: u must be real, got \[1j, 0, 0\]"),
+    "complex arrays": (lambda: jv.dot(np.full(3, 1j), UP), "dot: u must be real, got complex128"),
+    "a number for a vector": (lambda: jv.norm(1.0), r"v must have shape \(\.\.\., 3\), got \(\)"),
+    "nothing in a record": (lambda: jv.Lambert(None), "numbers are wanted, got None"),
+    "words in a record": (lambda: jv.Sphere(UP, "one"), "numbers are wanted, got 'one'"),
+    "no bands": (lambda: jv.Lambert([]), r"Lambert\.diffuse must have at least one band"),
+    "colours that span a plane": (
+        lambda: fit_colour_matrix(np.eye(3)[[0, 1, 0, 1]], np.ones((4, 3))),
+        "camera must span 3 dimensions",
+    ),
+    "colours that are not finite": (
+        lambda: fit_colour_matrix(np.eye(3), np.full((3, 3), np.nan)),
+        "wanted must be finite",
+    ),
     "ragged lists": (lambda: jv.dot([1, [2, 3]], UP), "dot: u must be numbers"),
     "nanometres": (
         lambda: airy_radius(550, 4),

@@ -180,6 +180,7 @@ def test_sums_and_moments_say_the_same(tmp_path):
             "number of pix",
         ),
         ({"rows": 0}, "holds no rows"),
+        ({"head": HEAD.replace("pixels", '"pixels')}, "a quotation mark is not closed"),
         ({"rows": 3}, "at least 4 are needed"),
         ({"tail": ("9,9000,1,2",)}, "row 9 has 4 cells"),
         ({"tail": ("9,9000,x,2,3,4,10000",)}, "'x' in row 9 of column mean_bright_DN"),

@@ -508,6 +508,9 @@ def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
         with pytest.raises(InputError, match=sentence):
             PartialSum(path, key=other, shape=(2, 4, 3), fresh=False)
         assert PartialSum(path, key=other, shape=(2, 4, 3), fresh=True).done == 0
+    path.write_bytes(path.read_bytes().replace(b'"scene"', b'"sc\\nne"'))
+    with pytest.raises(InputError, match="part of a render with another scene; add"):
+        PartialSum(path, key=K, shape=(2, 4, 3), fresh=False)
     part.delete()
     assert list(tmp_path.iterdir()) == []
 

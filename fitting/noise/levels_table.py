@@ -88,6 +88,8 @@ def _columns(file: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{file}: no such table; check the name and the folder.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{file}: not a CSV table ({error}); export it again.") from error
+    if any("\n" in cell for row in rows for cell in row):
+        raise InputError(f"{file}: a quotation mark is not closed on its line; take it away.")
     if len(rows) < 2:
         raise InputError(f"{file}: holds no rows under its heads; give one row per level of light.")
     heads = [name.strip() for name in rows[0]]

@@ -90,6 +90,8 @@ def grey_world_gains(
     "Shades of gray and colour constancy", CIC 2004.
     """
     image = as_relative(image)
+    if image.ndim < 3:
+        raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
     used = jnp.ones_like(image)
     if saturation is not None:
         used = jnp.broadcast_to((image < saturation).all(-1, keepdims=True), image.shape)

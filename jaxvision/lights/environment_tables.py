@@ -62,8 +62,11 @@ def _tables(
 ) -> tuple[Float[Array, " h_1"], Float[Array, "h w_1"]]:
     """Cumulative probabilities of the rows, and within each row of its columns."""
     h, w, _ = picture.shape
-    # relative to the brightest, so that sums stay within the range of a float
-    relative = divide(picture, picture.max(), otherwise=1)
+    # relative to the brightest, so that sums stay within the range of a float. XLA multiplies by an
+    # inverse, which from 8.5e37 on is no normal float32 and counts as 0: both are made smaller
+    # before, by a factor that depends on the picture, or XLA would take it away
+    smaller = jnp.where(picture.max() > 1, 2.0**-32, 1).astype(picture.dtype)
+    relative = divide(picture * smaller, picture.max() * smaller, otherwise=1)
     brightness = _pixel_means(relative.mean(axis=-1))
     mass = brightness * jnp.asarray(_solid_angles(h, w), picture.dtype)
     row_mass = mass.sum(axis=1, keepdims=True)

@@ -79,12 +79,26 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
     linear = as_relative(linear)
     curved = is_above(linear, Fraction("0.0031308"))
     base, exponent = jnp.where(curved, linear, 1), exact(Fraction(10, 24), linear.dtype)
-    if method == "power":  # 1.055 root - 0.055 = root + 0.055 (root - 1), which loses no digit
+    if method == "power":
         root, rest = power_in_parts(base, exponent)
-        encoded = root + (0.055 * (root - 1) + 1.055 * rest)
+        encoded = _above_offset(root, 1.055 * rest)
     else:
         encoded = 1.055 * _raised(base, exponent, method) - 0.055
     return jnp.where(curved, encoded, 12.92 * linear)
+
+
+def _above_offset(root: Scalars, rest: Scalars) -> Scalars:
+    """1.055 root - 0.055 + rest = root + (0.055 root - 0.055) + rest, of which only the root and
+    the last sum are rounded: what the others lose is put back (Knuth, The Art of Computer
+    Programming 2, section 4.2.2)."""
+    offset, offset_rest = exact(Fraction(55, 1000), root.dtype)
+    share = offset * root
+    more = share - offset
+    held = more - share
+    lost = (share - (more - held)) - (offset + held)
+    total = root + more
+    lost = lost + (more - (total - root)) + (offset_rest * (root - 1) + rest)
+    return total + jnp.where(jnp.isfinite(lost), lost, 0)
 
 
 @takes_numbers

@@ -176,7 +176,8 @@ def _first_line(path: Path) -> bytes:
 def _of_another(path: Path, line: bytes, key: Key) -> InputError:
     found, wanted = _read_head(line).get("render"), json.loads(json.dumps(key))
     if isinstance(found, dict):
-        names = [name for name in {**found, **wanted} if found.get(name) != wanted.get(name)]
+        differing = [name for name in {**found, **wanted} if found.get(name) != wanted.get(name)]
+        names = [name for name in differing if name.isprintable()]  # others damage has made
         holds = f"part of a render with another {' and another '.join(names) or 'kind of part'}"
     else:
         holds = "something else than part of this render"

@@ -91,17 +91,32 @@ def _ratio(side: Scalars, unit: Scalars) -> Scalars:
 
 def _opposed(x: Scalars, y: Scalars) -> Scalars:
     """ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 + x d(x, y) + y d(y, x), each term >= 0."""
-    return (
-        jnp.log1p((x * (y / (1 + x * x + y * y))) * x * y) / 2 + x * _gain(x, y) + y * _gain(y, x)
-    )
+    area = x * y
+    return jnp.log1p(area * (area / (1 + x * x + y * y))) / 2 + x * _gain(x, y) + y * _gain(y, x)
+
+
+_NEAR = 0.3  # below it a series has the digits that the difference of two angles loses
+_TERMS = 7, 16  # of it, in float32 and in float64
 
 
 def _gain(x: Scalars, y: Scalars) -> Scalars:
     """s arctan(x / s) - arctan(x) with s = sqrt(1 + y^2), for x >= 0: the difference of the two
-    angles is an angle, and s - 1 a quotient."""
-    s = jnp.sqrt(1 + y * y)
+    angles is an angle, and s - 1 a quotient. For a small x it is the sum over j >= 0 of
+
+        x^3 (1 - s^-2) (-x^2)^j (1 + s^-2 + ... + s^-2j) / (2 j + 3).
+    """
+    square = 1 + y * y
+    s = jnp.sqrt(square)
     longer = y * y / (1 + s)
-    return longer * arctan2(x, s) - arctan2(x * longer, s + x * x)
+    of_angles = longer * arctan2(x, s) - arctan2(x * longer, s + x * x)
+    near = x < _NEAR
+    small = jnp.where(near, x, 0)
+    power, steps = jnp.ones_like(small), jnp.ones_like(small)
+    series = jnp.full_like(small, 1 / 3)
+    for j in range(1, _TERMS[x.dtype == jnp.float64]):
+        power, steps = power * -(small * small), 1 + steps / square
+        series = series + power * steps / (2 * j + 3)
+    return jnp.where(near, small * (small * small) * (y * y / square) * series, of_angles)
 
 
 def _hinged(w: Scalars, h: Scalars) -> Scalars:

@@ -79,7 +79,7 @@ ENTRIES = [
         srgb_encode,
         (DARK,),
         tuple((x,) for x in AT_BREAKS),
-        bound=2.1,
+        bound=2,
     ),
     Entry(
         "point_ops.curves.srgb_encode",
@@ -87,7 +87,7 @@ ENTRIES = [
         srgb_encode,
         (TONES,),
         ((1.0,), (1e30,)),
-        bound=2.1,
+        bound=2,
         form="up to 1e30",
     ),
     Entry(
