@@ -1,6 +1,7 @@
 """Gradients through draws: unbiased where that is promised, and what the others leave out, against
 closed forms and sums over the Poisson distribution, within 3 standard errors."""
 
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -10,7 +11,7 @@ import pytest
 from scipy import stats
 
 from jaxvision import Sensor, raw_image, scene
-from jaxvision.sensor import expected_of_count
+from jaxvision.sensor import expected_of_count, expected_of_defect, expected_of_reading
 from jaxvision.sensor.expectation import ESTIMATORS
 
 PAGE = Path(__file__).parents[1] / "docs" / "concepts" / "gradients_of_noise.md"
@@ -115,6 +116,161 @@ def test_wrong_estimators_and_shapes_are_refused():
         expected_of_count(KEY, m, jnp.square, estimator="score", draws=1)
     with pytest.raises(ValueError, match=r"must return values of shape \(3,\)"):
         expected_of_count(KEY, m, jnp.sum)
+
+
+# ------------------------------------------------ readings and defects
+
+NUMBERS = {  # f and its steps' places; f' is 0 between them
+    "number": (lambda x: jnp.clip(jnp.round(x), 0, 3), (0.5, 1.5, 2.5)),
+    "number²": (lambda x: jnp.clip(jnp.round(x), 0, 3) ** 2, (0.5, 1.5, 2.5)),
+}
+
+
+def of_one_reading(name, mean, rms):
+    """The true slopes by mean and rms, and for each the (bias, standard deviation) of the
+    estimators of one draw."""
+    f, steps = NUMBERS[name]
+    f = partial(lambda g, x: np.asarray(g(jnp.asarray(x))), f)
+    z = [(step - mean) / rms for step in steps]
+    jumps = [f(step + 0.25) - f(step - 0.25) for step in steps]
+    true = [
+        sum(j * stats.norm.pdf(a) * a**power for j, a in zip(jumps, z, strict=True)) / rms
+        for power in (0, 1)
+    ]
+    u = (np.arange(200_000) + 0.5) / 200_000
+    draw, flat, deep = stats.norm.ppf(u), stats.chi(2).ppf(u), stats.chi(3).ppf(u)
+    deep = np.concatenate([-deep, deep])
+    here = f(mean + rms * draw)
+    apart = (f(mean + rms * flat) - f(mean - rms * flat)) / (rms * np.sqrt(2 * np.pi))
+    aside = f(mean + rms * deep)  # drawn apart from `here`
+    measured = (apart.mean(), (aside.mean() - here.mean()) / rms)
+    deviations = (apart.std(), np.hypot(aside.std(), here.std()) / rms)
+    scores = [(here - here.mean()) * weight / rms for weight in (draw, draw**2 - 1)]
+    for k in range(2):
+        np.testing.assert_allclose([measured[k], scores[k].mean()], true[k], rtol=2e-3, atol=2e-4)
+    found = [[(-true[k], 0.0), (0.0, deviations[k]), (0.0, scores[k].std())] for k in range(2)]
+    return true, found
+
+
+READINGS = ((0.5, 0.1), (0.3, 0.5), (2.9, 1.0))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_estimators_of_readings_that_are_rounded_and_clipped(estimator):
+    number, draws = ESTIMATORS.index(estimator), 2 if estimator == "score" else 1
+    pixels = 40_000
+
+    for name, (f, _) in NUMBERS.items():
+
+        @jax.jit
+        def slopes(mean, rms, f=f):
+            return jax.grad(
+                lambda m, s: jnp.sum(
+                    jax.vmap(
+                        lambda key, m, s: expected_of_reading(
+                            key, m, s, f, estimator=estimator, draws=draws
+                        )
+                    )(jax.random.split(KEY, pixels), m, s)
+                ),
+                (0, 1),
+            )(jnp.full(pixels, mean), jnp.full(pixels, rms))
+
+        for mean, rms in READINGS:
+            true, by = of_one_reading(name, mean, rms)
+            for k, found in enumerate(map(np.asarray, slopes(mean, rms))):
+                bias, deviation = by[k][number]
+                within(found, true[k] + bias)
+                if estimator != "score":
+                    np.testing.assert_allclose(found.std(), deviation, rtol=0.2, atol=1e-9)
+
+
+def test_the_page_has_these_numbers_of_readings():
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text().split("\n")
+    ]
+    rows = [row for row in rows if row and row[0] in NUMBERS]
+    assert len(rows) == 6
+    for name, *numbers in rows:
+        mean, rms, slope, *stated = map(float, numbers)
+        true, by = of_one_reading(name, mean, rms)
+        np.testing.assert_allclose(slope, true[0], rtol=6e-3)
+        np.testing.assert_allclose(stated, np.ravel(by[0]), rtol=0.06, atol=5e-4)
+
+
+def test_clipping_alone_has_the_slopes_of_its_closed_form():
+    """Of max(X, 0): Phi(m / s) and phi(m / s), by every estimator."""
+    mean, rms = 0.3, 0.5
+    wanted = (stats.norm.cdf(mean / rms), stats.norm.pdf(mean / rms))
+    for estimator in ESTIMATORS:
+
+        def each(key, m, s, estimator=estimator):
+            return expected_of_reading(
+                key, m, s, lambda x: jnp.maximum(x, 0), estimator=estimator, draws=2
+            )
+
+        program = jax.jit(jax.vmap(jax.grad(each, (1, 2)), (0, None, None)))
+        found = program(jax.random.split(KEY, 40_000), mean, rms)
+        for slope, true in zip(found, wanted, strict=True):
+            within(slope, true)
+
+
+def test_score_of_a_whole_picture_of_readings_and_of_defects():
+    """The chance that all three readings are above 0, and that no pixel of three is dead."""
+    mean, chance = jnp.asarray([0.2, 0.5, 1.0]), jnp.asarray([0.1, 0.3, 0.2])
+
+    def all_above(m, key):
+        return expected_of_reading(
+            key, m, 1.0, lambda x: (x > 0).all().astype(x.dtype), estimator="score", draws=4
+        )
+
+    def none_dead(p, key):
+        return expected_of_defect(
+            key, p, lambda b: (b.sum() < 0.5).astype(b.dtype), estimator="score", draws=4
+        )
+
+    keys = jax.random.split(KEY, 4000)
+    above = np.asarray(jax.jit(jax.vmap(jax.grad(all_above), (None, 0)))(mean, keys))
+    alive = np.asarray(jax.jit(jax.vmap(jax.grad(none_dead), (None, 0)))(chance, keys))
+    ratio = stats.norm.pdf(mean) / stats.norm.cdf(mean)
+    for k in range(3):
+        within(above[:, k], stats.norm.cdf(mean).prod() * ratio[k])
+        within(alive[:, k], -np.prod(1 - chance) / (1 - chance[k]))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_defects_by_their_chance(estimator):
+    """E[f] = p f(1) + (1 - p) f(0): first and second moments of a pixel of 100 that is dead or not,
+    and of one that glows."""
+    pixels = 40_000
+    for chance in (1e-3, 0.2):
+        for with_it, without in ((0.0, 100.0), (0.0, 1e4), (900.0, 100.0)):
+
+            def each(key, p, with_it=with_it, without=without):
+                return expected_of_defect(
+                    key,
+                    p,
+                    lambda b: jnp.where(b > 0.5, with_it, without),
+                    estimator=estimator,
+                    draws=2,
+                )
+
+            program = jax.jit(jax.vmap(jax.value_and_grad(each, 1), (0, None)))
+            value, found = program(jax.random.split(KEY, pixels), chance)
+            within(value, chance * with_it + (1 - chance) * without)
+            if estimator == "score":
+                within(found, with_it - without)
+            else:
+                slope = 0 if estimator == "pathwise" else with_it - without
+                np.testing.assert_array_equal(found, slope)
+
+
+def test_no_noise_and_certain_defects_have_finite_slopes():
+    for estimator in ESTIMATORS:
+        reading = partial(expected_of_reading, KEY, function=jnp.round, estimator=estimator)
+        defect = partial(expected_of_defect, KEY, function=lambda b: 3 * b, estimator=estimator)
+        assert np.isfinite(jax.grad(reading, (0, 1))(jnp.asarray(0.4), jnp.asarray(0.0))).all()
+        for chance in (0.0, 1.0):
+            assert np.isfinite(jax.grad(defect)(jnp.asarray(chance)))
 
 
 # ------------------------------------------------ the sensor

@@ -8,7 +8,11 @@ from .brighter_fatter import (
 )
 from .ccd import bloomed as bloomed, transferred as transferred
 from .dark import dark_rate as dark_rate
-from .expectation import expected_of_count as expected_of_count
+from .expectation import (
+    expected_of_count as expected_of_count,
+    expected_of_defect as expected_of_defect,
+    expected_of_reading as expected_of_reading,
+)
 from .exposure import (
     at_iso as at_iso,
     drifted as drifted,

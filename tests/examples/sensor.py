@@ -54,6 +54,10 @@ def whole_turns(number):
     return jnp.cos(2 * np.pi * number)
 
 
+def one(number):
+    return 1 + 0 * number
+
+
 def moving(time):
     return X * (1 + time)
 
@@ -106,6 +110,8 @@ EXAMPLES = {
     "sensor.sampling.pixel_means": ((X, APERTURE), {}),
     # whatever is drawn the value is 1, so that a finite difference says what the slope must be
     "sensor.expectation.expected_of_count": ((KEY, X), {"function": whole_turns}),
+    "sensor.expectation.expected_of_defect": ((KEY, X), {"function": one}),
+    "sensor.expectation.expected_of_reading": ((KEY, X, ONE), {"function": one}),
     "sensor.shot_noise.count": ((KEY, ELECTRONS, s.GaussianShotNoise()), {}),
     "sensor.shutter.exposed": (
         (SHUTTER, ONE),

@@ -411,7 +411,7 @@ ELSEWHERE = (
         "test_sensor_noise test_sensor_gradients test_random",
         """
             sensor.raw: collect
-            sensor.expectation: expected_of_count
+            sensor.expectation: expected_of_count expected_of_defect expected_of_reading
         """,
     ),
     Elsewhere(
