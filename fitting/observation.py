@@ -88,6 +88,8 @@ def read_frame(
             f"{path}: 8-bit data, but the rig declares a {camera.bits}-bit camera; "
             "save the frames with 16 bits or correct camera.bits."
         )
+    if stored.ndim == 3 and stored.shape[2] == 1:  # as a sensor of one band gives it
+        stored = stored[..., 0]
     if stored.ndim == 3 and stored.shape[2] != 3:
         raise InputError(
             f"{path}: has {stored.shape[2]} channels; save it as grey (or mosaic), or as RGB "

@@ -193,11 +193,14 @@ def _check(
                 "divide it by its length (jaxvision.normalize)."
             )
     if want.is_wavelength and is_known(value):
-        longest = np.max(np.asarray(value), initial=0)
-        if longest > LONGEST_WAVE:
-            raise ValueError(
-                f"{_place(function, name)} is in metres, got {longest:.6g}; 550 nm are 550e-9."
-            )
+        require_metres(_place(function, name), np.asarray(value))
+
+
+def require_metres(name: str, wavelengths: np.ndarray) -> None:
+    """`ValueError` for wavelengths that were meant in another unit."""
+    longest = np.max(wavelengths, initial=0)
+    if longest > LONGEST_WAVE:
+        raise ValueError(f"{name} is in metres, got {longest:.6g}; 550 nm are 550e-9.")
 
 
 def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:

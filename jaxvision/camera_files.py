@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._arguments import require_metres
 from ._shipped import existing_file, shipped_files
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
@@ -83,7 +84,9 @@ def read_camera(
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
             raise InputError(f"{place}: the table [{name}] is missing; add it.")
-    if wavelengths is None and "bands" in content:
+    if wavelengths is not None:
+        require_metres("read_camera: wavelength", np.asarray(wavelengths, float))
+    elif "bands" in content:
         wavelengths = _wavelengths(place, content["bands"])
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._arguments import require_metres
 from ._types import as_float
 from .errors import InputError
 from .spectra import daylight
@@ -351,7 +352,9 @@ def _listed(names: Iterable[str]) -> str:
 
 def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " bands"]:
     """Wavelengths in nm, as in the tables, rounded to whole picometres, so that 555e-9 is 555."""
-    return np.round(np.asarray(wavelengths, np.float64) * 1e9, 3)
+    metres = np.asarray(wavelengths, np.float64)
+    require_metres("wavelength", metres)
+    return np.round(metres * 1e9, 3)
 
 
 def _sampled(

@@ -113,6 +113,14 @@ SENTENCES = {
         lambda: airy_radius(550, 4),
         "airy_radius: wavelength is in metres, got 550; 550 nm are 550e-9",
     ),
+    "nanometres of a table": (
+        lambda: jv.colour_data.illuminant("D65", [400.0, 700.0]),
+        "wavelength is in metres, got 700; 550 nm are 550e-9",
+    ),
+    "nanometres of a camera": (
+        lambda: jv.read_camera("consumer_bayer", wavelengths=[610.0, 550.0, 465.0]),
+        "read_camera: wavelength is in metres, got 610",
+    ),
     "micrometres": (lambda: airy_radius(0.55, 4), "wavelength is in metres, got 0.55"),
     "a cosine for its logarithm": (
         lambda: jv.phong_lobe(0.5, 30),

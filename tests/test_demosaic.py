@@ -36,6 +36,10 @@ def test_bilinear_is_colour_demosaicings_inside(phase):
     np.testing.assert_array_equal(np.asarray(ours)[INSIDE], peer[INSIDE])
 
 
+def test_a_band_axis_of_one_is_that_of_a_sensor():
+    np.testing.assert_array_equal(demosaic(CODES[..., None], "RGGB"), demosaic(CODES, "RGGB"))
+
+
 @pytest.mark.parametrize("phase", BAYER_PHASES)
 def test_malvar_is_colour_demosaicings(phase):
     peer = peers.demosaicing_CFA_Bayer_Malvar2004(CODES, phase)

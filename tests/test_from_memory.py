@@ -100,6 +100,9 @@ def test_images_of_an_exposure_stack(tmp_path, colours):
     assert len(ours.planes) == len(theirs.planes) == (colours or (1,))[0]
     for a, b in zip(ours.planes, theirs.planes, strict=True):
         assert_equal(a, b)
+    if not colours:
+        banded = from_stack([image[..., None] for image in images], times, camera=CAMERA, mask=mask)
+        assert_equal(banded.planes[0], theirs.planes[0])
     told = from_stack(images, times, camera=CAMERA, mask=mask, exposure_sd=0.01)
     assert told.planes[0].exposure_sd == pytest.approx(0.01)
 

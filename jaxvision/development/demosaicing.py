@@ -42,7 +42,7 @@ def demosaic(
     """The picture of a mosaic.
 
     Args:
-        raw: (..., h, w) DN or relative.
+        raw: (..., h, w), or (..., h, w, 1) as a sensor gives it, DN or relative.
         pattern: rows of band numbers, as `colour_filters.bayer` gives them, or the phase of a
             Bayer mosaic, such as "RGGB".
         method: "bilinear", means of the nearest pixels; "malvar", these corrected by the gradient
@@ -65,6 +65,8 @@ def demosaic(
     """
     check_choice("method", method, DEMOSAICINGS)
     pattern = as_pattern(pattern)
+    if raw.ndim > 2 and raw.shape[-1] == 1:  # no mosaic is one pixel wide
+        raw = raw[..., 0]
     if method in ("bilinear", "malvar"):
         return METHODS[method](raw, pattern, border=border)
     if border != "in_phase":

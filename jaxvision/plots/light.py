@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._arguments import require_metres
 from ..brdf import evaluate
 from ..errors import InputError
 from ..scene import Material
@@ -49,6 +50,7 @@ def spectrum(
         wavelength [nm] True
     """
     grid = np.asarray(wavelengths, float)
+    require_metres("wavelength", grid)
     if isinstance(values, Mapping):
         named = {name: np.asarray(one, float) for name, one in values.items()}
     else:
