@@ -95,9 +95,10 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
         return False
     if isinstance(value, PLAIN) or want.keeps_integers:
         return isinstance(value, PLAIN)
+    no_codes = want.is_exact and not any("rows" in shape for shape in want.shapes)
     if isinstance(value, np.ndarray | np.generic):
-        return value.dtype.kind != "u" or want.is_exact
-    return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if want.is_exact else "ib")
+        return value.dtype.kind != "u" or no_codes
+    return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if no_codes else "ib")
 
 
 def _has_numbers(value: Any) -> bool:

@@ -125,11 +125,12 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """The codes that every channel is judged by."""
+    """The codes that channels are judged by, each by its own."""
     judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
     ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
-    low, high = max(low for low, _ in ends), min(high for _, high in ends)
-    return f"codes {low:g} to {high:g}, where it is known to {SURE:.0%}"
+    low, high = min(low for low, _ in ends), max(high for _, high in ends)
+    each = "it is" if len(ends) == 1 else "each channel is"
+    return f"codes {low:g} to {high:g}, as far as {each} known to {SURE:.0%}"
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
