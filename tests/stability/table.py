@@ -98,12 +98,21 @@ time of a million wavelengths (none that shows on 31); these functions run for e
 ## Damaged files
 
 `pytest -m fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each must be
-read, or refused in one sentence, in 10 s of CPU and 12 GiB. The last run, of 39,000 files of 17
-kinds (cameras, scenes, materials, rigs, tables, MERL, RGL, Cornell, OBJ, PLY, PNG, TIFF, JPEG, EXR,
-HDR, NPY): 6,144 were read. Six outcomes were wrong, and are mended: four names of damaged RGL files
-told whole, and two headers of NPY files that are no Python. Four more were called wrong by the
-check itself: two scenes took 34 s of a loaded machine, which now counts CPU time, and two cameras
-had an infinite full well, which is allowed. `jaxvision inspect` of 280: no traceback.
+read, or refused in one sentence, in 10 s of CPU and 12 GiB. More than 1,000,000 files were given so
+far. The last run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's, materials,
+rigs, tables, MERL, RGL, Cornell, OBJ, PLY, STL, PNG, TIFF, JPEG, EXR, HDR, FITS, DNG, NPY, and what
+renders, chains and cameras leave unfinished): 178,970 were read, and 47 outcomes were wrong, of six
+causes, which are mended: camera files whose lists are tables (a traceback), names of PNG chunks,
+columns and scenes with a line break in the sentence, and a sky whose density was not finite in
+float32. `pytest -m fuzz tests/test_fuzz_arguments.py` gives public functions odd arguments.
+
+## Commands that are ended
+
+`python tests/killed.py` ends a render, a chain and a report at random moments and runs them again.
+By SIGKILL at 178 moments: no file was torn, and each run went on, or began again, to the same
+bytes. By Ctrl-C at 200 moments, on a loaded machine, with and without programs to compile: 196
+ended within 2 s, with status 130 and one line; one had finished; three were ended by the signal
+itself without a word, while Python started or after all was written. Nothing was lost.
 """
 
 
