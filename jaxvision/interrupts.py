@@ -112,7 +112,8 @@ def removed_if_interrupted(file: Path) -> Iterator[None]:
 
 
 def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
-    """Does a command's work; an interrupt meanwhile ends the process.
+    """Does a command's work; an interrupt meanwhile ends the process. Afterwards there is nothing
+    left to interrupt: Python ends as it would.
 
     Args:
         command: its name, the beginning of the line.
@@ -131,11 +132,13 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
     except SystemExit as end:
         status = end.code
         if not (_ending.seen.is_set() or _ending.behind.is_set()):
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise
     if _ending.seen.is_set():
         _leave(command)
     if _ending.behind.is_set():
         _end(status if isinstance(status, int) else int(status is not None))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _raise_where_wanted(number: int, frame: FrameType | None) -> None:

@@ -119,6 +119,15 @@ def test_without_an_interrupt_nothing_changes():
     assert (done.returncode, done.stderr) == (3, b"")
 
 
+@pytest.mark.parametrize("end", ["sys.exit(3)", "None"])
+def test_an_interrupt_after_the_work_changes_nothing(end):
+    """While Python tears itself down, which takes JAX's part of a second."""
+    late = "atexit.register(lambda: signal.raise_signal(signal.SIGINT))"
+    script = f"{HEAD}\nimport atexit; {late}\nending_on_interrupt('name', lambda: {end})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (3 if end != "None" else 0, b"")
+
+
 COMMANDS = {
     "jaxvision": "render cornell_box --out box.exr --samples 1",
     "fitting": "noise levels.csv --mcmc --out out",
