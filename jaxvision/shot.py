@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
 from ._band_count import band_count
-from ._types import Image, Key, Scalar, Shown, is_known
+from ._types import Image, Key, Scalar, Shown, in_short, is_known
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
@@ -125,6 +125,13 @@ def capture(
         [100. 100. 100. 100.]
     """
     _check_bands(_bands(scene), camera.sensor)
+    if not (integrator is None or isinstance(integrator, Paths) or callable(integrator)) or (
+        isinstance(integrator, type)
+    ):
+        raise ValueError(
+            "integrator must be Paths(samples, depth), a function of scene and view, or None, got "
+            f"{in_short(integrator)}."
+        )
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
     certificate = None

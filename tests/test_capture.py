@@ -365,6 +365,8 @@ def test_what_bounces_is_what_the_integrator_finds():
     ("options", "said"),
     [
         ({"integrator": Paths(1, 2)}, "give a key"),
+        ({"integrator": "path"}, r"Paths\(samples, depth\)"),
+        ({"integrator": Paths}, r"Paths\(samples, depth\)"),
         ({"integrator": Paths(1, 2), "samples": PixelSamples(jax.random.key(0), 2)}, "leave them"),
         ({"integrator": lambda scene, view: None, "tolerance": "1DN"}, "got a function"),
     ],

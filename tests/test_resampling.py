@@ -75,6 +75,8 @@ def test_what_cannot_be_resampled():
         resize(PICTURE, (4, 4), method="area")
     with pytest.raises(ValueError, match="size must be a whole number"):
         resize(PICTURE, (0, 4))
+    with pytest.raises(ValueError, match=r"size must be rows and columns, such as .*, got 8"):
+        resize(PICTURE, 8)
     with pytest.raises(ValueError, match="border must be one of clamp"):
         warp(PICTURE, np.zeros((2, 2)), np.zeros((2, 2)), border="wrap")
     with pytest.raises(ValueError, match="columns must have shape"):

@@ -28,7 +28,6 @@ BORDERS = {  # names of this library and of SciPy
 
 
 @takes_numbers
-@partial(jax.jit, static_argnames=("size", "method", "antialias"))
 def resize(
     picture: AnyPicture, size: tuple[int, int], *, method: str = "cubic", antialias: bool = True
 ) -> Floats:
@@ -52,8 +51,15 @@ def resize(
         [[1.89 5.11]]
     """
     check_choice("method", method, METHODS)
+    if not isinstance(size, tuple | list) or len(size) != 2:
+        raise ValueError(f"size must be rows and columns, such as (480, 640), got {size!r}.")
     for count in size:
         check_count("size", count, 1)
+    return _resized(picture, tuple(size), method, antialias)
+
+
+@partial(jax.jit, static_argnames=("size", "method", "antialias"))
+def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias: bool) -> Floats:
     image, restore = as_planes(picture)
     shape = (image.shape[0], *size, image.shape[3])
     return restore(jax.image.resize(image, shape, method, antialias=antialias))
