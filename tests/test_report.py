@@ -8,6 +8,7 @@ import re
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +26,7 @@ from fitting.inference.estimates import (
 )
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
+from fitting.report.chains import corner_figure
 from fitting.report.console import section_text
 from fitting.report.formatting import format_interval, format_number, format_p, format_value
 from fitting.report.inputs import MOST_PICTURES, inputs_of
@@ -326,3 +328,14 @@ def test_a_calibration_is_printed_by_its_estimates(section):
         assert finding in text
     assert not any(line.endswith(" ") for line in text.splitlines())
     assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())
+
+
+def test_a_long_tail_does_not_flatten_a_corner_plot():
+    """An axis ends three quarters of the 95 % interval beyond it, where draws reach so far."""
+    rng = np.random.default_rng(0)
+    samples = np.stack([rng.normal(2.2, 0.01, 4000), np.exp(2 * rng.standard_normal(4000))], axis=1)
+    space = (Parameter("gamma", symbol="γ"), Parameter("shutter_error", symbol="τ"))
+    figure = corner_figure({"": SimpleNamespace(space=space, samples=samples)}, {})
+    low, high = np.quantile(samples[:, 1], [0.025, 0.975])
+    assert figure.axes[-1].get_xlim()[1] == pytest.approx(high + 0.75 * (high - low))
+    assert figure.axes[0].get_xlim() == pytest.approx(np.quantile(samples[:, 0], [0.0005, 0.9995]))

@@ -18,6 +18,7 @@ from .formatting import format_axis
 from .section import Columns, Picture, Section
 
 MARGIN = 1.0  # inches left of and below a corner plot, for turned numbers and names
+LONGEST_TAIL = 0.75  # drawn beyond the 95 % interval, in its widths: more than a Gaussian has
 MOST_PATHS = 16  # drawn; more only blacken the panel
 
 
@@ -51,7 +52,11 @@ def corner_figure(
                 for one, m in zip(known, middle, strict=True)
             ]
         draws[channel], truths[channel] = samples, known
-    ends = np.quantile(np.concatenate([*draws.values()]), [0.0005, 0.9995], axis=0)
+    lowest, low, high, highest = np.quantile(
+        np.concatenate([*draws.values()]), [0.0005, 0.025, 0.975, 0.9995], axis=0
+    )
+    beyond = LONGEST_TAIL * (high - low)
+    ends = np.stack([np.maximum(lowest, low - beyond), np.minimum(highest, high + beyond)], axis=1)
     size = 1.2 + 1.4 * len(space)
     figure = Figure(figsize=(size, size))
     for channel, samples in draws.items():
@@ -61,7 +66,7 @@ def corner_figure(
             labels=[f"Δ{format_axis(p.symbol, '%')}" for p in space]
             if relative
             else [format_axis(p.symbol, p.unit) for p in space],
-            range=[_around(low, high) for low, high in ends.T],
+            range=[_around(*pair) for pair in ends],
             color=colour,
             levels=(0.68, 0.95),
             smooth=1.0,
