@@ -205,6 +205,8 @@ def test_lateral_colour_magnifies_each_band_about_the_middle():
 def test_pictures_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match=r"magnification must be \(2,\), one per band, got \(3,\)"):
         optics.lateral_aberration(jnp.ones((4, 5, 2)), jnp.ones(3))
+    with pytest.raises(ValueError, match=r"at least one pixel, got shape \(0, 4, 3\)"):
+        optics.sample_image(np.zeros((0, 4, 3)), np.zeros((1, 1)), np.zeros((1, 1)))
     with pytest.raises(ValueError, match="interpolation must be one of linear, cubic, got 'best'"):
         optics.sample_image(
             jnp.ones((4, 5, 2)), jnp.ones((2, 2)), jnp.ones((2, 2)), interpolation="best"

@@ -38,7 +38,7 @@ def sample_image(
         (..., rows, columns, bands) in the unit of the image.
 
     Raises:
-        ValueError: `interpolation` is neither.
+        ValueError: `interpolation` is neither, or the image has no pixel.
 
     Source:
         Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29
@@ -47,6 +47,8 @@ def sample_image(
     check_choice("interpolation", interpolation, INTERPOLATIONS)
     taps = _linear_taps if interpolation == "linear" else _cubic_taps
     h, w = image.shape[-3:-1]
+    if 0 in (h, w):
+        raise ValueError(f"image must have at least one pixel, got shape {image.shape}.")
     down, across = taps(jnp.clip(row, 0, h - 1)), taps(jnp.clip(column, 0, w - 1))
     total = jnp.zeros((), image.dtype)
     for r, weight_r in down:
