@@ -80,9 +80,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             if isinstance(value, jax.Array | np.ndarray):
                 _check(function, name, value, want)
             elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
-                raise ValueError(
-                    f"{_place(function, name)} must be numbers, got {in_short(value)}."
-                )
+                raise _no_numbers(function, name, value)
         return function(*args, **kwargs)
 
     return of_numbers
@@ -166,9 +164,7 @@ def _as_array(
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{_place(function, name)} must be numbers, got {in_short(value)}."
-        ) from error
+        raise _no_numbers(function, name, value) from error
     if array.dtype.kind == "c" and isinstance(value, PLAIN):
         raise ValueError(f"{_place(function, name)} must be real, got {in_short(value)}.")
     given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"

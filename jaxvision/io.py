@@ -331,6 +331,8 @@ def _reads_back(file: Path, written: np.ndarray) -> bool:
 
 
 _NOT_NUMPY = (ValueError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
+# A lone array has no names; sums do not agree; compression or encryption is of another kind.
+_NOT_ARCHIVE = (TypeError, BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
 def _read_npy(file: Path) -> np.ndarray:
@@ -360,10 +362,6 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         raise InputError(
             f"{file}: no whole archive of arrays ({_one_line(str(error))})."
         ) from error
-
-
-# of an array alone; of sums that do not agree; of a kind of compression or of encryption
-_NOT_ARCHIVE = (TypeError, BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
 def _reason(teller: Any) -> str:

@@ -125,9 +125,8 @@ def capture(
         [100. 100. 100. 100.]
     """
     _check_bands(_bands(scene), camera.sensor)
-    if not (integrator is None or isinstance(integrator, Paths) or callable(integrator)) or (
-        isinstance(integrator, type)
-    ):
+    finds_radiance = isinstance(integrator, Paths) or callable(integrator)
+    if integrator is not None and (not finds_radiance or isinstance(integrator, type)):
         raise ValueError(
             "integrator must be Paths(samples, depth), a function of scene and view, or None, got "
             f"{in_short(integrator)}."

@@ -5,7 +5,8 @@ process each, and writes `docs/speed.md`.
 
 Killed, it goes on with the rows that `--kept` lacks; delete the file to measure anew. The whole
 takes about a quarter of an hour on two cores. Peers come with `pip install '.[bench]'`; Mitsuba
-needs `DRJIT_LIBLLVM_PATH`. A row whose peer is not there says so.
+needs `DRJIT_LIBLLVM_PATH`, of LLVM 19, say: 15 cannot compile its programs. A row whose peer is not
+there says so.
 """
 
 import argparse
@@ -112,13 +113,12 @@ def measured(kept: Path) -> list[dict]:
     return list(map(json.loads, kept.read_text().splitlines())) if kept.is_file() else []
 
 
-def found_for(row: Row, measured: list[dict]) -> dict | None:
+def found_for(row: Row, records: list[dict]) -> dict | None:
     """The last measurement of both rivals of a row."""
-    for found in reversed(measured):
-        asked = {row.ours, row.peer} - {None}
-        if (found["test"], found["title"]) == (row.test, row.title) and asked <= set(
-            found["seconds"]
-        ):
+    rivals = {row.ours, row.peer} - {None}
+    for found in reversed(records):
+        same = (found["test"], found["title"]) == (row.test, row.title)
+        if same and rivals <= found["seconds"].keys():
             return found
     return None
 
