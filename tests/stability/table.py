@@ -89,8 +89,11 @@ time of a million wavelengths (none that shows on 31); these functions run for e
 - `fresnel_dielectric`, `fresnel_conductor`: squares of quotients of squares. A relative error of
   the cosine within counts four times, that of the contrast of the indices twice. Below an index
   of 1 the result changes without bound at the critical angle: its row is over that.
-- `normal_distribution` of GGX: the square of a sum of squares of quotients.
-- `parallel_rectangles` in float32: four terms of one size, two with two inverse tangents each.
+  Put back, 6.5 units of the dielectric's 9.5 are left, for three times its time.
+- `normal_distribution` of GGX: the square of a sum of squares of quotients. Put back, 2.3 units are
+  left, for five times the time.
+- `parallel_rectangles` in float32: three terms of one size. Two of them are differences of angles,
+  by a series where these are small.
 - `scaled_to_key`: the exponential of a mean of logarithms.
 - `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, 1e-10 of the result where one
   takes over from another.
