@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers
+from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers, sub_command
 from jaxvision.errors import InputError
 from jaxvision.interrupts import ending_on_interrupt, is_handled
 from jaxvision.memory import keep_memory
@@ -39,7 +39,7 @@ from .report.progress import Reporter
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
-@command
+@command("jaxvision-fit noise camera --out noise", "jaxvision-fit noise sums.csv --bits 12")
 def noise(
     options: Options,
     path: Annotated[
@@ -63,7 +63,7 @@ def noise(
     run("Photon transfer", path, options, calibrate_noise)
 
 
-@command
+@command("jaxvision-fit response stack --out response")
 def response(options: Options, path: RigPath) -> None:
     """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
 
@@ -77,7 +77,10 @@ def response(options: Options, path: RigPath) -> None:
         raise typer.Exit(INCOMPLETE)
 
 
-@command
+@command(
+    "jaxvision-fit brdf paint --out paint",
+    "jaxvision-fit brdf red.binary blue.binary --objective cube-root",
+)
 def brdf(
     options: Options,
     paths: Annotated[
@@ -157,7 +160,7 @@ def brdf(
         run("Reflectance", paths[0], options, calibrate_images)
 
 
-@command
+@command("jaxvision-fit plan paint --target exponent")
 def plan(
     options: Options,
     path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=typed_path)],
@@ -188,7 +191,7 @@ def plan(
     run("What to photograph next", path, options, plan_images)
 
 
-@command
+@command("jaxvision-fit joint paint --fit-gamma --out joint")
 def joint(
     options: Options,
     path: RigPath,
@@ -210,7 +213,7 @@ def joint(
     run("Joint calibration", path, options, calibrate_joint)
 
 
-@command
+@command("jaxvision-fit demo --out demo")
 def demo(options: Options) -> None:
     """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
     in the folder jaxvision-demo, or the one of --out."""
@@ -231,7 +234,7 @@ def demo(options: Options) -> None:
     run("A simulated lab afternoon", out, options, calibrate_demo)
 
 
-@app.command()
+@sub_command(app, "jaxvision-fit init photos")
 @failures()
 def init(
     folder: Annotated[
@@ -249,7 +252,7 @@ def init(
     print(f"Then: jaxvision-fit {found.kind} {folder}")
 
 
-@app.command()
+@sub_command(app, "jaxvision-fit study noise cameras/* --out study --workers 4")
 @failures()
 def study(
     kind: Annotated[
@@ -297,7 +300,7 @@ def study(
         raise typer.Exit(INCOMPLETE)
 
 
-@command
+@command("jaxvision-fit check noise --simulations 200 --out check")
 def check(
     options: Options,
     kind: Annotated[
@@ -322,7 +325,11 @@ def check(
     run("Check", Path(kind), options, run_check, repeats=True)
 
 
-@app.command()
+@sub_command(
+    app,
+    "jaxvision-fit accuracy paint --seconds 60",
+    "jaxvision-fit accuracy stack --knob pixels --out accuracy",
+)
 @failures(interrupted="interrupted.")
 def accuracy(
     rig: RigPath,

@@ -8,13 +8,13 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import partial, update_wrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from jaxvision.command_line import command_app, failures_as_sentences, leave
+from jaxvision.command_line import command_app, failures_as_sentences, leave, sub_command
 from jaxvision.errors import InputError
 from jaxvision.programs import compile_quickly, keep_programs
 
@@ -111,22 +111,27 @@ RigPath = Annotated[
 ]
 
 
-def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Registers a sub-command; its `options` gathers the options that all commands share."""
+def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that registers a sub-command with `examples` in its help; its `options` gathers the
+    options that all commands share."""
     shared = inspect.signature(Options).parameters
-    own = dict(inspect.signature(function).parameters)
-    del own["options"]
 
-    def registered(**given: Any) -> None:
-        options = Options(**{name: given.pop(name) for name in shared})
-        function(options, **given)
+    def added(function: Callable[..., None]) -> Callable[..., None]:
+        own = dict(inspect.signature(function).parameters)
+        del own["options"]
 
-    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
-    registered.__signature__ = inspect.Signature(parameters)
-    registered.__annotations__ = {p.name: p.annotation for p in parameters}
-    sentences = " ".join((function.__doc__ or "").split())
-    app.command(function.__name__, help=sentences)(registered)
-    return function
+        def registered(**given: Any) -> None:
+            options = Options(**{name: given.pop(name) for name in shared})
+            function(options, **given)
+
+        parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
+        update_wrapper(registered, function)
+        registered.__signature__ = inspect.Signature(parameters)
+        registered.__annotations__ = {p.name: p.annotation for p in parameters}
+        sub_command(app, *examples)(registered)
+        return function
+
+    return added
 
 
 def run(

@@ -24,6 +24,7 @@ from .command_line import (
     command_app,
     failures_as_sentences,
     print_table,
+    sub_command,
 )
 from .errors import InputError
 from .interrupts import ending_on_interrupt
@@ -40,7 +41,11 @@ SceneArgument = Annotated[
 app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
 
 
-@app.command()
+@sub_command(
+    app,
+    "jaxvision inspect photo.png --out look.png",
+    "jaxvision inspect photo.png --at 120,80 --json",
+)
 @failures_as_sentences("jaxvision")
 def inspect(
     file: Annotated[
@@ -97,7 +102,11 @@ def inspect(
         print(f"Figure: {out}")
 
 
-@app.command()
+@sub_command(
+    app,
+    "jaxvision render cornell_box --out box.exr --samples 64",
+    "jaxvision render scene.toml --out picture.exr --accuracy 2%",
+)
 @failures_as_sentences("jaxvision")
 def render(
     scene: SceneArgument,
@@ -231,7 +240,11 @@ def render(
         print(f"Preview: {shown}")
 
 
-@app.command()
+@sub_command(
+    app,
+    "jaxvision accuracy cornell_box --seconds 60",
+    "jaxvision accuracy scene.toml --knob samples --out accuracy",
+)
 @failures_as_sentences("jaxvision")
 def accuracy(
     scene: SceneArgument,
@@ -281,7 +294,11 @@ def _share(text: str) -> float:
     return goal.value
 
 
-@app.command()
+@sub_command(
+    app,
+    "jaxvision effects cornell_box --tolerance 1%",
+    "jaxvision effects cornell_box --camera emva1288 --tolerance 0.5DN",
+)
 @failures_as_sentences("jaxvision")
 def effects(
     scene: SceneArgument,

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib import metadata
@@ -75,6 +75,28 @@ def command_app(about: str) -> typer.Typer:
 
     app.callback()(options)
     return app
+
+
+def sub_command(
+    app: typer.Typer, *examples: str
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that adds a function to a command.
+
+    Args:
+        app: the command, of `command_app`.
+        *examples: lines that its help shows at the end, as one would type them.
+
+    Returns:
+        A decorator; the docstring of what it decorates is the help, in one paragraph.
+    """
+
+    def added(function: Callable[..., None]) -> Callable[..., None]:
+        sentences = " ".join((function.__doc__ or "").split())
+        shown = "\n\n".join(f"Example: {line}" for line in examples)  # a paragraph each
+        app.command(function.__name__, help=sentences, epilog=shown)(function)
+        return function
+
+    return added
 
 
 def _print_version(context: typer.Context, wanted: bool) -> bool:

@@ -3,6 +3,7 @@ nothing left behind."""
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from functools import partial
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from commands import called
 
+import jaxvision.cli
 from fitting.cli import app
 from fitting.report.page import as_json
 from jaxvision.io import read_image, write_image
@@ -268,6 +271,18 @@ def test_what_needs_no_computation_imports_none(tmp_path):
     assert ran.stderr.count("a.tif: no such image file") == 3
     assert "jaxvision" in loaded
     assert not set(loaded) & {"jax", "numpy", "equinox", "scipy", "emcee", "xarray"}
+
+
+@pytest.mark.parametrize("program", [jaxvision.cli.app, app])
+def test_examples_of_the_help_are_arguments_that_a_command_takes(program):
+    group = typer.main.get_command(program)
+    for name, command in group.commands.items():
+        examples = re.findall(r"Example: (.+)", command.epilog)
+        assert examples, name
+        for example in examples:
+            _, typed, *arguments = shlex.split(example)
+            assert typed == name
+            command.make_context(name, arguments)
 
 
 def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():

@@ -2,18 +2,18 @@
 
 import io
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from ..inference.estimates import Estimate
-from .formatting import format_cell, format_interval, format_name, format_unit, format_value
+from .formatting import format_cell
 from .section import Section, Table
 from .sentences import said_once
+from .sheet import Cell, Sheet, sheet
 
-PLAIN_WIDTH = 170  # columns where the output is not a terminal, which would tell its width
+COLUMNS = 3  # channels or methods side by side
+PLAIN_WIDTH = 110  # columns where the output is not a terminal, which would tell its width
 
 
 def output() -> Console:
@@ -22,19 +22,21 @@ def output() -> Console:
 
 
 def print_section(console: Console, section: Section) -> None:
-    """The estimates of a calibration as a table, its findings as sentences under it."""
+    """The estimates of a calibration as tables, its findings as sentences under them."""
     console.print()
     if section.estimates:
-        console.print(estimate_table(section.title, section.estimates))
-    for estimate in section.estimates:
-        if estimate.reason:
+        found = sheet(section)
+        for first in range(0, len(found.columns), COLUMNS):
+            console.print(_sheet_table(section.title, found, slice(first, first + COLUMNS)))
+        console.print(f"Value ± standard error, 95 % interval. {found.methods}".rstrip())
+        for number, reason in enumerate(found.notes, 1):
             console.print(
-                f"  {_label(estimate)}: not determined: {estimate.reason}", soft_wrap=True
+                f"({number}) Not determined: {reason}.", soft_wrap=not console.is_terminal
             )
     for table in section.tables:
         console.print(plain_table(table))
     for finding in said_once(section.findings):
-        console.print(f"• {finding}", soft_wrap=True)
+        console.print(f"• {finding}", soft_wrap=not console.is_terminal)
 
 
 def section_text(section: Section) -> str:
@@ -52,26 +54,25 @@ def section_text(section: Section) -> str:
     return "\n".join(line.rstrip() for line in printed.get().strip().splitlines())
 
 
-def estimate_table(title: str, estimates: Sequence[Estimate]) -> RichTable:
-    """What is determined, a row each."""
-    table = RichTable(title=title, title_justify="left", title_style="bold")
-    grouped = any(estimate.group for estimate in estimates)
-    heads = ["quantity", "value ± s.e.", "unit", "68 %", "95 %", "method"]
-    for head in (["channel"] if grouped else []) + heads:
-        table.add_column(head, no_wrap=head in ("value ± s.e.", "68 %", "95 %"))
-    for estimate in estimates:
-        if estimate.reason:
-            continue
-        cells = [
-            format_name(estimate.name),
-            format_value(estimate),
-            format_unit(estimate.unit),
-            format_interval(estimate, 68),
-            format_interval(estimate, 95),
-            estimate.method,
-        ]
-        table.add_row(*([estimate.group] if grouped else []), *(_escaped(cell) for cell in cells))
+def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
+    """A row a quantity, a block under another; of its columns those of `shown`."""
+    table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
+    heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
+    for head in heads:
+        table.add_column(_escaped(head))
+    for _, rows in found.blocks:
+        table.add_section()
+        for row in rows:
+            name = f"{row.name}\n{row.unit}".rstrip()
+            cells = (_cell(cell) for cell in row.cells[shown])
+            compared = (row.apart,) if found.compares else ()
+            table.add_row(*map(_escaped, (name, *cells, *compared)))
     return table
+
+
+def _cell(cell: Cell) -> str:
+    note = f" ({cell.note})" if cell.note else ""
+    return f"{cell.value}{note}\n{cell.interval}".rstrip()
 
 
 def plain_table(content: Table) -> RichTable:
@@ -88,11 +89,6 @@ def plain_table(content: Table) -> RichTable:
     for row in content.rows:
         table.add_row(*(_escaped(format_cell(cell)) for cell in row))
     return table
-
-
-def _label(estimate: Estimate) -> str:
-    name = format_name(estimate.name)
-    return f"{name} ({estimate.method})" if estimate.method else name
 
 
 def _escaped(cell: str) -> str:
