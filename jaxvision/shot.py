@@ -3,8 +3,6 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
-import base64
-import io
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,6 +17,7 @@ from ._band_count import band_count
 from ._types import Image, Key, Scalar, Shown, in_short, is_known
 from .development import develop
 from .effects import Certificate, Tolerance, prune
+from .in_notebooks import preview_png, with_picture
 from .lights import Rule
 from .optics import sensor_irradiance
 from .rendering import PixelSamples, render
@@ -30,7 +29,6 @@ from .transport import Paths, path_traced
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
 
-PREVIEW = 320  # pixels of the longer side of what a notebook shows
 _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
@@ -57,11 +55,7 @@ class Capture(Shown):
         table = super()._repr_html_()
         if not is_known(self.raw) or not np.size(self.raw):
             return table
-        return (
-            '<div style="display: flex; flex-wrap: wrap; gap: 1em">'
-            f'<div><img alt="preview" src="data:image/png;base64,{_preview(self)}"></div>'
-            f"<div>{table}</div></div>"
-        )
+        return with_picture(preview_png(_seen_as(self)), table, meaning="preview")
 
 
 @takes_numbers
@@ -155,21 +149,15 @@ def capture(
     return Capture(radiance, irradiance, raw, picture, certificate)
 
 
-def _preview(shot: Capture) -> str:
-    """A PNG, base64-encoded: of the first of a batch the developed picture if it is RGB, else the
-    mean of the bands between its least and its largest; thinned to 320 pixels."""
-    from matplotlib.image import imsave
-
+def _seen_as(shot: Capture) -> np.ndarray:
+    """(h, w, 1 or 3), of the first of a batch: the developed picture if it is RGB, else the mean of
+    the bands between its least and its largest."""
     seen = np.asarray(shot.raw if shot.picture is None else shot.picture, float)
-    seen = seen.reshape(-1, *seen.shape[-3:])[0]
-    step = -(-max(seen.shape[:2]) // PREVIEW)
-    seen = np.nan_to_num(seen[::step, ::step], posinf=0, neginf=0)
+    seen = np.nan_to_num(seen.reshape(-1, *seen.shape[-3:])[0], posinf=0, neginf=0)
     if shot.picture is None or seen.shape[2] != 3:
-        seen = np.repeat(seen.mean(axis=2, keepdims=True), 3, axis=2)
+        seen = seen.mean(axis=2, keepdims=True)
         seen = (seen - seen.min()) / (np.ptp(seen) or 1)
-    file = io.BytesIO()
-    imsave(file, np.rint(255 * np.clip(seen, 0, 1)).astype(np.uint8), format="png")
-    return base64.b64encode(file.getvalue()).decode()
+    return seen
 
 
 def _bands(scene: Scene) -> int:

@@ -13,6 +13,7 @@ from jaxvision import accuracy, effects
 EAGER = {
     "jaxvision.interrupts",
     "jaxvision.progress",
+    "jaxvision.in_notebooks",
     "jaxvision.io",
     "jaxvision.raw_files",
     "jaxvision.image_settings",

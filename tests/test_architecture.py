@@ -19,7 +19,8 @@ NIGHTLY = ROOT / ".ci" / "nightly"
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
     {"_primitives"},
-    {"errors", "memory", "programs", "progress", "side_by_side", "_types", "_staging"},
+    {"errors", "in_notebooks", "memory", "programs", "progress", "side_by_side"},
+    {"_types", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
     {"_numerics", "_chebyshev", "_quadrature"},
@@ -47,7 +48,8 @@ FLOORS = [
     {"cli"},
     {"__main__"},
 ]
-KNOWN_TO_INFERENCE = {"errors", "io", "programs"}  # of `jaxvision`: no light, surface or camera
+# Of `jaxvision`: no light, surface or camera.
+KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "programs"}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},

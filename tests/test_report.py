@@ -24,11 +24,11 @@ from fitting.inference.estimates import (
     not_determined,
     sampled_estimate,
 )
+from fitting.inference.formatting import format_interval, format_number, format_p, format_value
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
 from fitting.report.chains import corner_figure
 from fitting.report.console import section_text
-from fitting.report.formatting import format_interval, format_number, format_p, format_value
 from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.notebook import ShownInNotebooks
 from fitting.report.page import as_html, as_json, write_report

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxvision.errors import InputError
+from jaxvision.in_notebooks import record_html
 
 from ..fits.solve import fit
 from ..inference.given import require_seed, require_whole
 from ..inference.parameters import Parameter, names, prior_values
 from ..inference.problem import Problem, likelihood_at, prediction, values_from
-from .coverage import Coverage, coverage
+from .coverage import LEVELS, Coverage, coverage
 from .simulations import simulated
 
 
@@ -41,6 +42,22 @@ class Check:
         from .section import line
 
         return "\n".join([*(line(one) for one in self.coverage), *self.faults])
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows."""
+        levels = [f"{100 * level:.0f} %" for level in LEVELS]
+        rows = [
+            (
+                *(one.name, str(one.simulations)),
+                *(f"{share:.3f}" for share in one.held),
+                " to ".join(f"{end:.3f}" for end in one.band[-1]),
+                f"{one.z_mean:+.2f} ± {one.z_sd:.2f}",
+            )
+            for one in self.coverage
+        ]
+        heads = ("parameter", "fits", *levels, f"{levels[-1]}, by chance", "z")
+        title = "Share of fits whose interval holds the truth"
+        return record_html(heads, rows, title=title, notes=self.faults)
 
 
 def check(

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from ..inference.formatting import format_name, format_value
 from ..report.colours import OF_CHANNEL
-from ..report.formatting import format_name, format_value
 from .compare import Comparison
 
 LIMIT = 4.5  # standard errors shown to either side

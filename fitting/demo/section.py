@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from functools import partial
 
-from ..report.formatting import format_interval, format_name, format_unit, format_value
+from ..inference.formatting import format_interval, format_name, format_unit, format_value
 from ..report.section import Picture, Section, Table
 from .compare import Comparison, compare
 from .figures import forest_figure

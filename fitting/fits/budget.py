@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError, nearest
+from jaxvision.in_notebooks import record_html
 
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
@@ -87,10 +88,19 @@ class Budget:
 
     def __str__(self) -> str:
         width = max(len(share.source) for share in self.shares)
-        rows = [
-            f"  {s.source.ljust(width)}  {100 * s.share:6.1f} %  ± {s.sd:.3g}" for s in self.shares
-        ]
-        return "\n".join([f"{self.target} = {self.value:.5g} ± {self.sd:.2g}, from", *rows])
+        rows = [f"  {source.ljust(width)}  {share:>8}  {sd}" for source, share, sd in self._rows()]
+        return "\n".join([self._heading(), *rows])
+
+    def _heading(self) -> str:
+        return f"{self.target} = {self.value:.5g} ± {self.sd:.2g}, from"
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        return [(s.source, f"{100 * s.share:.1f} %", f"± {s.sd:.3g}") for s in self.shares]
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows."""
+        heads = ("source", "of the variance", "s.d. it alone leaves")
+        return record_html(heads, self._rows(), title=self._heading())
 
 
 def budget(

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.io import replaced_on_success, write_image
 
+from ..inference.formatting import format_unit
 from ..inference.misfit import CHANCE
 from .result import Fit
 
@@ -30,7 +32,7 @@ SHOWN = (1, 99)  # percentiles between which a picture's colours go
 
 @dataclass(frozen=True)
 class FitMap:
-    """A small problem, fitted at every pixel. Print it for what is in it.
+    """A small problem, fitted at every pixel. Print it for what is in it, or show it in a notebook.
 
     Attributes:
         estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is
@@ -124,6 +126,9 @@ class FitMap:
                 tail = f"[{','.join(map(str, index))}]" if index else ""
                 yield name + tail, values[index], self.sd[name][index]
 
+    def _unit(self, name: str) -> str:
+        return self.units[name.partition("[")[0] if name not in self.units else name]
+
     def _figure(self) -> "Figure":
         """Estimates beside their standard errors, and the states."""
         from matplotlib import colormaps
@@ -134,12 +139,12 @@ class FitMap:
         figure = Figure(figsize=(9, 3.2 * rows), layout="constrained")
         axes = figure.subplots(rows, 2, squeeze=False)
         for row, (name, value, sd) in zip(axes, numbers, strict=False):
-            unit = self.units[name.partition("[")[0] if name not in self.units else name]
+            unit = format_unit(self._unit(name))
             for axis, pixels, title in ((row[0], value, name), (row[1], sd, f"{name}: s.e.")):
                 known = pixels[np.isfinite(pixels)]
                 low, high = np.percentile(known, SHOWN) if known.size else (0.0, 1.0)
                 shown = axis.imshow(pixels, cmap="viridis", vmin=low, vmax=high)
-                axis.set_title(title if unit == "1" else f"{title} [{unit}]")
+                axis.set_title(f"{title} [{unit}]" if unit else title)
                 figure.colorbar(shown, ax=axis, extend="both")
         ratio = self.chi_square / np.where(self.dof > 0, self.dof, np.nan)
         known = ratio[np.isfinite(ratio)]
@@ -155,18 +160,34 @@ class FitMap:
         return figure
 
     def __str__(self) -> str:
+        rows = [
+            f"  {name}: median {middle}, 90 % of pixels in {ends}, median standard error {error}"
+            for name, middle, ends, error, _ in self._rows()
+        ]
+        remarks = (f"• {sentence}" for sentence in self.findings)
+        return "\n".join([self._heading(), *rows, *remarks])
+
+    def _heading(self) -> str:
         good = self.converged
-        heads = [f"Fits at {good.size} pixels: {int(good.sum())} converged"]
+        return f"Fits at {good.size} pixels: {int(good.sum())} converged"
+
+    def _rows(self) -> list[tuple[str, str, str, str, str]]:
+        rows = []
         for name, value, sd in self._numbers():
             known = np.isfinite(value)
-            if not known.any():
-                continue
-            low, middle, high = np.percentile(value[known], (5, 50, 95))
-            heads.append(
-                f"  {name}: median {middle:.4g}, 90 % of pixels in [{low:.4g}, {high:.4g}], "
-                f"median standard error {np.median(sd[known]):.2g}"
-            )
-        return "\n".join([*heads, *(f"• {sentence}" for sentence in self.findings)])
+            if known.any():
+                low, middle, high = np.percentile(value[known], (5, 50, 95))
+                ends, error = f"[{low:.4g}, {high:.4g}]", f"{np.median(sd[known]):.2g}"
+                rows.append((name, f"{middle:.4g}", ends, error, format_unit(self._unit(name))))
+        return rows
+
+    def _repr_html_(self) -> str:
+        """The maps that a notebook shows, where they have two dimensions, beside their table."""
+        heads = ("parameter", "median", "90 % of pixels in", "median s.e.", "unit")
+        table = record_html(heads, self._rows(), title=self._heading(), notes=self.findings)
+        if self.state.ndim != 2:
+            return table
+        return with_picture(figure_png(self._figure()), table, meaning="maps, errors and states")
 
 
 def found_in_words(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:

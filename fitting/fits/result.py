@@ -12,15 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError, nearest
+from jaxvision.in_notebooks import record_html
 
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
+from ..inference.formatting import format_interval, format_p, format_unit, format_value
 from ..inference.misfit import Misfit
 from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, records_at, values_from
 from ..inference.search import Optimum
-from ..report.formatting import format_interval, format_p, format_unit, format_value
 from .bands import Bands, bands, pushed, simulated, thinned_draws
 from .budget import Budget, Noise, budget
 from .information import Target
@@ -316,16 +317,13 @@ class Fit:
         return f"<{self._heading()}>"
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        def row(cells: tuple[str, ...], tag: str) -> str:
-            return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-        table = row(HEADS, "th") + "".join(row(cells, "td") for cells in self._rows())
-        remarks = "".join(f"<li>{escape(line)}</li>" for line in (*self.failures, *self.findings))
-        return (
-            f"<p><b>{escape(self._heading())}</b></p><table>{table}</table>"
-            f"<p>{escape(self.summary())}</p><ul>{remarks}</ul>"
+        """The table that a notebook shows."""
+        return record_html(
+            HEADS,
+            self._rows(),
+            title=self._heading(),
+            summary=self.summary(),
+            notes=(*self.failures, *self.findings),
         )
 
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxvision.in_notebooks import record_html
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -58,11 +60,25 @@ class Plan:
     def __str__(self) -> str:
         width = max(len(candidate.name) for candidate in self.candidates)
         rows = [
-            f"  {c.name.ljust(width)}  {c.sd:10.4g}  {100 * c.fall:6.1f} %  {c.gain:8.3g}"
-            for c in self.candidates
+            f"  {name.ljust(width)}  {sd:>10}  {fall:>8}  {gain:>8}"
+            for name, sd, fall, gain in self._rows()
         ]
         head = f"  {'measure'.ljust(width)}        s.d.  variance  gain/nat"
-        return "\n".join([f"{self.target} = {self.value:.5g} ± {self.sd:.2g}; next:", head, *rows])
+        return "\n".join([self._heading(), head, *rows])
+
+    def _heading(self) -> str:
+        return f"{self.target} = {self.value:.5g} ± {self.sd:.2g}; next:"
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        return [
+            (c.name, f"{c.sd:.4g}", f"{100 * c.fall:.1f} %", f"{c.gain:.3g}")
+            for c in self.candidates
+        ]
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows."""
+        heads = ("measure", "s.d. then", "variance less by", "gain / nat")
+        return record_html(heads, self._rows(), title=self._heading())
 
 
 def ranked(

@@ -8,6 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
 
+from jaxvision.in_notebooks import record_html
+
+from .formatting import format_interval, format_name, format_unit, format_value
+
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
 
 
@@ -50,6 +54,19 @@ class Estimate:
     method: str = ""
     group: str = ""
     reason: str = ""
+
+    def _repr_html_(self) -> str:
+        """The line that a notebook shows."""
+        named = {"of": self.group, "": format_name(self.name), "by": self.method}
+        cells = {
+            **{head: text for head, text in named.items() if text},
+            "value ± s.e.": format_value(self),
+            "unit": format_unit(self.unit),
+            "68 %": format_interval(self, 68),
+            "95 %": format_interval(self, 95),
+        }
+        missing = [f"Not determined: {self.reason}."] if self.reason else []
+        return record_html([*cells], [[*cells.values()]], notes=missing)
 
 
 def quantile_estimate(

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..inference.formatting import decimals_for, format_number
 from ..report.colours import BLUE
-from ..report.formatting import decimals_for, format_number
 from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation

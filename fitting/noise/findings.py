@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..inference.diagnostics import identifiability
+from ..inference.formatting import format_p
 from ..inference.trust import convergence_in_words
-from ..report.formatting import format_p
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE

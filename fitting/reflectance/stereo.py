@@ -15,18 +15,21 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 from jaxvision.errors import InputError
+from jaxvision.in_notebooks import figure_png, record_html, with_picture
+from jaxvision.plots import pictures
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
 CHANCE = 0.01  # that a pixel without broken readings leaves one out
 RETURNS = 5  # rounds in which readings come back, each by the scatter of those before
+HEADS = ("", "median", "90 % of pixels in", "unit")
 FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
 
 
 @dataclass(frozen=True)
 class Stereo:
-    """What photographs tell of each pixel.
+    """What photographs tell of each pixel. Print it, or show it in a notebook.
 
     Attributes:
         normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights count.
@@ -42,6 +45,43 @@ class Stereo:
     normal_sd: Float[np.ndarray, "h w"]
     albedo_sd: Float[np.ndarray, "h w"]
     used: Int[np.ndarray, "h w"]
+
+    def __str__(self) -> str:
+        rows = [
+            f"  {name}: median {middle}, 90 % of pixels in {ends} {unit}".rstrip()
+            for name, middle, ends, unit in self._rows()
+        ]
+        return "\n".join([self._heading(), *rows])
+
+    def _heading(self) -> str:
+        found = int(np.isfinite(self.albedo).sum())
+        return f"Normals and albedo at {found} of {self.albedo.size} pixels"
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        maps = {
+            "albedo": (self.albedo, "readings / irradiance"),
+            "albedo: s.d.": (self.albedo_sd, "readings / irradiance"),
+            "normal: s.d.": (self.normal_sd, "rad"),
+            "lights that count": (self.used, ""),
+        }
+        rows = []
+        for name, (values, unit) in maps.items():
+            known = values[np.isfinite(values) & np.isfinite(self.albedo)]
+            if known.size:
+                low, middle, high = np.percentile(known, (5, 50, 95))
+                rows.append((name, f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]", unit))
+        return rows
+
+    def _repr_html_(self) -> str:
+        """The maps that a notebook shows, beside their table."""
+        table = record_html(HEADS, self._rows(), title=self._heading())
+        known = self.albedo[np.isfinite(self.albedo)]
+        if not known.size:
+            return table
+        white = np.percentile(known, 99) or 1.0
+        shown = {"normals as colours": (1 + self.normals) / 2, "albedo": self.albedo / white}
+        maps = pictures({name: np.nan_to_num(pixels) for name, pixels in shown.items()})
+        return with_picture(figure_png(maps), table, meaning="normals and albedo")
 
 
 def photometric_stereo(

@@ -11,10 +11,10 @@ from matplotlib.ticker import ScalarFormatter
 
 from jaxvision.io import replaced_on_success
 
+from ..inference.formatting import format_axis
 from ..inference.parameters import Parameter, names, scalars
 from ..inference.posterior import Posterior
 from .colours import BLUE, OF_CHANNEL, RED
-from .formatting import format_axis
 from .section import Columns, Picture, Section
 
 MARGIN = 1.0  # inches left of and below a corner plot, for turned numbers and names

@@ -7,7 +7,7 @@ from dataclasses import replace
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from .formatting import format_cell
+from ..inference.formatting import format_cell
 from .section import Section, Table
 from .sentences import said_once
 from .sheet import Cell, Sheet, sheet

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxvision.io import read_image
 
+from ..inference.formatting import format_unit
 from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig
-from .formatting import format_unit
 from .section import Input, Section
 from .unused_keys import unused_keys
 

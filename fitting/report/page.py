@@ -17,8 +17,8 @@ from jaxvision.io import replaced_on_success
 from jaxvision.plots.inline import figure_svg
 
 from ..inference.estimates import Estimate
+from ..inference.formatting import format_cell, format_unit, size_in_words
 from .chains import chain_pictures, write_chains
-from .formatting import format_cell, format_unit, size_in_words
 from .section import Input, Section, Table
 from .sentences import said_once
 from .sheet import sheet

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..inference.estimates import Estimate
-from .formatting import format_interval, format_name, format_unit, format_value, split_symbol
+from ..inference.formatting import (
+    format_interval,
+    format_name,
+    format_unit,
+    format_value,
+    split_symbol,
+)
 from .section import Section
 
 

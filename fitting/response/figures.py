@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from jaxvision.colour_spaces import luminance
 from jaxvision.point_ops import reinhard, scaled_to_key, srgb_encode, with_luminance
 
+from ..inference.formatting import format_value
 from ..report.colours import OF_CHANNEL
-from ..report.formatting import format_value
 from .calibration import ChannelResponse, ResponseCalibration
 from .findings import DRAWN
 

@@ -13,12 +13,12 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ..errors import InputError
+from ..in_notebooks import record_html
 from ..scene import Camera, Scene, View
 
 Rank = Literal["exact", "bound", "estimate"]
@@ -174,15 +174,9 @@ class Certificate:
 
     def _repr_html_(self) -> str:
         """The table that a notebook shows."""
-        head = "".join(f"<th>{word}</th>" for word in ("", *_HEADINGS))
-        body = "".join(
-            f"<tr><td>{word}</td>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
-            for word, cells in _rows(self)
-        )
-        notes = "".join(f"<li>{escape(note)}</li>" for note in self.assumptions)
-        last = escape(summary(self))
-        table = f'<div style="overflow-x: auto"><table><tr>{head}</tr>{body}</table></div>'
-        return f"{table}<p>{last}</p><ul>{notes}</ul>"
+        rows = [(word, *cells) for word, cells in _rows(self)]
+        last = summary(self)
+        return record_html(("", *_HEADINGS), rows, summary=last, notes=self.assumptions)
 
 
 @dataclass(frozen=True)

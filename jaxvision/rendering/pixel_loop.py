@@ -22,11 +22,14 @@ from .._random import Stream, Word, lattice_point, seed_of
 from .._staging import LANES
 from .._types import Key, Scalar, Shown, Spectrum, check_count, is_known
 from ..geometry import Ray
+from ..in_notebooks import preview_png, with_picture
 from ..optics import view_ray
+from ..point_ops import srgb_encode
 from ..scene import ThinLens, View
 
 # Rays at once: cores share each loop over a block, which must be long beside the start of a task.
 BLOCK = 65536
+WHITE = 0.99  # quantile of the radiance that a notebook shows white
 
 # From a block of rays, of components (n,), and their samples, of pixels (n,), to radiance in
 # W m^-2 sr^-1: (n, bands), or one (n,) for each band.
@@ -67,6 +70,24 @@ class Traced(Shown):
 
     radiance: Spectrum
     error: Spectrum
+
+    def _repr_html_(self) -> str:
+        """The picture that a notebook shows, of an image, beside the table."""
+        table = super()._repr_html_()
+        if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
+            return table
+        return with_picture(preview_png(_encoded(self.radiance)), table, meaning="radiance, sRGB")
+
+
+def _encoded(radiance: Spectrum) -> np.ndarray:
+    """(h, w, 1 or 3), of the first of a batch: white at the 99th percentile; other bands than three
+    show their mean."""
+    seen = np.asarray(radiance, float).reshape(-1, *radiance.shape[-3:])[0]
+    if seen.shape[2] != 3:
+        seen = seen.mean(axis=2, keepdims=True)
+    finite = seen[np.isfinite(seen)]
+    white = np.quantile(finite, WHITE) if finite.size else 0.0
+    return np.asarray(srgb_encode(np.clip(seen / (white if white > 0 else 1.0), 0, 1)))
 
 
 def photograph(

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ...inference.diagnostics import identifiability
+from ...inference.formatting import format_p
 from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
-from ...report.formatting import format_p
 from ..levels import Levels
 from ..misfit import MISFIT
 from .calibration import CameraCalibration

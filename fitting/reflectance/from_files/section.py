@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
+from ...inference.formatting import decimals_for, format_number, format_unit
 from ...inference.posterior import estimates
-from ...report.formatting import decimals_for, format_number, format_unit
 from ...report.section import Picture, Section, Table
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective

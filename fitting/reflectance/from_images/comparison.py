@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
 
-from ...report.formatting import format_with_error
+from ...inference.formatting import format_with_error
 from ...report.section import Table
 from ..models import LABELS
 from ..names import Model

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from jaxvision.errors import InputError, nearest
 
 from ...inference.design import Plan, ranked
+from ...inference.formatting import format_with_error
 from ...inference.parameters import names
-from ...report.formatting import format_with_error
 from ...report.section import Section, Table
 from ..models import LABELS
 from ..names import Model

@@ -220,10 +220,18 @@ ELSEWHERE = (
             fitting.*.findings.*
             fitting.*.section.*
             fitting.report.*
+            fitting.inference.formatting.*
             fitting.checks.section.*
             fitting.fits.words.*
             fitting.demo.section.*
             fitting.fits.section.*
+        """,
+    ),
+    Elsewhere(
+        WORDS,
+        "test_in_notebooks",
+        """
+            in_notebooks.*
         """,
     ),
     Elsewhere(

@@ -2,8 +2,10 @@
 
 import math
 import re
+from typing import TYPE_CHECKING
 
-from ..inference.estimates import Estimate
+if TYPE_CHECKING:
+    from .estimates import Estimate
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DIGITS = 2  # significant digits of an uncertainty
@@ -75,7 +77,7 @@ def format_with_error(value: float, error: float) -> str:
     return f"{format_number(value, places)} ± {format_number(error, places, beside=value)}"
 
 
-def format_value(estimate: Estimate) -> str:
+def format_value(estimate: "Estimate") -> str:
     """`value ± standard error` without the unit, or a dash where it is not determined."""
     if estimate.value is None:
         return "–"
@@ -84,7 +86,7 @@ def format_value(estimate: Estimate) -> str:
     return format_with_error(estimate.value, estimate.standard_error)
 
 
-def format_interval(estimate: Estimate, level: int) -> str:
+def format_interval(estimate: "Estimate", level: int) -> str:
     """The 68 or 95 % interval as `[low, high]`.
 
     Args:

@@ -1,0 +1,101 @@
+"""What a notebook shows of a record: its numbers as an HTML table, its picture beside them."""
+
+import base64
+import io
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PREVIEW = 320  # pixels of the longer side of a picture
+DOTS_PER_INCH = 64  # of a figure
+
+
+def record_html(
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    title: str = "",
+    summary: str = "",
+    notes: Iterable[str] = (),
+) -> str:
+    """A table with what is said of it.
+
+    Args:
+        heads: of the columns, plain text as all that follows.
+        rows: cells of each.
+        title: above.
+        summary: a line below.
+        notes: sentences below it.
+
+    Returns:
+        HTML, in which the text is escaped.
+    """
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    body = row(heads, "th") + "".join(row(cells, "td") for cells in rows)
+    listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    return (
+        (f"<p><b>{escape(title)}</b></p>" if title else "")
+        + f'<div style="overflow-x: auto"><table>{body}</table></div>'
+        + (f"<p>{escape(summary)}</p>" if summary else "")
+        + (f"<ul>{listed}</ul>" if listed else "")
+    )
+
+
+def with_picture(png: bytes, html: str, *, meaning: str) -> str:
+    """A picture beside a table.
+
+    Args:
+        png: the picture's file.
+        html: of the table.
+        meaning: of the picture, for those who do not see it.
+
+    Returns:
+        HTML.
+    """
+    data = base64.b64encode(png).decode()
+    return (
+        '<div style="display: flex; flex-wrap: wrap; gap: 1em">'
+        f'<div><img alt="{escape(meaning)}" src="data:image/png;base64,{data}"></div>'
+        f"<div>{html}</div></div>"
+    )
+
+
+def preview_png(pixels: np.ndarray) -> bytes:
+    """A PNG of an image, thinned to 320 pixels.
+
+    Args:
+        pixels: (h, w, 1 or 3) encoded, relative to white; what is no number is black.
+
+    Returns:
+        The file.
+    """
+    from matplotlib.image import imsave
+
+    step = -(-max(pixels.shape[:2]) // PREVIEW)
+    seen = np.clip(np.nan_to_num(pixels[::step, ::step]), 0, 1)
+    file = io.BytesIO()
+    codes = np.rint(255 * np.broadcast_to(seen, (*seen.shape[:2], 3))).astype(np.uint8)
+    imsave(file, codes, format="png")
+    return file.getvalue()
+
+
+def figure_png(figure: "Figure") -> bytes:
+    """A PNG of a figure, small enough to stand beside a table.
+
+    Args:
+        figure: of matplotlib.
+
+    Returns:
+        The file.
+    """
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
+    return file.getvalue()
