@@ -9,18 +9,25 @@ import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import psutil
 import pytest
 from commands import called
 from scene_texts import BALL
+from studies import write_camera
 
 import jaxvision as jv
+from fitting.checks import noise
+from fitting.study.outcomes import Settings
+from fitting.study.run import study
 from jaxvision import tasks
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.render_command import render_to_file
 from jaxvision.scene_files import read_scene
+from jaxvision.scene_files.schema import overridden
 
 distributed = pytest.importorskip("distributed")
 system = pytest.importorskip("distributed.system")
@@ -144,6 +151,33 @@ def test_records_that_tasks_share_are_not_kept_when_they_are_done():
     known = weakref.ref(made.pop("light"))
     gc.collect()
     assert known() is None
+
+
+def test_tasks_like_earlier_ones_compile_nothing(tmp_path, caplog):
+    """What a worker compiles anew, or JAX remembers, at each task adds up in it for ever."""
+    (tmp_path / "ball.toml").write_text(BALL)
+    folder = write_camera(tmp_path / "camera", seed=0, levels=4, side=16)
+
+    def tasks_of(seed):
+        for integrator in ("path", "light"):
+            source = read_scene(tmp_path / "ball.toml")
+            given = {"integrator": integrator, "samples": 2, "seed": seed}
+            render_to_file(
+                source, tmp_path / f"{integrator}{seed}.exr", overridden(source.render, given)
+            )
+        noise.places(noise.CASES["5 levels"], seed)
+        study([folder], tmp_path / str(seed), Settings("noise"))
+        gc.collect()
+        return jnp.true_divide._cache_size()
+
+    with jax.enable_x64(True):
+        tasks_of(0)
+        before = tasks_of(1)
+        caplog.clear()
+        with jax.log_compiles():
+            after = tasks_of(2)
+    assert [record.message for record in caplog.records if "Compiling" in record.message] == []
+    assert after == before
 
 
 def greedy(shared, item):

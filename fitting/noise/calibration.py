@@ -192,9 +192,10 @@ def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
 def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> float:
     """What the standard's regression makes of the fitted curves: K of the model's own means and
     variances."""
-    moments = predicted_moments(fit.values, fit.data, fit.data.light)
+    predicted = eqx.filter_jit(predicted_moments)
+    moments = predicted(fit.values, fit.data, fit.data.light)
     unlit_data = eqx.tree_at(lambda data: data.lit, fit.data, jnp.zeros_like(fit.data.lit))
-    unlit = predicted_moments(fit.values, unlit_data, jnp.zeros_like(fit.data.light))
+    unlit = predicted(fit.values, unlit_data, jnp.zeros_like(fit.data.light))
     bright = slice(0, len(usable))
     signal = (moments.mean - unlit.mean)[bright]
     shot = (moments.variance - unlit.variance)[bright]

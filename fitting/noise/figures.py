@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
@@ -275,10 +276,8 @@ def _model_curve(
         neighbours=data.neighbours and NeighbourData(data.neighbours.variance_terms),
         photons_known=data.photons_known,
     )
-    values = fit.values
-    lit, unlit = (
-        predicted_moments(values, curve, light) for light in (curve.light, 0 * curve.light)
-    )
+    predicted = eqx.filter_jit(predicted_moments)
+    lit, unlit = (predicted(fit.values, curve, light) for light in (curve.light, 0 * curve.light))
     return light, lit, unlit
 
 

@@ -202,7 +202,8 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """The model at all levels.
+    """The model at all levels. Compile it: outside of a program JAX remembers every single `vmap`,
+    which takes 3 kB.
 
     Args:
         values: natural parameters by name.

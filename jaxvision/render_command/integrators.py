@@ -4,10 +4,11 @@ Four integrators compute each pixel on its own, and so in tiles; radiosity is so
 first tile. Light tracing makes whole pictures, the mean of independent passes.
 """
 
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 
 import jax
 import numpy as np
@@ -66,25 +67,11 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
     """
     _check_light(source, settings)
     _check_lens(source, settings)
-    solved, along = _along(source, settings)
-
-    @jax.jit
-    def tile(
-        scene: Scene,
-        view: View,
-        key: Key,
-        within: Key,
-        ready: Solution | None,
-        rows: Numbers,
-        columns: Numbers,
-        first: Array,
-        depth: Array,
-    ) -> Pixels:
-        samples = PixelSamples(jax.random.fold_in(within, 1), settings.samples)
-        if settings.samples == 1 and settings.integrator != "path":
-            samples = None
-        rays, pixels = along(scene, key, ready, depth), (rows, columns)
-        return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
+    if settings.integrator == "radiosity":
+        solved, along = _solved(source, settings)
+        tile = _tile_of(along, settings)
+    else:
+        solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
         key = jax.random.key(seed)
@@ -124,14 +111,7 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
         As `passes_of`, (h, w, bands) W m^-2 sr^-1; compiled once for all seeds.
     """
     _check_light(source, settings)
-    height, width = source.view.resolution
-
-    @jax.jit
-    def one(key: Key, scene: Scene, view: View) -> Image:
-        traced = light_traced(
-            key, scene, view, paths=height * width, depth=settings.depth, samples=1
-        )
-        return traced.radiance
+    one = _kept_pass(_compiled_in(settings), _structure(source))
 
     def compute(seed: int, number: int) -> np.ndarray:
         key = jax.random.fold_in(jax.random.key(seed), number)
@@ -139,6 +119,62 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
             return np.asarray(one(key, source.scene, source.view))
 
     return compute
+
+
+def _compiled_in(settings: RenderEntry) -> RenderEntry:
+    """The settings without those for which nothing is compiled."""
+    return settings.model_copy(update={"seed": 0, "tile": 1})
+
+
+def _structure(source: SceneFile) -> Hashable:
+    """What a program asks of the scene and its view."""
+    leaves, tree = jax.tree.flatten((source.scene, source.view))
+    return tree, tuple(map(jax.typeof, leaves))
+
+
+@lru_cache(maxsize=1)
+def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., Pixels]:
+    """The program of the last picture: another one of a like scene is compiled no more. It holds
+    no scene, and is let go with the first of another structure."""
+    return _tile_of(_along(settings), settings)
+
+
+@lru_cache(maxsize=1)
+def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
+    """The same of light tracing."""
+
+    @jax.jit
+    def one(key: Key, scene: Scene, view: View) -> Image:
+        traced = light_traced(
+            key, scene, view, paths=math.prod(view.resolution), depth=settings.depth, samples=1
+        )
+        return traced.radiance
+
+    return one
+
+
+def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., Pixels]:
+    """The program from pixels to their radiance."""
+
+    @jax.jit
+    def tile(
+        scene: Scene,
+        view: View,
+        key: Key,
+        within: Key,
+        ready: Solution | None,
+        rows: Numbers,
+        columns: Numbers,
+        first: Array,
+        depth: Array,
+    ) -> Pixels:
+        samples = PixelSamples(jax.random.fold_in(within, 1), settings.samples)
+        if settings.samples == 1 and settings.integrator != "path":
+            samples = None
+        rays, pixels = along(scene, key, ready, depth), (rows, columns)
+        return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
+
+    return tile
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
@@ -163,30 +199,28 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
         )
 
 
-def _along(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
-    """What comes before the first pixel, as a function of a key, and radiance along rays, as one of
-    a scene, a key and that, which may be traced."""
+def _nothing(key: Key) -> None:
+    """Comes before the first pixel of all integrators but radiosity."""
 
-    def nothing(key: Key) -> None:
-        return None
 
+def _along(settings: RenderEntry) -> RaysOf:
+    """Radiance along rays, as a function of a scene and a key, which may be traced."""
     match settings.integrator:
         case "direct":
-            return nothing, lambda scene, key, *_: direct_along(scene, _rule(settings, key))
+            return lambda scene, key, *_: direct_along(scene, _rule(settings, key))
         case "path":
             method = Paths(settings.samples, settings.depth)
             if settings.depth == 1:
-                return nothing, lambda scene, *_: path_along(scene, method)
-            return nothing, lambda scene, key, _, depth: path_along(scene, method, depth=depth)
-        case "rays":
-            rule = _fixed(settings)
-            return nothing, lambda scene, *_: ray_tree_along(scene, rays=settings.depth, rule=rule)
+                return lambda scene, *_: path_along(scene, method)
+            return lambda scene, key, _, depth: path_along(scene, method, depth=depth)
         case _:
-            return _solved(source, settings)
+            rule = _fixed(settings)
+            return lambda scene, *_: ray_tree_along(scene, rays=settings.depth, rule=rule)
 
 
 def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
-    """The scene cut into patches, and the radiance along rays after they have exchanged light."""
+    """The scene cut into patches, whose exchange of light, a function of a key, comes before the
+    first pixel; and the radiance along rays after it."""
     with _in_words_of(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
