@@ -21,6 +21,7 @@ from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit, fit_map
+from fitting.inference import search
 from jaxvision.errors import InputError
 from jaxvision.scene_files import read_scene
 from jaxvision.transport import radiosity
@@ -80,6 +81,11 @@ def problem(place):
 
 many = problem(shared_out)
 assert len(many.data.sharding.device_set) == len(many.present.sharding.device_set) == 4
+# No device gathers the Jacobian of all, which each would then decompose for itself.
+begin = jnp.asarray(search.spread_starts(many, 8, seed=0))
+lowered = search._searched.lower(begin, many, jnp.zeros(2), jnp.ones(2), True)
+squares = lowered.compile().compiled.as_text()
+assert "all-reduce" in squares and "all-gather" not in squares
 options = {"posterior": "emcee", "sampling": SamplingOptions(steps=40, walkers=16, block=20)}
 one, four = (fit(p, **options) for p in (problem(jnp.asarray), many))
 # A search that sums in another order takes other steps to the same mode, to which it comes within

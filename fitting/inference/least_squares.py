@@ -45,6 +45,7 @@ def minimise_residuals(
     max_steps: int = 200,
     rtol: float = 1e-8,
     atol: float = 1e-8,
+    shared_out: bool = False,
 ) -> Solution:
     """Minimises sum residuals(vector, args)^2 / 2, unbounded: bounds belong in the parameters'
     transforms.
@@ -58,13 +59,18 @@ def minimise_residuals(
         max_steps: most iterations.
         rtol: relative tolerance on the moves of vector and cost.
         atol: absolute tolerance on the same.
+        shared_out: whether the observations lie on several devices. Steps are then those of the
+            normal equations, sums that each device takes of its own; a QR decomposition would be
+            made of the whole Jacobian by every device. They have half of the digits.
 
     Returns:
         The end of the search.
     """
-    import optimistix as optx  # here, for most fits need none of it
+    import lineax as lx  # here, for most fits need none of it
+    import optimistix as optx
 
-    solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
+    linear = lx.Normal(lx.Cholesky()) if shared_out else lx.QR()
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, linear_solver=linear)
     found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)
     end, along = jax.linearize(lambda vector: residuals(vector, args), found.value)
     jacobian = jax.vmap(along)(jnp.eye(start.size, dtype=start.dtype))

@@ -309,13 +309,27 @@ def _costs(vectors: Array, problem: Problem) -> Array:
     return jax.lax.map(one, vectors, batch_size=min(BATCH, len(vectors)))
 
 
-@eqx.filter_jit
 def _levenberg_marquardt(
     starts: Array, problem: Problem, mean: Array, weight: Array
 ) -> tuple[Array, Array]:
+    return _searched(starts, problem, mean, weight, any(map(_shared_out, jax.tree.leaves(problem))))
+
+
+def _shared_out(leaf: Any) -> bool:
+    """Whether an array lies on several devices; one that is traced does not say."""
+    known = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
+    return known and len(leaf.sharding.device_set) > 1
+
+
+@eqx.filter_jit
+def _searched(
+    starts: Array, problem: Problem, mean: Array, weight: Array, shared_out: bool
+) -> tuple[Array, Array]:
     def one(start: Array) -> tuple[Array, Array]:
         args = (problem, mean, weight)
-        found = minimise_residuals(_with_gaussian_prior, start, args, max_steps=STEPS)
+        found = minimise_residuals(
+            _with_gaussian_prior, start, args, max_steps=STEPS, shared_out=shared_out
+        )
         return found.vector, found.cost
 
     return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
