@@ -166,7 +166,7 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
 
 
 def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Reinhard's global operator on the luminance over its log average, the brightest per cent
+    """Reinhard's global operator on the luminance over its log average, the brightest per mille
     white, so that colours keep their ratios; encoded as sRGB, in 0..1, a NaN drawn black."""
     return np.nan_to_num(np.asarray(_tone_mapped(radiance)))
 
@@ -175,8 +175,8 @@ def tone_mapped(radiance: np.ndarray) -> np.ndarray:
 def _tone_mapped(radiance: Array) -> Array:
     bands = radiance if radiance.ndim == 3 else radiance[..., None]
     bright = luminance(bands) if bands.shape[-1] == 3 else bands[..., 0]
-    relative = scaled_to_key(bright, key_value=0.36)
-    wanted = reinhard(relative, white=jnp.nanquantile(relative, 0.99))
+    relative = scaled_to_key(bright, key_value=0.18)
+    wanted = reinhard(relative, white=jnp.nanquantile(relative, 0.999))
     shown = srgb_encode(jnp.clip(with_luminance(bands, bright, wanted), 0, 1))
     return shown.reshape(radiance.shape)
 

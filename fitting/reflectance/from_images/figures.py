@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
@@ -112,6 +113,9 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     if tested:
         axis.plot([], [], "k|", ms=9, mew=1.2, label="on the fitted lights")
     axis.set_xscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_yticks(range(len(models)), [LABELS[model] for model in models])
     axis.set_ylim(len(models) - 0.5, -0.5)
     axis.margins(x=0.12)
