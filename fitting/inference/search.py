@@ -30,6 +30,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
@@ -317,7 +318,7 @@ def _levenberg_marquardt(
 
 def _shared_out(leaf: Any) -> bool:
     """Whether an array lies on several devices; one that is traced does not say."""
-    known = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
+    known = isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer)
     return known and len(leaf.sharding.device_set) > 1
 
 

@@ -71,7 +71,7 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
         solved, along = _solved(source, settings)
         tile = _tile_of(along, settings)
     else:
-        solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))
+        solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
     def seeded(seed: int, within_pixels: int | None = None) -> Computed:
         key = jax.random.key(seed)
@@ -111,7 +111,7 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
         As `passes_of`, (h, w, bands) W m^-2 sr^-1; compiled once for all seeds.
     """
     _check_light(source, settings)
-    one = _kept_pass(_compiled_in(settings), _structure(source))
+    one = _kept_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
     def compute(seed: int, number: int) -> np.ndarray:
         key = jax.random.fold_in(jax.random.key(seed), number)
