@@ -17,7 +17,7 @@ PLAIN_WIDTH = 110  # columns where the output is not a terminal, which would tel
 
 
 def output() -> Console:
-    """Standard output, wide enough for whole tables when it is piped."""
+    """Standard output: as wide as the terminal, of one width when it is piped."""
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
 
 

@@ -1,6 +1,6 @@
 """Mixed tasks on workers that live on, and the memory of each: does it end flat?
 
-    python tests/benchmarks/soak.py --minutes 60 --workers 2 --out soak.csv
+    PYTHONPATH=tests python tests/benchmarks/soak.py --minutes 60 --workers 2 --out soak.csv
 
 A round is a render of 12 tiles, 20 fits of a check and 3 folders of a study with their reports, as
 many commands give to one cluster. Prints the median memory of the first and the last sixth.
