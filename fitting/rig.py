@@ -15,7 +15,16 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from jaxvision.errors import InputError
-from jaxvision.toml_files import Entry, checked, read_toml
+from jaxvision.toml_files import (
+    Count,
+    Entry,
+    Finite,
+    NonNegative,
+    Positive,
+    Vector,
+    checked,
+    read_toml,
+)
 
 RIG_FILE = "rig.toml"
 
@@ -25,11 +34,6 @@ NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig
     "a response calibration": ("exposure",),
     "a reflectance calibration": ("light", "geometry"),
 }
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Vector = tuple[Finite, Finite, Finite]
 
 
 def _quotient(text: Any) -> Any:
@@ -64,7 +68,7 @@ def kelvin(temperature: float) -> float:
     return temperature
 
 
-Kelvin = Annotated[float, Field(allow_inf_nan=False), AfterValidator(kelvin)]
+Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 
 class Camera(Entry):
@@ -94,7 +98,7 @@ class Camera(Entry):
         temperature: K, of the sensor; likewise.
     """
 
-    bits: Annotated[int, Field(ge=1, le=16)]
+    bits: Annotated[Count, Field(le=16)]
     black_level: NonNegative | None = None
     saturation: Positive | None = None
     gamma: Positive | None = None

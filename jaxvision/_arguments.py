@@ -6,7 +6,8 @@ Numbers are looked at where they are known, outside `jax.jit` and its like; NaN 
 
 from collections.abc import Callable
 from functools import cache, wraps
-from inspect import signature
+from inspect import Parameter, signature
+from math import inf
 from types import UnionType
 from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -54,7 +55,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
 
     They become arrays of the floating dtype that is beside them. A shape that the annotation
-    excludes, and a direction that is not unit, raise `ValueError`.
+    excludes, and a direction that is not unit, raise `ValueError`; optional arguments without their
+    names, `TypeError`.
 
     Args:
         function: whose annotations say which of its parameters are arrays.
@@ -66,6 +68,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def of_numbers(*args: P.args, **kwargs: P.kwargs) -> R:
         wanted = _wanted(function)
+        if len(args) > (placed := _placed(function)):
+            raise _unnamed(function, placed, args)
         values = dict(zip(wanted, args, strict=False)) | kwargs
         arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
         plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
@@ -110,6 +114,15 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
     an array or a record."""
     hints = get_type_hints(function)
     return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
+
+
+@cache
+def _placed(function: Callable[..., Any]) -> float:
+    """How many arguments it takes by their place."""
+    kinds = [parameter.kind for parameter in signature(function).parameters.values()]
+    if Parameter.VAR_POSITIONAL in kinds:
+        return inf
+    return sum(kind is not Parameter.KEYWORD_ONLY for kind in kinds)
 
 
 def _of_hint(name: str, hint: Any) -> _Wanted | None:
@@ -202,6 +215,16 @@ def require_metres(name: str, wavelengths: np.ndarray) -> None:
 
 def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:
     return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
+
+
+def _unnamed(function: Callable[..., Any], placed: float, args: tuple[Any, ...]) -> TypeError:
+    """The sentence for arguments beyond those that have a place."""
+    by_name = list(signature(function).parameters)[int(placed) :]
+    extra = zip(by_name, args[int(placed) :], strict=False)
+    given = ", ".join(f"{name}={in_short(value)}" for name, value in extra)
+    who = getattr(function, "__name__", "function")
+    advice = f"write {given}" if given else "leave out the others"
+    return TypeError(f"{who} takes {placed} of its arguments by their place; {advice}.")
 
 
 def _place(function: Callable[..., Any], name: str) -> str:

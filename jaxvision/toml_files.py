@@ -8,9 +8,9 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import InputError, nearest
 
@@ -20,6 +20,13 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+
+# strict: strings and booleans are not numbers
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Count = Annotated[int, Field(strict=True, ge=1, lt=2**31)]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -47,7 +54,12 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
 
 
 def checked(
-    path: str | os.PathLike[str], content: Mapping[str, Any], schema: type[Model], kind: str
+    path: str | os.PathLike[str],
+    content: Mapping[str, Any],
+    schema: type[Model],
+    kind: str,
+    *,
+    first: int = 1,
 ) -> Model:
     """Checks the content of a file against its schema.
 
@@ -56,6 +68,7 @@ def checked(
         content: its tables.
         schema: the model that describes them.
         kind: what the file should be ("scene"), for messages.
+        first: the number of an array's first item, for messages.
 
     Returns:
         The content as an instance of `schema`.
@@ -66,18 +79,24 @@ def checked(
     try:
         return schema.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_mistake(error, content, schema, kind)}.") from error
+        raise InputError(
+            f"{path}: {_first_mistake(error, content, schema, kind, first)}."
+        ) from error
 
 
 def _first_mistake(
-    error: ValidationError, content: Mapping[str, Any], schema: type[BaseModel], kind: str
+    error: ValidationError,
+    content: Mapping[str, Any],
+    schema: type[BaseModel],
+    kind: str,
+    first: int,
 ) -> str:
     mistakes = error.errors()
     unknown = [mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"]
     mistake = (unknown or mistakes)[0]  # a misspelt key also leaves another one missing
     context = mistake.get("ctx", {})
     missing = mistake["type"] == "missing"
-    where = _place(mistake["loc"], content, missing) or "the file"
+    where = _place(mistake["loc"], content, missing, first) or "the file"
     reason = mistake["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     match mistake["type"]:
         case "missing":
@@ -116,7 +135,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _place(loc: tuple[int | str, ...], content: Any, missing: bool) -> str:
+def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
     """`surface "left wall".corner`: the path through the content. It omits the parts of a location
     that only name a member of a union.
     """
@@ -125,7 +144,7 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool) -> str:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
             node = node[part]
             name = node.get("name") if isinstance(node, dict) else None
-            place += f' "{name}"' if isinstance(name, str) else f"[{part + 1}]"
+            place += f' "{name}"' if isinstance(name, str) else f"[{part + first}]"
         elif isinstance(node, dict) and part in node:
             node = node[part]
             place += f".{part}"

@@ -168,6 +168,11 @@ def test_misuse_has_one_sentence(misuse):
         call()
 
 
+def test_optional_arguments_without_their_names_are_named():
+    with pytest.raises(TypeError, match=r"to_integers takes 1 of its .* place; write bits=8\."):
+        jv.to_integers(np.ones(2), 8)  # pyright: ignore[reportCallIssue]
+
+
 def test_what_is_traced_is_not_looked_at():
     """Inside a compiled function numbers are not known; shapes are."""
     jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.full(3, 2.0))

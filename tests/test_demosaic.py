@@ -211,6 +211,7 @@ def test_nan_stays_within_its_window():
         (lambda: demosaic_normalised(CODES, ((0, 1), (1,))), "rows of one length"),
         (lambda: demosaic_normalised(CODES[:5], XTRANS), r"at least a tile of \(6, 6\)"),
         (lambda: demosaic_malvar(CODES[0], bayer("RGGB")), r"got shape \(18,\)"),
+        (lambda: demosaic(np.ones((4, 6, 3)), "RGGB"), r"\(4, 6, 3\) has three bands a pixel"),
     ],
 )
 def test_refusals(call, message):

@@ -247,6 +247,7 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
             "metals by name",
         ),
         (['<include filename="a.xml"/>', SENSOR, BALL], "more than 16 files"),
+        ([SENSOR, 2 * '<bsdf type="diffuse" id="red"/>', BALL], "two objects have the id 'red'"),
     ],
 )
 def test_what_is_not_read_is_named(parts, words, tmp_path):

@@ -151,6 +151,7 @@ def test_a_corner_shows_truths_where_they_are():
         (lambda: plots.curves(GRID, {"a": GRID}, dots=["b"]), "'b'"),
         (lambda: plots.spectrum(GRID, np.ones(3)), "wavelengths"),
         (lambda: plots.lobe(jv.Lambert([0.1]), incidence=2.0), "pi / 2"),
+        (lambda: plots.lobe({"chrome": jv.Mirror([0.9])}), "chrome reflects into one direction"),
         (lambda: plots.curve(GRID, np.ones(3)), "one length"),
         (lambda: plots.error_against_time([trial("exact", 1, 0.0)]), "no trial"),
         (lambda: plots.corner({}), "at least one"),

@@ -67,6 +67,12 @@ def test_root_expands_environment_variables(tmp_path, monkeypatch):
         ("exposure = 0.01", "exposure = nan", r"flat\[1\]\.exposure = nan"),
         ("exposure = 0.01", 'exposure = "fast"', r'exposure.*no time; write seconds.*"1/8"'),
         ("exposure = 0.01", 'exposure = "1/0"', r"no time; write seconds"),
+        (
+            "exposure = 0.01",
+            "exposure = true",
+            r"exposure = True: must be a valid number",
+        ),
+        ("bits = 12", "bits = true", r"camera\.bits = True: must be a valid integer"),
         ('"a.tif", "b.tif"', '"a.tif"', r"flat\[1\]\.files lists 1; give at least 2\."),
         ("[0.0, 0.6, 0.8]", "[0.0, 0.6, 0.9]", r"light\[1\]: direction has length 1\.08"),
         ("[0.0, 0.6, 0.8]", "[0.0, 0.6]", r"light\[1\]\.direction"),

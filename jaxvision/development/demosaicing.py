@@ -55,8 +55,8 @@ def demosaic(
         (..., h, w, bands) in the mosaic's unit.
 
     Raises:
-        ValueError: for an unknown method, a border that it does not take, or a pattern that it is
-            not for.
+        ValueError: for an unknown method, a border that it does not take, a pattern that it is not
+            for, or a picture of three bands.
 
     Example:
         >>> raw = jnp.full((4, 4), 5.0)
@@ -65,8 +65,12 @@ def demosaic(
     """
     check_choice("method", method, DEMOSAICINGS)
     pattern = as_pattern(pattern)
-    if raw.ndim > 2 and raw.shape[-1] == 1:  # no mosaic is one pixel wide
+    if raw.ndim > 2 and raw.shape[-1] == 1:  # no mosaic is one pixel wide, or three
         raw = raw[..., 0]
+    elif raw.ndim > 2 and raw.shape[-1] == 3:
+        raise ValueError(
+            f"raw of shape {raw.shape} has three bands a pixel; a mosaic has one, (..., h, w)."
+        )
     if method in ("bilinear", "malvar"):
         return METHODS[method](raw, pattern, border=border)
     if border != "in_phase":

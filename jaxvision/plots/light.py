@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._arguments import require_metres
-from ..brdf import evaluate
+from ..brdf import evaluate, is_delta
 from ..errors import InputError
 from ..scene import Material
 from ._axes import new_axes, tidy
@@ -94,7 +94,8 @@ def lobe(
         The axes: radius in sr^-1, or relative; angle from the normal, the mirror's side right.
 
     Raises:
-        InputError: for an angle of incidence outside of [0, pi / 2).
+        InputError: for an angle of incidence outside of [0, pi / 2), and for mirrors and glass,
+            which have no lobe.
 
     Example:
         >>> axes = jv.plots.lobe({"chalk": jv.Lambert([0.3])})
@@ -112,6 +113,11 @@ def lobe(
     light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
     axes = new_axes(axes, polar=True)
     for name, material in several.items():
+        if is_delta(material):
+            raise InputError(
+                f"{name or type(material).__name__} reflects into one direction, which is no lobe; "
+                "leave it out."
+            )
         seen = jax.vmap(lambda wo, m=material: evaluate(m, light, wo))(viewers)
         radius = np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
         axes.plot(angle, radius / radius.max() if shape_only else radius, label=name or None)

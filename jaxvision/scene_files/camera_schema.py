@@ -4,12 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..toml_files import Entry
-from .spectrum_schema import (
-    Count,
-    Positive,
-    Vector,
-)
+from ..toml_files import Count, Entry, Positive, Vector
 
 
 class _Camera(Entry):
@@ -80,7 +75,7 @@ class ThinLensEntry(_Camera):
     pixel_pitch: Positive
     f_number: Positive
     focus_distance: Positive | None = None
-    blades: Annotated[int, Field(ge=3)] | None = None
+    blades: Annotated[Count, Field(ge=3)] | None = None
 
 
 Camera = Annotated[OrthographicEntry | PinholeEntry | ThinLensEntry, Field(discriminator="kind")]

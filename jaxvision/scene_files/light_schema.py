@@ -4,12 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..toml_files import Entry
-from .spectrum_schema import (
-    NonNegative,
-    Spectrum,
-    Vector,
-)
+from ..toml_files import Entry, NonNegative, Vector
+from .spectrum_schema import Spectrum
 
 
 class PointEntry(Entry):

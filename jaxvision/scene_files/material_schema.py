@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..toml_files import Entry
-from .spectrum_schema import NonNegative, Positive, Spectrum
+from ..toml_files import Entry, NonNegative, Positive
+from .spectrum_schema import Spectrum
 
 
 class Diffuse(Entry):

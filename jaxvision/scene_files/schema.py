@@ -13,14 +13,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from ..errors import InputError
-from ..toml_files import Entry, checked
+from ..toml_files import Count, Entry, checked
 from .camera_schema import Camera
 from .light_schema import AmbientEntry, Light
 from .material_schema import Material
-from .spectrum_schema import (
-    Count,
-    Wavelengths,
-)
+from .spectrum_schema import Wavelengths
 from .surface_schema import Surface
 
 # Samples and depth unless the file or the command gives them: enough for a first picture.

@@ -7,15 +7,9 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..colour_data import MOST_BANDS
-from ..toml_files import Entry
+from ..toml_files import Entry, NonNegative, Positive, Vector
 
-# strict: strings and booleans are not numbers
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Vector = tuple[Finite, Finite, Finite]
 Axes = tuple[Vector, Vector, Vector]
-Count = Annotated[int, Field(strict=True, ge=1, lt=2**31)]
 
 
 class Tabulated(Entry):

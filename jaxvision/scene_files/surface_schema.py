@@ -4,14 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..toml_files import Entry
-from .spectrum_schema import (
-    Axes,
-    Finite,
-    Positive,
-    Spectrum,
-    Vector,
-)
+from ..toml_files import Entry, Finite, Positive, Vector
+from .spectrum_schema import Axes, Spectrum
 
 
 class _Surface(Entry):

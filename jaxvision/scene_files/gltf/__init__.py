@@ -80,7 +80,9 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 def _item(items: tuple, index: int, label: str):
     if index >= len(items):
-        raise InputError(f"{label}: names number {index} of {len(items)}; export it again.")
+        raise InputError(
+            f"{label}: names item {index}, counted from 0, of {len(items)}; export it again."
+        )
     return items[index]
 
 

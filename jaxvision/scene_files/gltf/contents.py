@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ...errors import InputError
-from ...toml_files import Entry, checked
-from ..spectrum_schema import Finite, NonNegative, Positive
+from ...toml_files import Entry, Finite, NonNegative, Positive, checked
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 Index = Annotated[int, Field(strict=True, ge=0)]
@@ -223,7 +222,7 @@ def content_of(path: object, content: Mapping[str, Any]) -> Content:
                     f"{path}: {_place(mistake['loc'], content)} is not read; export the scene "
                     "without it."
                 ) from error
-    return checked(str(path), content, Content, "glTF")
+    return checked(str(path), content, Content, "glTF", first=0)
 
 
 def _place(loc: tuple[int | str, ...], content: Any) -> str:

@@ -168,7 +168,7 @@ class _Reader:
                 case "default":
                     self._defaults.setdefault(given.get("name", ""), given.get("value", ""))
                 case "alias":
-                    self._named[given.get("as", "")] = self._known(given.get("id", ""))
+                    self._name(given.get("as", ""), self._known(given.get("id", "")))
                 case "ref":
                     made.parts.append((given.get("name", ""), self._known(given.get("id", ""))))
                 case "transform":
@@ -182,7 +182,7 @@ class _Reader:
                     part = self.node(child, self._label(tag, given))
                     made.parts.append((given.get("name", ""), part))
                     if "id" in given:
-                        self._named[given["id"]] = part
+                        self._name(given["id"], part)
         return made
 
     def _flattened(self, element: xml.Element) -> Iterator[xml.Element]:
@@ -219,6 +219,11 @@ class _Reader:
             return self._defaults[found[1]]
 
         return re.sub(r"\$(\w+)", of, value)
+
+    def _name(self, identifier: str, node: Node) -> None:
+        if identifier in self._named:
+            raise InputError(f"two objects have the id {identifier!r}; give each its own.")
+        self._named[identifier] = node
 
     def _known(self, identifier: str) -> Node:
         if identifier not in self._named:
