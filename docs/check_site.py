@@ -4,8 +4,8 @@
 errors in the console, bodies wider than the window, what is wider than the column of an article and
 does not scroll by itself (on a laptop, code and tables that must scroll, too; what notebooks print
 may), links to pages or places that do not exist, a search that does not find PhongBRDF. It needs
-`pip install playwright` and Chromium, whose program the variable CHROMIUM names. Other hosts are
-not asked for anything.
+the extra `pages` and Chromium, whose program the variable CHROMIUM names. Other hosts are not asked
+for anything.
 """
 
 import functools
