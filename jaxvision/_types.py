@@ -5,12 +5,9 @@ columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray 
 vmaps.
 """
 
-import inspect
-import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import fields
 from functools import cache
-from html import escape
 from types import UnionType
 from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -230,90 +227,6 @@ def check_tile(
         raise ValueError(
             f"{name} has the {len(set(cells))} bands of {pattern}, {holder} has {bands}."
         )
-
-
-WIDE = 88  # columns of a printed record
-SHORT = 12  # numbers of an array that are printed one by one
-
-
-class Shown(eqx.Module):
-    """A record that prints its numbers: an array of more than a few as its shape and range. What is
-    absent is not printed."""
-
-    def __repr__(self) -> str:
-        return _shown(self)
-
-    def _repr_html_(self) -> str:
-        """The table that a notebook shows: each field, its numbers, and its unit and meaning."""
-        head = f"<tr><th>{type(self).__name__}</th><th></th><th></th></tr>"
-        rows = "".join(
-            f'<tr><td style="text-align: left; padding-left: {1 + depth}em">{escape(name)}</td>'
-            + "".join(f'<td style="text-align: left">{escape(cell)}</td>' for cell in cells)
-            + "</tr>"
-            for depth, name, *cells in _rows(self)
-        )
-        return f'<div style="overflow-x: auto"><table>{head}{rows}</table></div>'
-
-
-def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
-    """(depth, field, numbers, unit and meaning) of what is there, records inside it below."""
-    about = _meanings(type(record))
-    for field in fields(record):
-        value, meaning = getattr(record, field.name), about.get(field.name, "")
-        if value is None or not field.repr:
-            continue
-        several = isinstance(value, tuple | list)
-        members = [*value] if several else [value]
-        if not any(isinstance(one, eqx.Module) for one in members):
-            yield depth, field.name, _shown(value), meaning
-            continue
-        for i, one in enumerate(members[:SHORT]):
-            name = f"{field.name}[{i}]" if several else field.name
-            inside = isinstance(one, eqx.Module)
-            yield depth, name, type(one).__name__ if inside else _shown(one), "" if i else meaning
-            yield from _rows(one, depth + 1) if inside else ()
-        if len(members) > SHORT:
-            yield depth, field.name, f"and {len(members) - SHORT} more", ""
-
-
-def _meanings(kind: type) -> dict[str, str]:
-    """What the docstring of a record says of each field."""
-    _, _, listed = (inspect.getdoc(kind) or "").partition("\nAttributes:\n")
-    entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", listed, re.MULTILINE)
-    return {name: " ".join(text.split()) for name, text in entries}
-
-
-def _shown(value: Any, indent: str = "") -> str:
-    if isinstance(value, eqx.Module):
-        kept = [(f.name, getattr(value, f.name)) for f in fields(value) if f.repr]
-        given = [(f"{name}=", one) for name, one in kept if one is not None]
-        return _listed(f"{type(value).__name__}(", given, ")", indent)
-    if isinstance(value, tuple | list) and any(isinstance(one, eqx.Module) for one in value):
-        return _listed("(", [("", one) for one in value], ",)" if len(value) == 1 else ")", indent)
-    if not isinstance(value, jax.Array | np.ndarray):
-        return eqx.tree_pformat(value)
-    if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
-        return eqx.tree_pformat(value)
-    numbers = np.asarray(value)
-    if numbers.size <= SHORT:
-        return _written(numbers)
-    return f"{numbers.dtype}{list(numbers.shape)} from {numbers.min():.4g} to {numbers.max():.4g}"
-
-
-def _written(numbers: np.ndarray) -> str:
-    if numbers.ndim == 0:
-        return f"{numbers:.6g}"
-    return f"[{', '.join(map(_written, numbers))}]"
-
-
-def _listed(head: str, given: list[tuple[str, Any]], tail: str, indent: str) -> str:
-    """On one line where it fits, else one entry a line."""
-    line = head + ", ".join(name + _shown(one) for name, one in given) + tail
-    if len(indent) + len(line) <= WIDE and "\n" not in line:
-        return line
-    inner = indent + "  "
-    entries = "".join(f"\n{inner}{name}{_shown(one, inner)}," for name, one in given)
-    return f"{head}{entries}\n{indent}{tail.lstrip(',')}"
 
 
 def is_known(x: Any) -> bool:

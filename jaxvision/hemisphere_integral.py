@@ -8,7 +8,6 @@ W m^-2 sr^-1, lengths in m. For ONE point: the caller vmaps.
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,6 +16,7 @@ from . import brdf
 from ._arguments import takes_numbers
 from ._directions import arriving_from, balanced, in_frame, in_world
 from ._numerics import reciprocal, safe_sqrt
+from ._shown import Shown
 from ._types import Colour, Key, check_count
 from ._vector import Direction, Vec, Vector, as_vec
 from .geometry import Shapes, sorted_shapes
@@ -25,7 +25,7 @@ from .scene import Light, Material
 from .shadows import Leaving, Place
 
 
-class Estimate(eqx.Module):
+class Estimate(Shown):
     """An integral and its error.
 
     Attributes:

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
 from ._band_count import band_count
-from ._types import Image, Key, Scalar, Shown, in_short, is_known
+from ._shown import Shown
+from ._types import Image, Key, Scalar, in_short, is_known
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .in_notebooks import preview_png, with_picture

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.io import replaced_on_success, write_image
 
-from ..inference.formatting import format_unit
+from ..inference.formatting import format_spread, format_unit
 from ..inference.misfit import CHANCE
 from .result import Fit
 
@@ -176,9 +176,9 @@ class FitMap:
         for name, value, sd in self._numbers():
             known = np.isfinite(value)
             if known.any():
-                low, middle, high = np.percentile(value[known], (5, 50, 95))
-                ends, error = f"[{low:.4g}, {high:.4g}]", f"{np.median(sd[known]):.2g}"
-                rows.append((name, f"{middle:.4g}", ends, error, format_unit(self._unit(name))))
+                error = f"{np.median(sd[known]):.2g}"
+                spread = format_spread(value[known])
+                rows.append((name, *spread, error, format_unit(self._unit(name))))
         return rows
 
     def _repr_html_(self) -> str:

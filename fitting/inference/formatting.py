@@ -4,6 +4,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from .estimates import Estimate
 
@@ -41,6 +43,19 @@ def format_p(p_value: float) -> str:
         The text.
     """
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
+
+
+def format_spread(values: np.ndarray) -> tuple[str, str]:
+    """The median, and the interval that holds the middle 90 %.
+
+    Args:
+        values: finite, in any unit.
+
+    Returns:
+        Both texts.
+    """
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    return f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]"
 
 
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:

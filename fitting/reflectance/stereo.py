@@ -18,6 +18,8 @@ from jaxvision.errors import InputError
 from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.plots import pictures
 
+from ..inference.formatting import format_spread
+
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
@@ -68,8 +70,7 @@ class Stereo:
         for name, (values, unit) in maps.items():
             known = values[np.isfinite(values) & np.isfinite(self.albedo)]
             if known.size:
-                low, middle, high = np.percentile(known, (5, 50, 95))
-                rows.append((name, f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]", unit))
+                rows.append((name, *format_spread(known), unit))
         return rows
 
     def _repr_html_(self) -> str:

@@ -138,7 +138,7 @@ def label(
 
 def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
     """Logarithmic axes with their labels, and what to say where there is nothing to draw."""
-    from matplotlib.ticker import LogLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     axes.set(xlabel="time [s]", ylabel=of)
     if errors:
@@ -150,7 +150,10 @@ def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN
             wide = max((LEAST_RANGE * limits[0] / limits[1]) ** 0.5, 1.0)
             set_limits(limits[0] / wide, limits[1] * wide)
         for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(LogLocator(numticks=6))
+            low, high = axis.get_view_interval()
+            axis.set_major_locator(MaxNLocator(4) if high < 3 * low else LogLocator(numticks=6))
+            if high < 3 * low:
+                axis.set_minor_locator(NullLocator())
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(_between_decades(axis))
     else:
@@ -159,12 +162,10 @@ def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN
 
 
 def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:
-    """Labels where decades alone say too little: 2 and 5, or every tick of less than a factor 3."""
+    """Labels where decades alone say too little: 2 and 5."""
 
     def text(value: float, _: Any) -> str:
         low, high = axis.get_view_interval()
-        if high > 50 * low:
-            return ""
-        return f"{value:.4g}" if high < 3 * low or f"{value:e}"[0] in "25" else ""
+        return f"{value:.4g}" if high <= 50 * low and f"{value:e}"[0] in "25" else ""
 
     return text

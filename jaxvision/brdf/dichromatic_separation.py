@@ -27,7 +27,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import Colour, Scalar, Shown, check_shape, print_by_name
+from .._shown import Shown
+from .._types import Colour, Scalar, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
 Mask = Bool[Array, "..."]

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import AMOUNT, Colour, Scalar, Shown, as_float, check_fields
+from .._shown import Shown
+from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
 
 
 class Dielectric(Shown):

@@ -19,8 +19,9 @@ from jaxtyping import Array, Int, UInt32
 from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
+from .._shown import Shown
 from .._staging import LANES
-from .._types import Key, Scalar, Shown, Spectrum, check_count, is_known
+from .._types import Key, Scalar, Spectrum, check_count, is_known
 from ..geometry import Ray
 from ..in_notebooks import preview_png, with_picture
 from ..optics import view_ray

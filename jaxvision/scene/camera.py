@@ -1,6 +1,7 @@
 """A camera: view, sensor and development."""
 
-from .._types import Shown, check_fields
+from .._shown import Shown
+from .._types import check_fields
 from .developments import Development
 from .sensors import Sensor
 from .views import View

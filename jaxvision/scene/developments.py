@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._shown import Shown
 from .._types import (
     FINITE,
     NOT_NEGATIVE,
@@ -11,7 +12,6 @@ from .._types import (
     Colour,
     Range,
     Scalar,
-    Shown,
     as_float,
     as_optional_float,
     check_choice,

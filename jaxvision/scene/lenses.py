@@ -3,6 +3,7 @@
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from .._shown import Shown
 from .._types import (
     FINITE,
     NOT_NEGATIVE,
@@ -10,7 +11,6 @@ from .._types import (
     Colour,
     Range,
     Scalar,
-    Shown,
     as_float,
     as_optional_float,
     check_count,

@@ -4,7 +4,8 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .._types import AMOUNT, Colour, Shown, as_float, check_fields
+from .._shown import Shown
+from .._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(Shown):

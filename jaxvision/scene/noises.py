@@ -6,7 +6,8 @@ field, the value and the allowed range. Traced values pass unchecked and have a 
 
 import equinox as eqx
 
-from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, Shown, as_float, check_fields
+from .._shown import Shown
+from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields
 
 _OF_TEMPERATURE = {
     "rate": NOT_NEGATIVE,

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._shown import Shown
 from .._types import (
     FINITE,
     FRACTION,
@@ -18,7 +19,6 @@ from .._types import (
     Colour,
     Range,
     Scalar,
-    Shown,
     as_float,
     as_optional_float,
     check_count,

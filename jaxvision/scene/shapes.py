@@ -6,15 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import (
-    AMOUNT,
-    Scalar,
-    Shown,
-    as_float,
-    as_optional_float,
-    check_direction,
-    check_fields,
-)
+from .._shown import Shown
+from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_direction, check_fields
 
 
 class Sphere(Shown):

@@ -4,12 +4,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._shown import Shown
 from .._types import (
     FINITE,
     POSITIVE,
     Range,
     Scalar,
-    Shown,
     as_float,
     as_optional_float,
     check_count,
