@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from .._arguments import takes_numbers
 from .._numerics import divide
-from .._types import Scalars, as_float, check_choice
+from .._types import Scalar, as_float, check_choice
 from ._planes import (
     Binning,
     Pixels,
@@ -131,7 +131,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 
 
 @takes_numbers
-def quantile(histogram: Histogram, q: Scalars) -> Float[Array, "*planes"]:
+def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     """The smallest value that a fraction q of all values does not exceed.
 
     Values count as spread evenly within their bin, so the result is within a bin's width of the
