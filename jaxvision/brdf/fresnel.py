@@ -150,12 +150,12 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour, missing: Colour) -> Colour:
-        """(difference^2 + other^2) / (total^2 + other^2); from `missing`, which the first square
-        lacks of the second, where that is the smaller part."""
+        """(difference^2 + other^2) / (total^2 + other^2); above a third from `missing`, which the
+        first square lacks of the second and which has more of its digits."""
         below = total * total + other * other
         above = difference * difference + other * other
-        part = divide(jnp.where(2 * above < below, above, -missing), below, otherwise=0)
-        return jnp.where(2 * above < below, part, 1 + part)
+        part = divide(jnp.where(3 * above < below, above, -missing), below, otherwise=0)
+        return jnp.where(3 * above < below, part, 1 + part)
 
     r_s = ratio(apart, a + c, b, 4 * a * c)
     return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c, 4 * a * c * s_squared)) / 2

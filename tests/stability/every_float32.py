@@ -1,9 +1,10 @@
 """Every float32 of a curve's domain, or one in `--stride`, against the oracle in float64; 60 digits
 look at the worst again. Killed, it goes on where it was.
 
-    python tests/stability/every_float32.py [--only WORD] [--stride 1] [--kept FOLDER]
+    python tests/stability/every_float32.py [--only WORD] [--stride 1] [--kept FOLDER] [--record]
 
-Some 2e9 numbers a function that is drawn over all decades, a quarter of an hour each on one core.
+Up to 2e9 numbers a function, 17e9 of all. `--record` writes what is found to `every_float32.json`,
+from which the table of errors is made.
 """
 
 import argparse
@@ -24,6 +25,15 @@ from measure import errors_at, parts_of
 from oracle_numbers import DIGITS, DOUBLE
 
 BLOCK = 2**21
+RECORD = Path(__file__).with_suffix(".json")
+
+
+KEPT = ("numbers", "worst", "at", "mean", "not_finite")
+
+
+def recorded():
+    """{title: what `swept` found at every number}."""
+    return json.loads(RECORD.read_text()) if RECORD.exists() else {}
 
 
 def stretches(entry):
@@ -76,6 +86,7 @@ def main():
     parser.add_argument("--only", default="")
     parser.add_argument("--stride", type=int, default=1)
     parser.add_argument("--kept", type=Path)
+    parser.add_argument("--record", action="store_true")
     asked = parser.parse_args()
     for entry in registry.every_entry():
         if not entry.is_curve or asked.only not in entry.title:
@@ -92,6 +103,9 @@ def main():
             f"{time.process_time() - begun:.0f} s",
             flush=True,
         )
+        if asked.record and asked.stride == 1:
+            known = recorded() | {entry.title: {n: found[n] for n in KEPT}}
+            RECORD.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
 
 
 if __name__ == "__main__":
