@@ -4,12 +4,14 @@ ended. After Ctrl-C they end within 2 s, with status 130 and one line.
 
     python tests/killed.py [--moments 200] [--first 0] [--only render|chain|report] [--interrupt]
 
-Each moment is a seed; counts are printed as they grow. Of interrupted runs those of odd moments
-compile all their programs anew, and one in four is run again.
+Each moment is a seed; counts are printed as they grow, and moments after all was written are not
+among the `--moments`. Of interrupted runs those of odd moments compile all their programs anew, and
+one in four is run again.
 """
 
 import argparse
 import io
+import itertools
 import os
 import random
 import re
@@ -157,7 +159,10 @@ def main() -> None:
         names = [asked.only] if asked.only else list(JOBS)
         jobs = {name: Job(name, Path(folder) / name) for name in names}
         counts: Counter[tuple[str, str]] = Counter()
-        for moment in range(asked.first, asked.first + asked.moments):
+        for moment in itertools.count(asked.first):
+            early = sum(count for (_, left), count in counts.items() if left != "all")
+            if early == asked.moments:
+                break
             name = names[moment % len(names)]
             job = jobs[name]
             try:
