@@ -85,9 +85,13 @@ def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fracti
     lost = (x - (total - held)) + (shifted - held) + shift_rest
     lost = jnp.where(jnp.isinf(total), 0, lost)
     (nearest, rest), (scale, scale_rest) = (exact(part, x.dtype) for part in (exponent, factor))
-    value = scale * power(total, nearest)
+    raised, one = power(total, nearest), jnp.ones_like(x)
+    value = scale * raised
     relative = nearest * (lost / jnp.where(total <= 0, 1, total)) + rest * _logarithm(total)
-    return value + _finite(value) * jax.lax.stop_gradient(relative + scale_rest / scale)
+    # what the product lost counts twice where the correction crosses a power of two downwards
+    cut = difference_of_products(scale * one, raised, value, one)
+    missing = _finite(value) * jax.lax.stop_gradient(relative + scale_rest / scale)
+    return value + (missing + jnp.where(jnp.isinf(value), 0, jax.lax.stop_gradient(cut)))
 
 
 def _finite(x: Scalars) -> Scalars:

@@ -1,4 +1,7 @@
-"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit."""
+"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit.
+
+A colour whose components differ by less than 3e-10 (float64: 1e-77) counts as grey.
+"""
 
 import jax.numpy as jnp
 

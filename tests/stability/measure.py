@@ -16,7 +16,7 @@ from oracle_numbers import DIGITS, LONG
 from registry.entry import Entry
 
 HARD = 32  # hard cases of a function, filled up from its domain: one size, one program
-CURVE, SEVERAL, SLOW = 1_000_000, 100_000, 300  # points drawn in float32
+MANY, SLOW = 1_000_000, 300  # points drawn in float32
 CHECKED = 3  # of the worst points 60 digits look again
 STEP = "1e-20"
 
@@ -197,7 +197,7 @@ def measured(entry, dtype, *, n=None, gradients=True, eager=False):
     """A row for each part of a function: `n` points of its domain, hard cases among them."""
     dtype = np.dtype(dtype)
     if n is None:
-        n = SLOW if entry.of_digits else CURVE if entry.is_curve else SEVERAL
+        n = SLOW if entry.of_digits else MANY
         n = n if dtype == np.float32 else max(n // 5, HARD)
     program = jax.jit(jax.vmap(entry.call))
     points = drawn(entry, n, dtype)

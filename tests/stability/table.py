@@ -3,12 +3,11 @@
     python tests/stability/table.py [--out docs/errors.md] [--only WORD] [--kept DIR]
 
 Each function of `registry/` that has an oracle is measured in float32 and float64: over its hard
-cases, and over points drawn from its domain (1e6 in float32 for a function of one variable, 1e5 for
-several, 300 where the oracle needs mpmath; a fifth of that in float64); 60 digits look at the
-worst again. Compositions are measured in float32 against themselves in float64. About nine minutes
-of one core; `--compositions` adds those that take seconds to compile. `--kept` holds what has been
-measured, so that a killed run goes on, with a checksum of all results, which must not depend on the
-number of threads.
+cases, and over points drawn from its domain (1e6 in float32, 300 where the oracle needs mpmath; a
+fifth of that in float64); 60 digits look at the worst again. Compositions are measured in float32
+against themselves in float64. About ten minutes of one core; `--compositions` adds those that take
+seconds to compile. `--kept` holds what has been measured, so that a killed run goes on, with a
+checksum of all results, which must not depend on the number of threads.
 """
 
 import argparse
@@ -26,7 +25,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 import registry
 from every_float32 import recorded
-from measure import CURVE, SEVERAL, SLOW, Row, measured
+from measure import MANY, SLOW, Row, measured
 from registry.composed import COMPOSED
 from registry.elsewhere import ELSEWHERE, covered_names
 from registry.entry import Entry
@@ -39,9 +38,9 @@ Written by `python tests/stability/table.py`. The error of a result is in units 
 (ULP): the distance of neighbouring numbers of its precision at the true value, 2^-23 and 2^-52 of
 it at most. Each oracle is written from the definition, apart from the library
 (`tests/stability/registry/`), in 64 binary digits or 60 decimal ones, for the very numbers that the
-function is given. Points: hard cases, and {curve:,} drawn from the domain in
-float32 for a function of one variable, {several:,} for several ({slow} where the oracle needs
-mpmath). A result below the smallest normal number may be 0.
+function is given. Points: hard cases, and {many:,} drawn from the domain in float32, a fifth of
+that in float64 ({slow} and {few} where the oracle needs mpmath). A result below the smallest normal
+number may be 0.
 
 - *worst*, *mean*: ULP, in float32 and float64. Rows marked † are over 1 + Σ |x ∂f/∂x| / |f|: there
   the result is a difference, or an exponential, of rounded numbers, and no formula does better.
@@ -197,9 +196,9 @@ def page(rows, composed):
     wrong = [row for row in every if not row.holds]
     outside = f"{len(wrong)} rows lie outside." if wrong else "no row lies outside."
     text = HEAD.format(
-        curve=CURVE,
-        several=SEVERAL,
+        many=MANY,
         slow=SLOW,
+        few=SLOW // 5,
         outside=outside,
         non_finite=sum(row.non_finite for row in every),
         points=sum(row.points for row in every),
