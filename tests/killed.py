@@ -82,8 +82,8 @@ class Job:
         return process.returncode
 
     def interrupt(self, after: float, *, cache: str) -> float | None:
-        """Seconds that the command took to end, None if it was done before; `AssertionError` where
-        it does not end as it should."""
+        """Seconds that the command took to end, None if it was done before, or all but done;
+        `AssertionError` where it does not end as it should."""
         process = self.begun(cache=cache)
         try:
             process.communicate(timeout=after)
@@ -92,6 +92,8 @@ class Job:
             process.send_signal(signal.SIGINT)
             _, error = process.communicate(timeout=60)
             seconds = time.monotonic() - begun
+            if process.returncode == 0:
+                return None
             last = error.strip().split("\n")[-1]
             assert process.returncode == 130, (process.returncode, error)
             assert "interrupted" in last or "goes on from here" in last, error
@@ -127,7 +129,10 @@ class Job:
         seconds = self.interrupt(
             rng.uniform(0, (1 + anew) * self.seconds), cache="anew" if anew else "cache"
         )
-        assert seconds is None or seconds <= AT_ONCE, (moment, seconds)
+        if seconds is None:
+            assert self.written() == self.whole, moment
+        else:
+            assert seconds <= AT_ONCE, (moment, seconds)
         return self.compared(moment, again=moment % 4 == 0)
 
     def killed_at(self, moment: int) -> str:

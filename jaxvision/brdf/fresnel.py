@@ -87,7 +87,8 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
 
-    The right-hand forms are the same fractions with rational numerators.
+    The right-hand forms are the same fractions with rational numerators, which keep their digits
+    where the fractions are small.
 
     Args:
         cos_theta: () cosine of incidence c, no unit.
@@ -107,6 +108,7 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     # divided twice: of equal indices at grazing angles the square's own gradient would overflow
     r_s = contrast / s_sum / s_sum
     r_p = contrast * (c * c * (square + 1) - 1) / p_sum / p_sum
+    r_p = jnp.where(jnp.abs(r_p) > 0.5, (square * c - g) / p_sum, r_p)  # far from Brewster's angle
     reflected = (r_s * r_s + r_p * r_p) / 2
     # the part that passes has the digits where little does: 1 - r_s^2 = 4 c g / (c + g)^2
     passed = 2 * ((c / s_sum) * (g / s_sum) + (square * c / p_sum) * (g / p_sum))

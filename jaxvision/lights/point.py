@@ -45,19 +45,20 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    direction, distance, nearness = _toward(light.position, point)
-    irradiance = by_band(lambda band: band * (nearness * nearness), light.intensity)
-    return Incident(direction, irradiance, distance)
+    direction, distance, dilution = _toward(light.position, point)
+    return Incident(direction, by_band(lambda band: band * dilution, light.intensity), distance)
 
 
 def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
-    """The unit direction from a point to a position, their distance, m, and its inverse, m^-1; 0
-    where both are one."""
+    """The unit direction from a point to a position, their distance, m, and its inverse square,
+    m^-2; 0 where both are one."""
     toward = position - point
     square = dot(toward, toward)
     apart = ~(square <= smallest_divisor(square.dtype) ** 2)
-    nearness = jnp.where(apart, jax.lax.rsqrt(or_one(square, apart)), 0)
-    return toward * nearness, square * nearness, nearness
+    square = or_one(square, apart)
+    nearness = jax.lax.rsqrt(square)
+    parts = toward * nearness, square * nearness, 1 / square
+    return tuple(jnp.where(apart, part, 0) for part in parts)
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:

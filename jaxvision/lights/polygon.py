@@ -78,7 +78,7 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
     return narrow, ~narrow & ~opposite & (square > smallest * smallest)
 
 
-@jax.custom_jvp
+@takes_numbers
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     """theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0 and
     `cosine` c, no units, of vectors of length about 1; 0 where theta is pi to rounding or both are
@@ -90,6 +90,11 @@ def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     Its own derivatives, d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2), the
     second by its series where s2 << c^2, are finite and exact where autodiff divides 0 by 0.
     """
+    return _angle_over_sine(square, cosine)
+
+
+@jax.custom_jvp
+def _angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     narrow, wide = _cases(square, cosine)
     defined = narrow | wide
     adjacent = cosine * cosine
@@ -118,10 +123,10 @@ def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, 
     return jnp.where(narrow, series / adjacent**3, jnp.where(wide, direct, 0)), -inverse
 
 
-@angle_over_sine.defjvp
+@_angle_over_sine.defjvp
 def _angle_over_sine_jvp(primals, tangents):
     (square, cosine), (d_square, d_cosine) = primals, tangents
-    value = angle_over_sine(square, cosine)
+    value = _angle_over_sine(square, cosine)
     by_square, by_cosine = _slopes(square, cosine, value)
     return value, by_square * d_square + by_cosine * d_cosine
 
@@ -183,7 +188,7 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
     """
     total = jnp.zeros_like(normal.x)
     for edge in _seen_edges(corners, normal):
-        sine_over_angle = angle_over_sine(dot(edge.area, edge.area), edge.cosine)
+        sine_over_angle = _angle_over_sine(dot(edge.area, edge.area), edge.cosine)
         total = total + dot(normal, edge.area) * sine_over_angle
     return total / 2
 

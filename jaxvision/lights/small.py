@@ -61,9 +61,9 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
     Returns:
         The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
     """
-    direction, distance, nearness = _toward(light.position, point)
+    direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
-    factor = cosine * nearness * nearness
+    factor = cosine * dilution
     irradiance = by_band(lambda band: band * factor, light.intensity)
     return Incident(direction, irradiance, distance)
 

@@ -103,6 +103,8 @@ took three times and five, and left 6.5 and 2.3 units.
 - `normal_distribution` of GGX: the square of a sum of squares of quotients.
 - `parallel_rectangles` in float32: three terms of one size. Two of them are differences of angles,
   by a series where these are small.
+- `log_curve`: XLA's logarithm of 1 + x is 2.5 units off about x = 0.4, and there are two.
+- `depth_of_field`: seven roundings.
 - `scaled_to_key`: the exponential of a mean of logarithms.
 - `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, 1e-10 of the result where one
   takes over from another.
@@ -110,13 +112,14 @@ took three times and five, and left 6.5 and 2.3 units.
 ## Damaged files
 
 `pytest -m fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each must be
-read, or refused in one sentence, in 10 s of CPU and 12 GiB. 1,111,500 files were given so far. The
-last run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's, materials, rigs,
+read, or refused in one sentence, in 10 s of CPU and 12 GiB. 1,131,660 files were given so far. The
+longest run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's, materials, rigs,
 tables, MERL, RGL, Cornell, OBJ, PLY, STL, PNG, TIFF, JPEG, EXR, HDR, FITS, DNG, NPY, and what
 renders, chains and cameras leave unfinished): 178,970 were read, and 47 outcomes were wrong, of six
 causes, which are mended: camera files whose lists are tables (a traceback), names of PNG chunks,
 columns and scenes with a line break in the sentence, and a sky whose density was not finite in
-float32. `pytest -m fuzz tests/test_fuzz_arguments.py` gives public functions odd arguments.
+float32. The closing run: 20,160 files, 3,690 of them read, and 432 commands, none wrong. `pytest -m
+fuzz tests/test_fuzz_arguments.py` gives public functions odd arguments.
 
 ## Commands that are ended
 

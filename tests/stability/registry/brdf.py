@@ -132,7 +132,7 @@ ENTRIES = [
         (COSINE, Range(0.01, 0.9999, log=False)),
         ((0.01, 0.5), (0.9, 0.5), (1.0, 0.9)),
         form="eta below 1",
-        bound=20,
+        bound=16,
         conditioned=True,
         gradient=1e-3,
         note="beside the critical angle",

@@ -300,7 +300,7 @@ ENTRIES = [
             (np.array([50.0, 2.6772, -79.7751]), np.array([50.0, 0.0, -82.7485])),
             (np.array([50.0, 1e4, 3.0]), np.array([50.0, 1e4, 4.0])),
         ),
-        bound=8,
+        bound=9,
         conditioned=True,
         gradient=1e-3,
         note="opposite hues decide a branch",

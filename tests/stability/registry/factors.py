@@ -80,7 +80,7 @@ ENTRIES = [
         parallel,
         (SIDE, SIDE, Range(0.1, 10.0)),
         ((0.01, 0.01, 1.0), (1e-4, 1e-4, 1.0), (1e4, 1e4, 1.0), (1e-3, 1e3, 1.0)),
-        bound=6,
+        bound=7,
         gradient=1e-4,
         note="near sides that are far smaller than the gap",
     ),

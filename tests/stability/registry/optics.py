@@ -157,6 +157,8 @@ ENTRIES = [
         lambda m, *a: field(m, *a)[0],
         (Range(0.3, 10), FOCAL, NUMBER, Range(1e-6, 1e-4)),
         form="near",
+        bound=5,
+        note="seven roundings",
     ),
     Entry(
         "optics.thin_lens.depth_of_field",

@@ -254,7 +254,7 @@ ENTRIES = [
         lambda m, p: 1 / inner(p, p),
         (Columns(Range(1e-6, 1e6, signed=True)),),
         ((vec(1e-8, 0, 0),), (vec(1e8, 1e8, 0),)),
-        bound=5,
+        bound=4,
         form="irradiance",
     ),
     Entry(
