@@ -55,10 +55,9 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
     toward = position - point
     square = dot(toward, toward)
     apart = ~(square <= smallest_divisor(square.dtype) ** 2)
-    square = or_one(square, apart)
-    nearness = jax.lax.rsqrt(square)
-    parts = toward * nearness, square * nearness, 1 / square
-    return tuple(jnp.where(apart, part, 0) for part in parts)
+    divisor = or_one(square, apart)
+    nearness, dilution = (jnp.where(apart, x, 0) for x in (jax.lax.rsqrt(divisor), 1 / divisor))
+    return toward * nearness, square * nearness, dilution
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:

@@ -252,7 +252,7 @@ def _contour_integral_jvp(primals, tangents):
     factors = []
     for edge in edges:
         square, along = dot(edge.area, edge.area), dot(normal, edge.area)
-        angle = angle_over_sine(square, edge.cosine)
+        angle = _angle_over_sine(square, edge.cosine)
         by_square, by_cosine = _slopes(square, edge.cosine, angle)
         factors.append((angle, 2 * along * by_square, along * by_cosine))
     for edge, (angle, twist, pull) in zip(edges, together(factors), strict=True):
