@@ -82,7 +82,7 @@ EVERY = """
 ## Every float32
 
 Functions of one variable at each float32 of their domain, without exception, by `python
-tests/stability/every_float32.py --record` (about two hours of one core; killed, it goes on where it
+tests/stability/every_float32.py --record` (ten minutes of one core; killed, it goes on where it
 was with `--kept FOLDER`). The suite takes one in some thousands again.
 
 | function | numbers | worst, ULP | at | mean, ULP |
