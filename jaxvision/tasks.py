@@ -14,11 +14,10 @@ import platform
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.metadata import version
-from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import InputError
@@ -30,7 +29,8 @@ Shared = TypeVar("Shared")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 4  # tasks a thread that are handed out before the first result of them is used
+AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
+BUNDLE = 0.2  # s of work that a worker is handed at once, where tasks are shorter than that
 MEMORY = 0.9  # of the machine, for all workers together
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 LOSSES = 100  # workers that may be lost with one task before it is given up
@@ -189,14 +189,14 @@ def in_order(
         for item in items:
             yield function(shared, item)
         return
-    yield from _on(client, function, shared, iter(items))
+    yield from _on(client, function, shared, items)
 
 
 def _on(
     client: "Client",
     function: Callable[[Shared, Item], Result],
     shared: Shared,
-    items: Iterator[Item],
+    items: Iterable[Item],
 ) -> Iterator[Result]:
     from distributed.scheduler import KilledWorker
 
@@ -206,27 +206,39 @@ def _on(
     task = _Task(function, _environment(), hashlib.sha256(packed).hexdigest())
     there: Any = client.nthreads()
     threads = sum(there.values())
-    waiting: deque[Future] = deque()
+    bundles = _Bundles(items, threads)
+    waiting: deque[tuple[tuple[Item, ...], Future]] = deque()
+
+    def sent(bundle: tuple[Item, ...], *, priority: int = 0) -> "tuple[tuple[Item, ...], Future]":
+        return bundle, client.submit(task, held, bundle, pure=False, priority=priority)
 
     def hand_out(count: int) -> None:
-        for item in islice(items, count):
-            waiting.append(client.submit(task, held, item, pure=False))
+        for _ in range(count):
+            bundle = bundles.next()
+            if bundle:
+                waiting.append(sent(bundle))
 
     hand_out(AHEAD * max(threads, 1))
     try:
         while waiting:
+            bundle, future = waiting[0]
             try:
-                result = _awaited(client, waiting[0])
+                results, seconds = _awaited(client, future)
             except KilledWorker as error:
                 raise InputError(
                     f"{LOSSES} workers were lost with one task, perhaps for want of memory; "
                     "use fewer workers or smaller tasks."
                 ) from error
             waiting.popleft()
-            hand_out(1)
-            yield result
+            bundles.measured(len(results), seconds)
+            rest = bundle[len(results) :]
+            if rest:
+                waiting.appendleft(sent(rest, priority=1))
+            else:
+                hand_out(1)
+            yield from results
     finally:
-        client.cancel([*waiting, held])
+        client.cancel([*(future for _, future in waiting), held])
 
 
 def _packed(shared: Any) -> bytes:
@@ -290,6 +302,26 @@ def _replace_lost(client: "Client") -> None:
         made.scale(wanted)
 
 
+class _Bundles:
+    """Items in bundles of about `BUNDLE` seconds: what Dask spends on a task, some ms, is then
+    spent on many. A size at most doubles from one measurement to the next, and the last bundles
+    are small, so that no worker waits long for another."""
+
+    def __init__(self, items: Iterable[Any], threads: int) -> None:
+        self._left, self._threads = deque(items), max(threads, 1)
+        self._size = 1
+
+    def next(self) -> tuple[Any, ...]:
+        """The next items; none where all are handed out."""
+        size = min(self._size, max(len(self._left) // (2 * self._threads), 1))
+        return tuple(self._left.popleft() for _ in range(min(size, len(self._left))))
+
+    def measured(self, count: int, seconds: float) -> None:
+        """What tasks took: sets the size of the next bundles."""
+        fitting = BUNDLE * count / max(seconds, 1e-6)
+        self._size = int(min(2 * self._size, max(fitting, 1)))
+
+
 class _Task:
     """A function in a worker: it is sent once the worker is known to be like the client, and finds
     what tasks share unpacked."""
@@ -299,7 +331,10 @@ class _Task:
     ) -> None:
         self.function, self.wanted, self.digest = function, wanted, digest
 
-    def __call__(self, packed: bytes, item: Any) -> Any:
+    def __call__(self, packed: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
+        """Results of the first items of a bundle, at least of one, and the seconds that they took.
+        Where a task fails or time is up, those before it return; it is then the first of its own
+        bundle, and raises there."""
         import cloudpickle
 
         if self.digest not in _objects:
@@ -308,7 +343,17 @@ class _Task:
                 raise InputError(f"a worker {difference}; install the same on all machines.")
             _objects.clear()
             _objects[self.digest] = cloudpickle.loads(packed)
-        return self.function(_objects[self.digest], item)
+        begun, results = time.perf_counter(), []
+        for item in items:
+            try:
+                results.append(self.function(_objects[self.digest], item))
+            except Exception:
+                if not results:
+                    raise
+                break
+            if time.perf_counter() - begun > 2 * BUNDLE:
+                break
+        return results, time.perf_counter() - begun
 
 
 def _environment() -> dict[str, Any]:

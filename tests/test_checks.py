@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -38,6 +39,17 @@ def test_a_gamma_is_printed_where_the_shutter_shows_nothing():
     for seed in (70000, 70012):
         found = response.places(response.CASES["three exposures off by 1 %"], seed)
         assert np.isfinite(found).all()
+
+
+@pytest.mark.slow
+def test_a_caller_in_single_precision_gets_the_same_fit():
+    """Of a seed whose darks scatter, so that the larger models are tried: in double precision."""
+    clean = noise.CASES["clean"]
+    with jax.enable_x64(True):
+        double = noise.places(clean, 406)
+    with jax.enable_x64(False):
+        single = noise.places(clean, 406)
+    np.testing.assert_allclose(single, double, atol=1e-3)  # the levels have 7 digits
 
 
 @pytest.mark.parametrize("fault", [{"sd": 1.25}, {"sd": 0.8}, {"mean": 0.2}])

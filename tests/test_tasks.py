@@ -73,6 +73,40 @@ def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
         some.close()
 
 
+def uneven(shared, item):
+    if item == shared:
+        raise InputError(f"folder {item} has no images")
+    time.sleep(2 * tasks.BUNDLE if item % 100 == 50 else 0)
+    return item
+
+
+def test_short_tasks_go_in_bundles_of_which_none_is_lost(client, monkeypatch):
+    """Not by a long one among them, whose bundle is cut, nor by one that fails."""
+    sent, found = [], []
+    submit = client.submit
+    monkeypatch.setattr(client, "submit", lambda *a, **k: sent.append(1) or submit(*a, **k))
+    with jv.cluster(client), pytest.raises(InputError, match="folder 277 has no images"):
+        found.extend(tasks.in_order(uneven, 277, range(400)))
+    assert found == list(range(277))
+    assert len(sent) < 100
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_bundles_are_all_items_in_order(threads):
+    seconds = np.random.default_rng(threads).lognormal(-4, 2, 300)
+    made, found, size = tasks._Bundles(range(len(seconds)), threads), [], 1
+    lengths = []
+    while bundle := made.next():
+        assert 1 <= len(bundle) <= size
+        assert len(bundle) == 1 or len(bundle) <= (len(seconds) - len(found)) / (2 * threads)
+        found += bundle
+        lengths.append(len(bundle))
+        made.measured(len(bundle), sum(seconds[item] for item in bundle))
+        size *= 2
+    assert found == list(range(len(seconds)))
+    assert max(lengths) > 5
+
+
 def test_a_worker_of_another_version_is_refused_before_any_work():
     differs = "has jax 0.9.0 where 0.10.2 is wanted"
     other = SimpleNamespace(run=lambda *_: {"tcp://a": "", "tcp://b": differs})

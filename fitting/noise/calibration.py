@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from jaxvision import as_dtype
+
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.importance import laplace_where_it_holds
@@ -96,6 +98,7 @@ def calibrate(
     Raises:
         InputError: where a fit has no maximum.
     """
+    measurement = as_dtype(measurement, np.float64)  # of a caller in float32
     within = ranges(measurement)
     usable = linear_levels(measurement)
     standard = eqx.filter_jit(evaluate)(measurement, within)

@@ -97,7 +97,7 @@ def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Paramete
     compression before the first."""
     ratios = {}
     labels = names(fit.space)
-    information = np.asarray(fit.solution.information)
+    vector, information = np.asarray(fit.solution.vector), np.asarray(fit.solution.information)
     for parameter in candidates:
         if parameter not in fit.space or (parameter is COMPRESSION and COMPRESSION_2 in fit.space):
             continue
@@ -106,7 +106,7 @@ def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Paramete
         across = np.delete(information[i], i)
         precision = information[i, i] - across @ np.linalg.lstsq(own, across, rcond=None)[0]
         # The ratio of a positive scale to its error is one over the error of its logarithm.
-        size = float(fit.solution.vector[i]) if parameter.transform == "identity" else 1.0
+        size = float(vector[i]) if parameter.transform == "identity" else 1.0
         if parameter is BRIGHTER_FATTER:  # charges repel each other
             size = max(size, 0.0)
         ratios[parameter] = size**2 * max(precision, 0.0) / _price(fit, parameter)

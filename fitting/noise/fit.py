@@ -203,11 +203,13 @@ def _fit_among(
     if data.window is not None:
         start = jnp.where(lacking, none, _best_start(whole, data, start))
     found = minimise(_cost_without, start, (whole, data, lacking, none))
+    # By NumPy: JAX would compile, and keep, programs for each number of effects.
     present = np.flatnonzero(~np.asarray(lacking))
+    vector, information = np.asarray(found.vector), np.asarray(found.information)
     own = eqx.tree_at(
         lambda solution: (solution.vector, solution.information),
         found,
-        (found.vector[present], found.information[jnp.ix_(present, present)]),
+        (jnp.asarray(vector[present]), jnp.asarray(information[np.ix_(present, present)])),
     )
     return own, found.vector
 

@@ -1,5 +1,6 @@
 """Least-squares lines, and whether points scatter about them more than their variances say."""
 
+import jax
 import jax.numpy as jnp
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
@@ -52,6 +53,7 @@ def surprise(chi2: Array, degrees: Array) -> Array:
     return jnp.where(degrees > 0, gammaincc(free / 2, chi2 / 2), 1)
 
 
+@jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
     """Chi-square of points about their own weighted line.
 

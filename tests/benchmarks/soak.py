@@ -76,7 +76,8 @@ def main() -> None:
                 csv.writer(stream).writerows(rows)
     seconds = np.array([row[0] for row in rows])
     memory = np.array([row[2 : 3 + asked.workers] for row in rows])
-    first, last = seconds < seconds[-1] / 6, seconds > seconds[-1] * 5 / 6
+    first = seconds <= max(seconds[0], seconds[-1] / 6)
+    last = seconds > seconds[-1] * 5 / 6
     print(f"{number} rounds in {seconds[-1] / 60:.0f} minutes, jaxvision {jv.__version__}")
     for name, column in zip(["command", *pids], memory.T, strict=True):
         a, b = np.median(column[first]), np.median(column[last])
