@@ -30,7 +30,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
-BUNDLE = 0.2  # s of work that a worker is handed at once, where tasks are shorter than that
+BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are shorter than that
 MEMORY = 0.9  # of the machine, for all workers together
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 LOSSES = 100  # workers that may be lost with one task before it is given up

@@ -76,7 +76,7 @@ def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
 def uneven(shared, item):
     if item == shared:
         raise InputError(f"folder {item} has no images")
-    time.sleep(2 * tasks.BUNDLE if item % 100 == 50 else 0)
+    time.sleep(2.5 * tasks.BUNDLE if item % 100 == 50 else 0)
     return item
 
 
@@ -84,6 +84,7 @@ def test_short_tasks_go_in_bundles_of_which_none_is_lost(client, monkeypatch):
     """Not by a long one among them, whose bundle is cut, nor by one that fails."""
     sent, found = [], []
     submit = client.submit
+    monkeypatch.setattr(tasks, "BUNDLE", 0.1)
     monkeypatch.setattr(client, "submit", lambda *a, **k: sent.append(1) or submit(*a, **k))
     with jv.cluster(client), pytest.raises(InputError, match="folder 277 has no images"):
         found.extend(tasks.in_order(uneven, 277, range(400)))

@@ -18,6 +18,7 @@ from jaxvision.io import replaced_on_success, write_image
 
 from .. import folders
 from ..inference.estimates import Estimate
+from ..inference.precision import in_double
 from ..report.page import as_json, write_report
 from ..report.progress import Progress
 from ..report.section import Section
@@ -175,6 +176,7 @@ def remembered(settings: Settings, folder: Folder) -> Outcome | None:
     return None if outcome.failed else outcome
 
 
+@in_double
 def calibrated(settings: Settings, folder: Folder) -> Outcome:
     """Calibrates a folder, writes its report, and remembers the outcome. A folder that cannot be
     calibrated gives an outcome that says why.
