@@ -273,8 +273,8 @@ def _awaited(client: "Client", future: "Future") -> Any:
         try:
             return future.result(timeout=_LOOK)
         except TimeoutError:
-            if future.done():  # the task's own
-                raise
+            if future.done():  # just now, or with a TimeoutError of its own
+                return future.result()
         full: Any = client.get_events("worker-restart-memory")
         before = len(full) if before is None else before
         if len(full) - before >= TOO_LARGE:

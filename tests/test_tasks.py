@@ -73,6 +73,28 @@ def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
         some.close()
 
 
+class JustInTime:
+    """A future that is done at the moment when a look at it times out."""
+
+    def result(self, timeout=None):
+        if timeout is not None:
+            raise TimeoutError("timed out after 5 s.")
+        return 7
+
+    def done(self):
+        return True
+
+
+def out_of_time(shared, item):
+    raise TimeoutError(f"the camera of {item} did not answer")
+
+
+def test_a_look_that_times_out_is_no_failure_of_the_task(client):
+    assert tasks._awaited(client, JustInTime()) == 7  # pyright: ignore[reportArgumentType]
+    with jv.cluster(client), pytest.raises(TimeoutError, match="the camera of 0"):
+        list(tasks.in_order(out_of_time, None, range(3)))
+
+
 def uneven(shared, item):
     if item == shared:
         raise InputError(f"folder {item} has no images")
