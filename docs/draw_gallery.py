@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 GALLERY = Path(__file__).parent / "gallery"
 STYLE = {
     "figure.figsize": (4.4, 3.3),
-    "figure.dpi": 100,
+    "figure.dpi": 200,
     "figure.constrained_layout.use": True,
     "font.size": 9,
     "axes.spines.top": False,

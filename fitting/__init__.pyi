@@ -1,6 +1,12 @@
 # What `import fitting` offers, each name where it is defined: read by type checkers, and by
 # `__init__.py`, which loads a name when it is first used.
 
+from . import (
+    joint as joint,
+    noise as noise,
+    reflectance as reflectance,
+    response as response,
+)
 from .fits.bands import (
     Bands as Bands,
 )

@@ -134,7 +134,7 @@ def say_what_is_done() -> None:
     own = logging.getLogger("jaxvision")
     own.setLevel(logging.INFO)
     own.addHandler(handler)
-    of_jax = logging.getLogger("jax")
+    of_jax = logging.getLogger("jax._src.dispatch")  # alone: all of JAX would be thousands of lines
     of_jax.setLevel(logging.DEBUG)
     of_jax.propagate = False
     of_jax.addHandler(handler)

@@ -3,6 +3,7 @@
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -145,6 +146,7 @@ def capture(
         _check_keys(key, die_key, camera, _bands(scene))
     renderer = _renderer(integrator, key, rule, samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
+    _check_unit(camera.sensor, irradiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture, certificate)
@@ -195,6 +197,21 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
                 "read the camera in those of the scene, as by "
                 "read_camera(name, wavelengths=[610e-9, 550e-9, 465e-9])."
             )
+
+
+def _check_unit(sensor: Sensor, light: Array) -> None:
+    """Warns where watts have become photons: a sensor that counts them, and gets not even one."""
+    if sensor.photon_conversion is not None or sensor.shot_noise is None or not is_known(light):
+        return
+    exposure = 1.0 if sensor.exposure_time is None else np.max(sensor.exposure_time)
+    most = float(np.nanmax(light, initial=0) * exposure)
+    if 0 < most < 1:
+        warnings.warn(
+            f"capture: the brightest pixel gets {most:.2g} photons an exposure: without a "
+            "photon_conversion the light on a sensor counts as photons per pixel and second; give "
+            "it one (jaxvision.PhotonConversion) for a scene in W m^-2.",
+            stacklevel=3,
+        )
 
 
 def _renderer(

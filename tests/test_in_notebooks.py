@@ -15,11 +15,13 @@ import fitting
 import jaxvision as jv
 from fitting.checks.coverage import coverage
 from fitting.checks.problem import Check
+from fitting.fits.bands import Bands
 from fitting.fits.budget import Budget, Share
 from fitting.fits.map import FitMap
 from fitting.inference.design import Candidate, Plan
 from fitting.reflectance import photometric_stereo
 from jaxvision.in_notebooks import record_html
+from jaxvision.scene_files import read_scene
 from jaxvision.transport import Traced
 
 ODD = "<script>&a</script>"  # a name that would be markup
@@ -146,3 +148,21 @@ def test_a_traced_image_shows_its_picture():
     shown = []
     jax.eval_shape(lambda x: shown.append(Traced(x, x)._repr_html_()), light)
     assert "<img" not in shown[0]
+
+
+def test_a_scene_file_shows_what_is_in_it():
+    html = read_scene("cornell_box")._repr_html_()
+    assert "cornell_box.toml: 15 surfaces, 1 light, 3 bands" in html
+    assert "<td>surface &quot;floor&quot;</td><td>Quad</td><td>Lambert</td>" in html
+
+
+def test_bands_print_a_number_with_its_error_and_how_many_spread():
+    draws = np.linspace(1.0, 2.0, 101)
+    one = Bands(draws.mean(), draws.std(), np.array([1.16, 1.84]), np.array([1.025, 1.975]), draws)
+    assert str(one) == "1.50 ± 0.29, 95 % in [1.025, 1.975]"
+    grid = np.linspace(0, 1, 101)
+    many = Bands(grid, grid / 10, np.stack([grid, grid]), np.stack([grid, grid]), grid[None])
+    assert many._repr_html_() == (
+        "<p>Bands of 101 numbers: 90 % of the means in [0.05, 0.95], of the s.d. in "
+        "[0.005, 0.095]</p>"
+    )

@@ -7,6 +7,7 @@ import tomllib
 from fractions import Fraction
 from functools import partial
 
+import jax
 import numpy as np
 import pytest
 from commands import called
@@ -16,6 +17,7 @@ from PIL.TiffImagePlugin import IFDRational
 from fitting.cli import app
 from fitting.rig import load_rig
 from fitting.rig_from_folder import _Image, _warmth, rig_of, write_rig
+from jaxvision.command_line import say_what_is_done
 from jaxvision.errors import InputError
 from jaxvision.image_settings import ImageSettings
 from jaxvision.io import write_image
@@ -53,9 +55,23 @@ def test_exif_makes_an_exposure_stack(tmp_path):
     assert "is there already" in stderr
 
 
+def test_verbose_says_what_is_compiled_in_a_line_a_program(capfd):
+    """And nothing else of what JAX logs."""
+    loggers = [logging.getLogger(name) for name in ("jaxvision", "jax._src.dispatch")]
+    before = [(one.level, one.propagate, [*one.handlers]) for one in loggers]
+    try:
+        say_what_is_done()
+        jax.jit(lambda x: x * 3.75 + 1)(np.float32(2)).block_until_ready()
+    finally:
+        for one, (level, propagate, handlers) in zip(loggers, before, strict=True):
+            one.level, one.propagate, one.handlers = level, propagate, handlers
+    (line,) = capfd.readouterr().err.strip().split("\n")
+    assert re.fullmatch(r" *[\d.]+ s  Finished XLA compilation of jit\(<lambda>\) in .* sec", line)
+
+
 def test_verbose_says_what_is_read_and_version_what_it_runs_with(tmp_path):
     photograph(tmp_path / "a.jpg", seconds=0.5)
-    loggers = [logging.getLogger(name) for name in ("jaxvision", "jax")]
+    loggers = [logging.getLogger(name) for name in ("jaxvision", "jax._src.dispatch")]
     before = [(one.level, one.propagate, [*one.handlers]) for one in loggers]
     try:
         status, _, stderr = run("-v", "init", tmp_path)

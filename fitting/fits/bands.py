@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
+from ..inference.formatting import format_spread, format_with_error
 from ..inference.given import require_whole
 from ..inference.likelihoods import with_noise_scaled
 from ..inference.posterior import Posterior
@@ -38,6 +39,18 @@ class Bands:
     interval_68: Float[np.ndarray, "2 ..."]
     interval_95: Float[np.ndarray, "2 ..."]
     draws: Float[np.ndarray, "draws ..."]
+
+    def __str__(self) -> str:
+        """A number with its interval; of many numbers the shape, and how they spread."""
+        if self.mean.ndim == 0:
+            ends = ", ".join(f"{float(end):.6g}" for end in self.interval_95)
+            return f"{format_with_error(float(self.mean), float(self.sd))}, 95 % in [{ends}]"
+        shape = " x ".join(map(str, self.mean.shape))
+        mean, sd = (format_spread(of[np.isfinite(of)])[1] for of in (self.mean, self.sd))
+        return f"Bands of {shape} numbers: 90 % of the means in {mean}, of the s.d. in {sd}"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self}</p>"
 
 
 def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:

@@ -29,7 +29,7 @@ def corner_figure(
 
     Args:
         posteriors: of the same parameters, by channel. Several are drawn over each other, as per
-            cent of each one's medians.
+            cent of each one's medians, but for parameters that may be 0: these in their unit.
         truth: what a simulation started from, by (name, channel).
 
     Returns:
@@ -40,18 +40,17 @@ def corner_figure(
         import corner
 
     space = next(iter(posteriors.values())).space
-    relative = len(posteriors) > 1
+    relative = _relative(posteriors)
     draws, truths = {}, {}
     for channel, posterior in posteriors.items():
-        samples, known = posterior.samples, [truth.get((p.name, channel)) for p in space]
-        if relative:
-            middle = np.median(samples, axis=0)
-            samples = 100 * (samples / middle - 1)
-            known = [
-                None if one is None else 100 * (one / m - 1)
-                for one, m in zip(known, middle, strict=True)
-            ]
-        draws[channel], truths[channel] = samples, known
+        middle = np.median(posterior.samples, axis=0)
+        zero, unit = np.where(relative, middle, 0.0), np.where(relative, middle / 100, 1.0)
+        draws[channel] = (posterior.samples - zero) / unit
+        known = [truth.get((p.name, channel)) for p in space]
+        truths[channel] = [
+            None if one is None else (one - z) / u
+            for one, z, u in zip(known, zero, unit, strict=True)
+        ]
     lowest, low, high, highest = np.quantile(
         np.concatenate([*draws.values()]), [0.0005, 0.025, 0.975, 0.9995], axis=0
     )
@@ -63,9 +62,10 @@ def corner_figure(
         colour = OF_CHANNEL.get(channel, BLUE)
         corner.corner(
             samples,
-            labels=[f"Δ{format_axis(p.symbol, '%')}" for p in space]
-            if relative
-            else [format_axis(p.symbol, p.unit) for p in space],
+            labels=[
+                f"Δ{format_axis(p.symbol, '%')}" if of_median else format_axis(p.symbol, p.unit)
+                for p, of_median in zip(space, relative, strict=True)
+            ],
             range=[_around(*pair) for pair in ends],
             color=colour,
             levels=(0.68, 0.95),
@@ -76,13 +76,16 @@ def corner_figure(
             plot_density=False,
             no_fill_contours=True,
             truths=truths[channel],
-            truth_color=colour if relative else RED,
+            truth_color=colour if len(posteriors) > 1 else RED,
             weights=np.full(len(samples), 1 / len(samples)),
             label_kwargs={"fontsize": 10},
             max_n_ticks=3,
             labelpad=0.14,
             fig=figure,
         )
+    for own in np.reshape(figure.axes, (len(space), len(space))).diagonal():
+        heights = [np.max(line.get_ydata()) for line in own.lines if len(line.get_ydata()) > 2]
+        own.set_ylim(0, 1.1 * max(heights, default=1.0))  # of all channels, not of the last
     for axis in figure.axes:
         axis.tick_params(labelsize=8, rotation=30)
         for direction in (axis.xaxis, axis.yaxis):
@@ -91,6 +94,14 @@ def corner_figure(
                 formatter.set_useOffset(False)
     figure.subplots_adjust(left=MARGIN / size, bottom=MARGIN / size)
     return figure
+
+
+def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
+    """Whether each parameter is drawn in per cent: several posteriors, in none of which it may be
+    0."""
+    ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
+    clear = np.all([low * high > 0 for low, high in ends], axis=0)
+    return clear & (len(posteriors) > 1)
 
 
 def _around(low: float, high: float) -> tuple[float, float]:
@@ -212,7 +223,8 @@ def _corner_picture(posteriors: dict[str, Posterior], section: Section) -> Pictu
     channels = ", ".join(filter(None, posteriors))
     methods = " and ".join(dict.fromkeys(p.method for p in posteriors.values()))
     about = (
-        f"Each in per cent of its median ({channels}), to lie over each other. "
+        f"Each in per cent of its median ({channels}) where that is clear of 0, to lie over each "
+        "other. "
         if len(posteriors) > 1
         else ""
     )

@@ -6,6 +6,7 @@ the file and the object. The scenes that ship with the library are read by their
 """
 
 import hashlib
+import logging
 import os
 import warnings
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
 from ..geometry import problems
 from ..gltf_files import SUFFIXES as GLTF
+from ..in_notebooks import record_html
 from ..scene import AmbientLight, Material, Scene, Surface, View
 from ..scene_checks import lost_numbers, scene_problems
 from ..toml_files import checked, read_toml
@@ -31,6 +33,8 @@ from .folder import Folder
 from .materials import material_of
 from .records import light_of, shape_of, view_of
 from .schema import RenderEntry, SceneEntry
+
+_LOG = logging.getLogger("jaxvision.scene_files")
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,19 @@ class SceneFile:
     surfaces: tuple[str, ...]
     lights: tuple[str, ...]
     digest: str
+
+    def __str__(self) -> str:
+        counts = {"surface": len(self.surfaces), "light": len(self.lights), "band": self.bands}
+        held = (f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts.items())
+        return f"{self.path.name}: {', '.join(held)}"
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows: what surfaces and lights are, by name."""
+        surfaces = zip(self.surfaces, self.scene.surfaces, strict=True)
+        rows = [(name, type(s.shape).__name__, type(s.material).__name__) for name, s in surfaces]
+        lights = zip(self.lights, self.scene.lights, strict=True)
+        rows += [(name, type(light).__name__, "") for name, light in lights]
+        return record_html(("", "kind", "material"), rows, title=str(self))
 
 
 def shipped_scenes() -> list[str]:
@@ -114,7 +131,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise InputError(f"{file}: {problem}")
     kept, kept_view = _in_dtype(file, (scene, view), entry.render.dtype)
     _check_rounded(file, names, light_names, (scene, view), (kept, kept_view))
-    return SceneFile(
+    read = SceneFile(
         file,
         kept,
         kept_view,
@@ -125,6 +142,8 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         light_names,
         _digest(kept, kept_view),
     )
+    _LOG.info("read %s", read)
+    return read
 
 
 def _content(file: Path) -> dict[str, Any]:
