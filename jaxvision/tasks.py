@@ -9,6 +9,7 @@ returned is computed again by another.
 
 import hashlib
 import io
+import logging
 import os
 import platform
 import sys
@@ -101,6 +102,8 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
         from distributed import Client
     except ImportError as error:
         raise InputError(f"workers need Dask; {_INSTALL}.") from error
+    # Waiting that an error has ended is no error of its own.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     if scheduler:
         try:
             client = Client(scheduler, timeout=_PATIENCE)
@@ -119,8 +122,6 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
 def _local(count: int) -> "Iterator[Client]":
     """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
     keeps its compiled programs where this process does."""
-    import logging
-
     from dask import config
     from distributed import Client, LocalCluster
 
@@ -298,8 +299,13 @@ def _replace_lost(client: "Client") -> None:
     made: Any = client.cluster
     wanted = len(getattr(made, "worker_spec", ()))
     there: Any = client.nthreads()
-    if len(there) < wanted:
-        made.scale(wanted)
+    if len(there) >= wanted:
+        return
+    for name, nanny in list(made.workers.items()):
+        if getattr(nanny, "pid", -1) is None:  # it waits for a process that is no more
+            made.workers.pop(name, None)
+            made.sync(nanny.close)
+    made.scale(wanted)
 
 
 class _Bundles:

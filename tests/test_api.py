@@ -163,6 +163,7 @@ LONG = {
     "transport.paths.path_traced_pixels",
     "transport.ray_tree.ray_traced",
     "transport.ray_tree.ray_tree_radiances",
+    "transport.radiosity.exchange.exchanged",
     "transport.radiosity.exchange.form_factor_table",
     "transport.radiosity.form_factors.polygon_to_polygon",
     "transport.radiosity.gather.radiosity_along",

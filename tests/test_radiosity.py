@@ -31,6 +31,7 @@ from jaxvision.transport.radiosity import (
     bounce,
     by_patch,
     closure_error,
+    exchanged,
     form_factor_table,
     parallel_rectangles,
     patches_of,
@@ -319,6 +320,51 @@ def test_solvers_and_their_gradients(method):
         np.testing.assert_allclose(
             (pulled[i] * way).sum(), (ends[1] - ends[0]) / (2 * step), rtol=1e-5
         )
+
+
+SHELF = Surface(Quad([0.2, 0.3, 0.4], [0.5, 0, 0], [0, 0.4, 0.1]), GREY)
+
+
+def test_what_patches_exchange_without_a_table():
+    """150 patches are two tiles, of which one is filled up; of any rows the same numbers."""
+    scene, some = room([GREY] * 6, furniture=[SHELF]), jnp.array([3, 149, 60])
+    plan = plan_patches(scene, size=0.2, split=1)
+    sent = jnp.asarray(
+        np.random.default_rng(0).uniform(size=(len(patches_of(scene, plan).area), 2))
+    )
+    table, whole = jax.jit(
+        lambda scene: (form_factor_table(scene, plan), exchanged(scene, plan, sent))
+    )(scene)
+    assert 128 < len(sent) < 256
+    np.testing.assert_allclose(whole, np.asarray(table) @ np.asarray(sent), rtol=1e-12)
+    found = jax.jit(lambda scene: exchanged(scene, plan, sent, elements=some))(scene)
+    np.testing.assert_allclose(found, whole[some], rtol=1e-13)
+    with pytest.raises(ValueError, match="'direct' needs a table"):
+        solve_radiosity(lambda sent: 0 * sent, 0 * sent, sent)
+
+
+@pytest.mark.slow
+def test_radiosity_without_a_table():
+    """Walls of albedo 1/2 that emit the radiance 1/2 have 1 in a closed room; a furnished room is
+    that of the table."""
+
+    def total(scene, plan, method):
+        table = partial(exchanged, scene, plan) if method == "iterative" else None
+        return radiosity(scene, plan, table=table, method=method)
+
+    glow = dict.fromkeys(range(6), jnp.asarray([0.5]))
+    closed = room([GREY] * 6, emission=glow)
+    plan = plan_patches(closed, size=0.34, split=2)
+    found = jax.jit(partial(total, plan=plan, method="iterative"))(closed)
+    np.testing.assert_allclose(found.radiosity, np.pi, rtol=0.03)
+    furnished = room([GREY] * 6, emission={1: jnp.asarray([3.0])}, furniture=[SHELF])
+    plan = plan_patches(furnished, size=0.34, split=2)
+    exact, found = (
+        jax.jit(partial(total, plan=plan, method=method))(furnished)
+        for method in ("direct", "iterative")
+    )
+    np.testing.assert_allclose(found.radiosity, exact.radiosity, rtol=1e-3)
+    np.testing.assert_allclose(found.sent, exact.sent, rtol=1e-3)
 
 
 @pytest.mark.slow

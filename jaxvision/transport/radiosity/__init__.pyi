@@ -5,6 +5,7 @@ from ._grid import Face as Face, Plan as Plan
 from ._trapped import trapping_surface as trapping_surface
 from .exchange import (
     closure_error as closure_error,
+    exchanged as exchanged,
     form_factor_table as form_factor_table,
     reciprocity_error as reciprocity_error,
 )

@@ -6,6 +6,7 @@ shadow rays find in sight. Fixed geometry needs the table once, whatever the col
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial, reduce
 
 import jax
@@ -62,6 +63,68 @@ def form_factor_table(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
+    of = _pairs_of(scene, plan, rays, elements)
+
+    def rows(receivers: Tile) -> Array:
+        return jax.lax.map(partial(of.factors, receivers), of.senders)
+
+    table = jax.lax.map(rows, of.receivers)  # (tiles, tiles, TILE, TILE)
+    table = table.swapaxes(1, 2).reshape(table.shape[0] * TILE, -1)
+    return table[: of.counts[0], : of.counts[1]]
+
+
+@takes_numbers
+def exchanged(
+    scene: Scene,
+    plan: Plan,
+    sent: Float[Array, "patches bands"],
+    *,
+    rays: int = 1,
+    elements: Int[Array, " rows"] | None = None,
+) -> Float[Array, "rows bands"]:
+    """The irradiance of each element from all patches: `form_factor_table(...) @ sent`, of which
+    only `TILE` by `TILE` factors are held at a time, and made again in each call.
+
+    For so many patches that their table has no room. The sum over patches is taken tile by tile, so
+    it agrees with the table's to rounding.
+
+    Args:
+        scene, plan, rays, elements: as in `form_factor_table`.
+        sent: (patches, bands) W m^-2 that leaves each patch.
+
+    Returns:
+        (rows, bands) W m^-2.
+
+    Raises:
+        ValueError: for fewer than one ray, or a scene without surfaces.
+    """
+    of = _pairs_of(scene, plan, rays, elements)
+    missing = len(of.senders[0]) * TILE - of.counts[1]
+    light = jnp.pad(sent, ((0, missing), (0, 0))).reshape(-1, TILE, sent.shape[1])
+
+    def rows(receivers: Tile) -> Array:
+        def arriving(total: Array, part: tuple[Tile, Array]) -> tuple[Array, None]:
+            senders, leaving = part
+            return total + of.factors(receivers, senders) @ leaving, None
+
+        none = jnp.zeros((TILE, sent.shape[1]), sent.dtype)
+        return jax.lax.scan(arriving, none, (of.senders, light))[0]
+
+    return jax.lax.map(rows, of.receivers).reshape(-1, sent.shape[1])[: of.counts[0]]
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Elements and patches in tiles, how many there are of each, and the factors between a tile of
+    the one and a tile of the other, (TILE, TILE)."""
+
+    receivers: Tile
+    senders: Tile
+    counts: tuple[int, int]
+    factors: Callable[[Tile, Tile], Array]
+
+
+def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _Pairs:
     check_count("rays", rays, 1)
     shapes = shapes_of(scene)
     rounding = offset_length(largest_of(shapes))
@@ -70,13 +133,13 @@ def form_factor_table(
     if numbers is None:
         numbers = jnp.arange(len(receivers.elements.area))
     wanted = jax.tree.map(lambda x: x[numbers], receivers.elements)
-    counts = len(numbers), len(patches.area)
 
     def seen(receiver: Numbered, sender: Numbered) -> Scalar:
         (element, row), (patch, column) = receiver, sender
         stream = Stream(row.astype(jnp.uint32), column.astype(jnp.uint32), jnp.asarray(_SEED))
         return _visible_part(element, patch, stream, rays, shapes)
 
+    @jax.checkpoint
     def tile(receivers: Tile, senders: Tile) -> Array:
         def every(pair: Callable[[Numbered, Numbered], Scalar]) -> Array:
             first, second = (_unpacked(part, patches) for part in (receivers, senders))
@@ -90,14 +153,12 @@ def form_factor_table(
         )
         return jax.lax.cond((factors > 0).any(), lambda: factors * every(seen), lambda: factors)
 
-    senders = _in_tiles(patches, jnp.arange(len(patches.area)))
-
-    def rows(receivers: Tile) -> Array:
-        return jax.lax.map(jax.checkpoint(partial(tile, receivers)), senders)
-
-    table = jax.lax.map(rows, _in_tiles(wanted, numbers))  # (tiles, tiles, TILE, TILE)
-    table = table.swapaxes(1, 2).reshape(table.shape[0] * TILE, -1)
-    return table[: counts[0], : counts[1]]
+    return _Pairs(
+        receivers=_in_tiles(wanted, numbers),
+        senders=_in_tiles(patches, jnp.arange(len(patches.area))),
+        counts=(len(numbers), len(patches.area)),
+        factors=tile,
+    )
 
 
 def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:

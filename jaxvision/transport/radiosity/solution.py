@@ -27,7 +27,7 @@ from ._sources import (
 )
 from .exchange import form_factor_table
 from .patches import Patches, by_patch
-from .solve import solve_radiosity
+from .solve import PatchSpectra, Product, solve_radiosity
 
 DEFAULT_RULE = Quadrature(4)
 
@@ -54,7 +54,7 @@ def radiosity(
     scene: Scene,
     plan: Plan,
     *,
-    table: Float[Array, "elements patches"] | None = None,
+    table: Float[Array, "elements patches"] | Product | None = None,
     rule: Rule = DEFAULT_RULE,
     method: str = "direct",
     rays: int = 1,
@@ -68,7 +68,9 @@ def radiosity(
         scene: bounded surfaces of `Lambert` material, and any lights.
         plan: from `plan_patches`.
         table: (elements, patches) from `form_factor_table`, for fixed geometry under changing
-            colours; None: it is made here.
+            colours; or a function from what patches send, (patches, bands), to what elements
+            receive, (elements, bands) both W m^-2, as `exchanged` of this scene and plan is, for
+            more patches than a table has room for (method "iterative"); None: it is made here.
         rule: how extended lights without a rule of their own are sampled, see `direct_irradiance`.
         method: static, see `solve_radiosity`.
         rays: static, shadow rays a pair of the table that is made here.
@@ -77,12 +79,12 @@ def radiosity(
         Radiosity and irradiance, W m^-2.
 
     Raises:
-        ValueError: for a scene without surfaces, or an unknown method.
+        ValueError: for a scene without surfaces, an unknown method, or one that needs a table
+            where there is a function.
     """
     shapes = shapes_of(scene)
     receivers = receivers_of(scene, plan, shapes)
-    if table is None:
-        table = form_factor_table(scene, plan, rays=rays)
+    given = form_factor_table(scene, plan, rays=rays) if table is None else table
     parts = _lit(scene, receivers.parts, rule, shapes)
     direct = mean_of_parts(parts, receivers.parts, plan)
     surface = receivers.patches.surface
@@ -92,9 +94,16 @@ def radiosity(
     by_patches = jnp.where(flat[:, None], 0, emitted)[surface]
     by_lights = jnp.where(flat[:, None], emitted, 0)[surface]
     first = by_patches + albedo * by_patch(direct, receivers.elements, plan)
-    mean_table = by_patch(table, receivers.elements, plan)
-    solved = solve_radiosity(mean_table, albedo, first, method=method)
-    irradiance, own = table @ solved, jnp.asarray(parents_of(plan))
+
+    def received(leaving: PatchSpectra) -> Float[Array, "elements bands"]:
+        return given(leaving) if callable(given) else given @ leaving
+
+    def mean_received(leaving: PatchSpectra) -> PatchSpectra:
+        return by_patch(received(leaving), receivers.elements, plan)
+
+    exchange = mean_received if callable(given) else by_patch(given, receivers.elements, plan)
+    solved = solve_radiosity(exchange, albedo, first, method=method)
+    irradiance, own = received(solved), jnp.asarray(parents_of(plan))
     sent = by_patches[own] + albedo[own] * (direct + irradiance)
     return Solution(solved + by_lights, irradiance, sent, receivers.elements.area <= 0)
 

@@ -7,6 +7,9 @@ albedo (patches, bands), F the (patches, patches) form factors, without unit. Go
 Greenberg and Battaile, "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 1984.
 """
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -15,8 +18,12 @@ from ..._arguments import takes_numbers
 from ..._numerics import divide, or_one
 from ..._types import Scalar, check_choice, print_by_name
 
+if TYPE_CHECKING:
+    import lineax
+
 PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
+Product = Callable[[PatchSpectra], PatchSpectra]
 print_by_name(globals(), "PatchSpectra", "Table")
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
@@ -24,7 +31,7 @@ State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
 @takes_numbers
 def solve_radiosity(
-    table: Table,
+    table: Table | Product,
     albedo: PatchSpectra,
     sent: PatchSpectra,
     *,
@@ -43,7 +50,9 @@ def solve_radiosity(
     from the transposed equation.
 
     Args:
-        table: (patches, patches) form factors F, no unit.
+        table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
+            multiplies it by (patches, bands), as `exchanged` does without holding it. Then there is
+            no reverse-mode gradient.
         albedo: (patches, bands) rho in [0, 1], no unit.
         sent: (patches, bands) M + rho E, W m^-2.
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
@@ -57,7 +66,7 @@ def solve_radiosity(
         (patches, bands) B, W m^-2.
 
     Raises:
-        ValueError: for an unknown method.
+        ValueError: for an unknown method, or one that needs the table itself.
 
     Example:
         Two patches that see only each other, albedo 1/2, one emitting 3: B = (4, 2).
@@ -70,11 +79,13 @@ def solve_radiosity(
     import lineax
 
     check_choice("method", method, ("direct", "iterative", "progressive"))
+    if callable(table):
+        if method != "iterative":
+            raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
+        return _without_table(table, albedo, sent, tolerance)
     if method == "progressive":
         return _progressive(table, albedo, sent, tolerance, limit)
-    # absolute, for numbers up to 1: a relative tolerance would never be met by dark patches
-    iterative = lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
-    solver = lineax.LU() if method == "direct" else iterative
+    solver = lineax.LU() if method == "direct" else _gmres(tolerance)
 
     structure = jax.ShapeDtypeStruct(table.shape[:1], table.dtype)
 
@@ -90,6 +101,25 @@ def solve_radiosity(
         return scale * lineax.linear_solve(operator, b / scale, solver, throw=False).value
 
     return jax.vmap(band, in_axes=1, out_axes=1)(albedo, sent)
+
+
+def _gmres(tolerance: float) -> "lineax.GMRES":
+    """For numbers up to 1: a relative tolerance would never be met by dark patches."""
+    import lineax
+
+    return lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
+
+
+def _without_table(
+    product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
+) -> PatchSpectra:
+    """GMRES of all bands together, so that each factor is made once for all."""
+    import lineax
+
+    structure = jax.ShapeDtypeStruct(sent.shape, sent.dtype)
+    operator = lineax.FunctionLinearOperator(lambda b: b - albedo * product(b), structure)
+    scale = or_one(jnp.abs(sent).max(axis=0, keepdims=True))
+    return scale * lineax.linear_solve(operator, sent / scale, _gmres(tolerance), throw=False).value
 
 
 @takes_numbers

@@ -292,6 +292,7 @@ COMPOSED: dict[str, float] = {
     "spectra.spectrum_to_camera": 1,
     "spectra.spectrum_to_xyz": 2,
     "transport.radiosity.exchange.closure_error": 1,
+    "transport.radiosity.exchange.exchanged": 1,
     "transport.radiosity.exchange.form_factor_table": 1,
     "transport.radiosity.exchange.reciprocity_error": 0.5,
     "transport.radiosity.form_factors.parallel_exchange": 2,
