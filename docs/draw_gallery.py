@@ -11,9 +11,10 @@ import jax
 import matplotlib.pyplot as plt
 
 GALLERY = Path(__file__).parent / "gallery"
+FINE = 200  # dots per inch of figures without pixels of their own
 STYLE = {
     "figure.figsize": (4.4, 3.3),
-    "figure.dpi": 200,
+    "figure.dpi": 100,
     "figure.constrained_layout.use": True,
     "font.size": 9,
     "axes.spines.top": False,
@@ -26,7 +27,9 @@ def draw(script: Path, folder: Path) -> Path:
     with jax.enable_x64(False), plt.rc_context(STYLE):  # as a user starts
         runpy.run_path(str(script))
         picture = folder / f"{script.stem}.png"
-        plt.savefig(picture, metadata={"Software": None})
+        has_pixels = any(axes.images for axes in plt.gcf().axes)
+        dots = STYLE["figure.dpi"] if has_pixels else FINE
+        plt.savefig(picture, metadata={"Software": None}, dpi=dots)
         plt.close("all")
     return picture
 

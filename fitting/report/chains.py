@@ -63,8 +63,8 @@ def corner_figure(
         corner.corner(
             samples,
             labels=[
-                f"Δ{format_axis(p.symbol, '%')}" if of_median else format_axis(p.symbol, p.unit)
-                for p, of_median in zip(space, relative, strict=True)
+                _label(p, in_percent=of_median)
+                for p, of_median in zip(space, relative.tolist(), strict=True)
             ],
             range=[_around(*pair) for pair in ends],
             color=colour,
@@ -83,7 +83,7 @@ def corner_figure(
             labelpad=0.14,
             fig=figure,
         )
-    for own in np.reshape(figure.axes, (len(space), len(space))).diagonal():
+    for own in figure.axes[:: len(space) + 1]:  # on the diagonal
         heights = [np.max(line.get_ydata()) for line in own.lines if len(line.get_ydata()) > 2]
         own.set_ylim(0, 1.1 * max(heights, default=1.0))  # of all channels, not of the last
     for axis in figure.axes:
@@ -94,6 +94,12 @@ def corner_figure(
                 formatter.set_useOffset(False)
     figure.subplots_adjust(left=MARGIN / size, bottom=MARGIN / size)
     return figure
+
+
+def _label(parameter: Parameter, *, in_percent: bool) -> str:
+    """Its unit below its symbol, since panels are narrow."""
+    axis = format_axis(parameter.symbol, "%" if in_percent else parameter.unit)
+    return f"{'Δ' if in_percent else ''}{axis}".replace(" [", "\n[")
 
 
 def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
