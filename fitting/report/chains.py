@@ -83,9 +83,9 @@ def corner_figure(
             labelpad=0.14,
             fig=figure,
         )
-    for own in figure.axes[:: len(space) + 1]:  # on the diagonal
-        heights = [np.max(line.get_ydata()) for line in own.lines if len(line.get_ydata()) > 2]
-        own.set_ylim(0, 1.1 * max(heights, default=1.0))  # of all channels, not of the last
+    for own in figure.axes[:: len(space) + 1]:  # on the diagonal: as high as the highest channel
+        curves = [np.asarray(line.get_ydata(), float) for line in own.lines]
+        own.set_ylim(0, 1.1 * max((y.max() for y in curves if y.size > 2), default=1.0))
     for axis in figure.axes:
         axis.tick_params(labelsize=8, rotation=30)
         for direction in (axis.xaxis, axis.yaxis):
