@@ -24,7 +24,7 @@ def from_frames(
     dark_exposures: Sequence[float] | None = None,
     channel: str = "",
 ) -> PhotonTransfer:
-    """A photon transfer measurement from frames in memory, for `noise.calibration.calibrate`.
+    """A photon transfer measurement from frames in memory, for `noise.calibrate`.
 
     Args:
         flats: of each level of light two or more frames, (h, w) DN.

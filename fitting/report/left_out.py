@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from ..inference.left_out import TOLERANCE, LeftOut
 from .section import Table
 
+NOTHING = 1e-6  # s.d., below which digits say nothing
+
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
     """Errors that were too small to matter, with what they do at most.
@@ -15,7 +17,11 @@ def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tupl
     Returns:
         One table, or none where nothing was.
     """
-    rows = tuple((name, own.name, own.size, own.bound) for name, gone in channels for own in gone)
+    rows = tuple(
+        (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
+        for name, gone in channels
+        for own in gone
+    )
     if not rows:
         return ()
     table = Table(

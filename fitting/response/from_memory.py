@@ -19,7 +19,7 @@ def from_stack(
     mask: Bool[np.ndarray, "h w"] | None = None,
     exposure_sd: float | None = None,
 ) -> ExposureStack:
-    """An exposure stack of one still scene in memory, for `response.calibration.calibrate`.
+    """An exposure stack of one still scene in memory, for `response.calibrate`.
 
     Args:
         images: (h, w) or (h, w, 3) integer DN each, in any order.

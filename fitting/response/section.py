@@ -133,9 +133,10 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
         ),
         tuple(rows),
         "Off gamma and off sRGB: largest departure of the measured curve, in exposure, between "
-        "5 and 95 % of the range. χ² ratio: misfit of the best gamma over that of the free curve. "
-        "Left out: rms error of the prediction of each exposure from the others. Merged: pixels "
-        "with at least one exposure clear of clipping.",
+        "5 and 95 % of the range where the curve is known to 5 % and a pixel to 10 %. χ² ratio: "
+        "misfit of the best gamma over that of the free curve. Left out: rms error of the "
+        "prediction of each exposure from the others. Merged: pixels with at least one exposure "
+        "clear of clipping.",
     )
 
 
@@ -220,8 +221,8 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
         Picture(
             "radiance-map",
             "Merged radiance map",
-            "The merged map, its luminance tone-mapped by Reinhard's operator, beside the middle "
-            "exposure alone. What clips on the right, light or dark, holds detail on the left.",
+            "The map merged from all exposures, its luminance tone-mapped by Reinhard's operator, "
+            "beside the middle exposure alone, which lacks what clips in it.",
             partial(figures.radiance_figure, calibration, images),
         ),
         Picture(

@@ -25,7 +25,7 @@ def from_photographs(
     held_out: Sequence[int] = (),
     point_lights: bool = False,
 ) -> ReflectanceObservation:
-    """Photographs in memory, for `reflectance.from_images.calibration.calibrate`.
+    """Photographs in memory, for `reflectance.calibrate`.
 
     The view is orthographic along +z (x right, y up, z toward the camera).
 
