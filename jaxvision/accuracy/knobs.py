@@ -133,7 +133,7 @@ _OF_TRANSPORT = (
         (1, 4, 16),
         (64, 256),
         order=-0.5,
-        sets=("*.form_factor_table.rays", "*.radiosity.rays"),
+        sets=("*.form_factor_table.rays", "*.exchanged.rays", "*.radiosity.rays"),
     ),
     Knob(
         "radiosity solver",
