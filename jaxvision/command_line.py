@@ -134,10 +134,12 @@ def say_what_is_done() -> None:
     own = logging.getLogger("jaxvision")
     own.setLevel(logging.INFO)
     own.addHandler(handler)
-    of_jax = logging.getLogger("jax._src.dispatch")  # alone: all of JAX would be thousands of lines
+    import jax  # which has handlers of its own: thousands of lines
+
+    of_jax = logging.getLogger(jax.__name__)
     of_jax.setLevel(logging.DEBUG)
     of_jax.propagate = False
-    of_jax.addHandler(handler)
+    of_jax.handlers = [handler]
     handler.addFilter(
         lambda record: (
             record.name.startswith("jaxvision")

@@ -31,6 +31,7 @@ from .transport import Paths, path_traced
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
 
+DARKEST = 0.01  # photons an exposure on the brightest pixel, below which a unit was mistaken
 _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
 
 
@@ -200,12 +201,12 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
 
 
 def _check_unit(sensor: Sensor, light: Array) -> None:
-    """Warns where watts have become photons: a sensor that counts them, and gets not even one."""
+    """Warns where watts have become photons: a sensor that counts them, and gets hardly any."""
     if sensor.photon_conversion is not None or sensor.shot_noise is None or not is_known(light):
         return
     exposure = 1.0 if sensor.exposure_time is None else np.max(sensor.exposure_time)
     most = float(np.nanmax(light, initial=0) * exposure)
-    if 0 < most < 1:
+    if 0 < most < DARKEST:
         warnings.warn(
             f"capture: the brightest pixel gets {most:.2g} photons an exposure: without a "
             "photon_conversion the light on a sensor counts as photons per pixel and second; give "

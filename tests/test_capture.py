@@ -408,9 +408,7 @@ def test_a_missing_key_is_told_before_anything_is_rendered(sensor, missing, monk
 
 def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
     sensor = read_camera("emva1288", wavelengths=[610e-9, 550e-9, 465e-9]).sensor
-    with pytest.warns(
-        UserWarning, match=r"gets 0\.0052 photons .* without a photon_conv"
-    ):
+    with pytest.warns(UserWarning, match=r"gets 0\.0052 photons .* without a photon_conv"):
         shot = capture(
             jax.random.key(0),
             SCENE,
