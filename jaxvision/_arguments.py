@@ -7,7 +7,7 @@ Numbers are looked at where they are known, outside `jax.jit` and its like; NaN 
 from collections.abc import Callable
 from functools import cache, wraps
 from inspect import Parameter, signature
-from math import inf
+from sys import maxsize
 from types import UnionType
 from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -117,11 +117,11 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
 
 
 @cache
-def _placed(function: Callable[..., Any]) -> float:
+def _placed(function: Callable[..., Any]) -> int:
     """How many arguments it takes by their place."""
     kinds = [parameter.kind for parameter in signature(function).parameters.values()]
     if Parameter.VAR_POSITIONAL in kinds:
-        return inf
+        return maxsize
     return sum(kind is not Parameter.KEYWORD_ONLY for kind in kinds)
 
 
@@ -217,10 +217,10 @@ def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueErr
     return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
 
 
-def _unnamed(function: Callable[..., Any], placed: float, args: tuple[Any, ...]) -> TypeError:
+def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
     """The sentence for arguments beyond those that have a place."""
-    by_name = list(signature(function).parameters)[int(placed) :]
-    extra = zip(by_name, args[int(placed) :], strict=False)
+    by_name = list(signature(function).parameters)[placed:]
+    extra = zip(by_name, args[placed:], strict=False)
     given = ", ".join(f"{name}={in_short(value)}" for name, value in extra)
     who = getattr(function, "__name__", "function")
     advice = f"write {given}" if given else "leave out the others"

@@ -39,8 +39,6 @@ def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
     """Traced, not compiled: shapes and dtypes of the results are those that arrays give."""
     known = traced()
     for name, (arguments, options) in examples_of(room).items():
-        if name == "lights.polygon.angle_over_sine":  # of numbers at hand, with a derivative rule
-            continue
         function = partial(known[name], **options)
         lists = [as_lists(argument) for argument in arguments]
         try:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._numerics import divide, or_one
-from ..._types import Scalar, check_choice, print_by_name
+from ..._types import Scalar, as_float, check_choice, print_by_name
 
 if TYPE_CHECKING:
     import lineax
@@ -83,6 +83,7 @@ def solve_radiosity(
         if method != "iterative":
             raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
         return _without_table(table, albedo, sent, tolerance)
+    table = as_float(table)
     if method == "progressive":
         return _progressive(table, albedo, sent, tolerance, limit)
     solver = lineax.LU() if method == "direct" else _gmres(tolerance)
