@@ -202,7 +202,8 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
 
 def _check_unit(sensor: Sensor, light: Array) -> None:
     """Warns where watts have become photons: a sensor that counts them, and gets hardly any."""
-    if sensor.photon_conversion is not None or sensor.shot_noise is None or not is_known(light):
+    counts = sensor.photon_conversion is None and sensor.shot_noise is not None
+    if not (counts and is_known(light) and is_known(sensor.exposure_time)):
         return
     exposure = 1.0 if sensor.exposure_time is None else np.max(sensor.exposure_time)
     most = float(np.nanmax(light, initial=0) * exposure)

@@ -419,6 +419,22 @@ def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
     assert shot.raw.shape == (10, 12, 3)
 
 
+def test_capture_has_a_slope_by_the_exposure_time():
+    """Of a known scene, where only the exposure is traced: the light times the efficiency."""
+
+    def mean(exposure):
+        sensor = s.Sensor(
+            quantum_efficiency=0.5, exposure_time=exposure, shot_noise=s.PoissonShotNoise()
+        )
+        camera = s.Camera(PINHOLE, sensor)
+        light = lambda scene, view: jnp.full((10, 12, 3), 1e6)  # noqa: E731
+        shot = capture(jax.random.key(0), SCENE, camera, integrator=light)
+        return shot.raw.sum() / shot.irradiance.sum()
+
+    slope = jax.grad(mean)(jnp.asarray(0.01))
+    np.testing.assert_allclose(slope, 0.5, rtol=0.01)
+
+
 def shown(shot):
     """(h, w, 3) of the picture in what a notebook shows."""
     (found,) = re.findall('src="data:image/png;base64,([^"]+)"', shot._repr_html_())

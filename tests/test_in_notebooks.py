@@ -166,3 +166,5 @@ def test_bands_print_a_number_with_its_error_and_how_many_spread():
         "<p>Bands of 101 numbers: 90 % of the means in [0.05, 0.95], of the s.d. in "
         "[0.005, 0.095]</p>"
     )
+    none = Bands(*np.full((2, 5), np.nan), *np.full((2, 2, 5), np.nan), np.full((3, 5), np.nan))
+    assert str(none) == "Bands of 5 numbers, none of them finite"

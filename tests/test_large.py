@@ -24,7 +24,7 @@ EPS32 = 2.0**-23
 
 @pytest.fixture(scope="module")
 def picture():
-    """Dark as photographs are, a quarter of it below one of 256 bins."""
+    """Dark as photographs are: 12 % of it in the first of 256 bins."""
     return np.random.default_rng(1).beta(0.5, 3, (SIDE, SIDE)).astype(np.float32)
 
 

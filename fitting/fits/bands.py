@@ -46,7 +46,10 @@ class Bands:
             ends = ", ".join(f"{float(end):.6g}" for end in self.interval_95)
             return f"{format_with_error(float(self.mean), float(self.sd))}, 95 % in [{ends}]"
         shape = " x ".join(map(str, self.mean.shape))
-        mean, sd = (format_spread(of[np.isfinite(of)])[1] for of in (self.mean, self.sd))
+        finite = np.isfinite(self.mean) & np.isfinite(self.sd)
+        if not finite.any():
+            return f"Bands of {shape} numbers, none of them finite"
+        mean, sd = (format_spread(of[finite])[1] for of in (self.mean, self.sd))
         return f"Bands of {shape} numbers: 90 % of the means in {mean}, of the s.d. in {sd}"
 
     def _repr_html_(self) -> str:
