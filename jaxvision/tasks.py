@@ -10,6 +10,7 @@ returned is computed again by another.
 import hashlib
 import io
 import logging
+import math
 import os
 import platform
 import sys
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from .errors import InputError
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -33,8 +34,10 @@ Result = TypeVar("Result")
 AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
 BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are shorter than that
 MEMORY = 0.9  # of the machine, for all workers together
+PROGRAMS = 0.5e9  # bytes that JAX and compiled programs take in a worker, at least
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 LOSSES = 100  # workers that may be lost with one task before it is given up
+STARTS = 3  # of all workers, where one is lost before it is there
 _PATIENCE = 20.0  # s, for a scheduler to answer
 _LOOK = 5.0  # s, between two looks at the workers while a result is awaited
 _LONELY = 120.0  # s without any worker
@@ -123,7 +126,7 @@ def _local(count: int) -> "Iterator[Client]":
     """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
     keeps its compiled programs where this process does."""
     from dask import config
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     single = {
         "NPROC": "1",  # of XLA's thread pool
@@ -145,17 +148,23 @@ def _local(count: int) -> "Iterator[Client]":
     }
     # Python's resource tracker outlives an interrupted command and warns of what ended with it.
     sys.warnoptions.append("ignore:resource_tracker")
-    share = MEMORY / count
+    with config.set(options), _started(count) as made, Client(made) as client:
+        yield client
+
+
+def _started(count: int) -> "LocalCluster":
+    """Processes of this machine. One that is lost while it starts takes the others with it."""
+    from distributed import LocalCluster
+
+    settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-    with config.set(options):
+    lost = None
+    for _ in range(STARTS):
         try:
-            made = LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, memory_limit=share, **quiet
-            )
+            return LocalCluster(n_workers=count, **settings, **quiet)
         except RuntimeError as error:
-            raise InputError(f"{count} workers could not be started ({error}).") from error
-        with made, Client(made) as client:
-            yield client
+            lost = error
+    raise InputError(f"{count} workers could not be started ({lost}).") from lost
 
 
 def _of_jax() -> dict[str, str]:
@@ -164,7 +173,11 @@ def _of_jax() -> dict[str, str]:
 
 
 def in_order(
-    function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Iterable[Item],
+    *,
+    memory: float = 0.0,
 ) -> Iterator[Result]:
     """Results of independent tasks in the order of the tasks, on the workers of `cluster` or here.
 
@@ -173,13 +186,14 @@ def in_order(
             is raised here.
         shared: what all tasks need; sent to a worker once.
         items: one for each task.
+        memory: bytes that the largest task takes beside JAX and its programs, about.
 
     Returns:
         The results, each as soon as it and all before it are there.
 
     Raises:
-        InputError: for a worker of another version, and for a task that `LOSSES` workers were lost
-            with.
+        InputError: before any work, for a worker of another version or with too little memory;
+            later, for a task that `LOSSES` workers were lost with.
 
     Example:
         >>> list(jv.tasks.in_order(pow, 2, range(4)))
@@ -190,6 +204,7 @@ def in_order(
         for item in items:
             yield function(shared, item)
         return
+    _check_room(client, PROGRAMS + memory)
     yield from _on(client, function, shared, items)
 
 
@@ -240,6 +255,22 @@ def _on(
             yield from results
     finally:
         client.cancel([*(future for _, future in waiting), held])
+
+
+def _check_room(client: "Client", needed: float) -> None:
+    """Each worker's threads share its memory, and each thread works on one task."""
+    rooms: Any = client.run(_room, on_error="ignore")  # one that is lost just now starts again
+    for address, room in rooms.items():
+        if room < needed:
+            raise InputError(
+                f"a task takes about {needed / 1e9:.2g} GB, and worker {address} has "
+                f"{room / 1e9:.2g} GB for each; start fewer workers or give them more memory."
+            )
+
+
+def _room(dask_worker: Any) -> float:
+    """Bytes of a worker for each of its threads; infinite without a limit."""
+    return (dask_worker.memory_manager.memory_limit or math.inf) / dask_worker.state.nthreads
 
 
 def _packed(shared: Any) -> bytes:

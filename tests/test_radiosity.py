@@ -368,6 +368,27 @@ def test_radiosity_without_a_table():
 
 
 @pytest.mark.slow
+def test_radiosity_without_a_table_has_the_gradients_of_the_table():
+    """Of albedo, emission and geometry, by the transposed equation."""
+    scene = room([GREY] * 6, emission={1: jnp.asarray([3.0])}, furniture=[SHELF])
+    plan = plan_patches(scene, size=0.2, split=1)
+
+    def mean(scene, table):
+        return radiosity(
+            scene, plan, table=table and partial(table, scene, plan), method="iterative"
+        ).radiosity.mean()
+
+    exact, found = (
+        jax.tree.leaves(jax.jit(jax.grad(partial(mean, table=table), allow_int=True))(scene))
+        for table in (None, exchanged)
+    )
+    slopes = [(a, b) for a, b in zip(exact, found, strict=True) if a.dtype == jnp.float64]
+    assert max(float(jnp.abs(a).max()) for a, _ in slopes) > 1
+    for a, b in slopes:
+        np.testing.assert_allclose(b, a, rtol=0, atol=1e-3)
+
+
+@pytest.mark.slow
 def test_single_precision_solves_scenes_of_which_most_is_dark():
     """One lit patch among many: to float32's rounding and the tolerance of what is sent."""
     sent = as_dtype(jnp.zeros_like(SENT).at[7].set(3.0), jnp.float32)

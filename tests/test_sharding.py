@@ -64,6 +64,16 @@ for name in ("radiosity", "irradiance", "sent"):
     found, wanted = process_allgather(found, tiled=True), getattr(one, name)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * float(wanted.max()))
 
+numbers = shared_out(np.arange(count))
+product = jax.shard_map(
+    lambda scene, sent, part: radiosity.exchange.exchanged(scene, plan, sent, elements=part),
+    mesh=mesh, in_specs=(PartitionSpec(), PartitionSpec(), PartitionSpec("data")),
+    out_specs=PartitionSpec("data"))
+without = jax.jit(lambda scene, part: radiosity.radiosity(
+    scene, plan, table=lambda sent: product(scene, sent, part), method="iterative"))
+found = process_allgather(without(scene, numbers).radiosity, tiled=True)
+np.testing.assert_allclose(found, one.radiosity, rtol=0, atol=1e-6 * float(one.radiosity.max()))
+
 t = np.linspace(0, 1, 40_000)
 y = 2 * np.exp(-3 * t) + 0.1 * np.random.default_rng(0).standard_normal(t.size)
 y[7] = np.nan

@@ -4,6 +4,7 @@ import gc
 import os
 import pickle
 import signal
+import threading
 import time
 import weakref
 from dataclasses import replace
@@ -20,7 +21,7 @@ from studies import write_camera
 
 import jaxvision as jv
 from fitting.checks import noise
-from fitting.study.outcomes import Settings
+from fitting.study.outcomes import Settings, memory_of
 from fitting.study.run import study
 from jaxvision import tasks
 from jaxvision.cli import app
@@ -174,6 +175,70 @@ def test_without_any_worker_left_it_does_not_wait_for_ever(monkeypatch):
             list(some)
 
 
+def test_a_task_larger_than_a_workers_memory_is_refused_before_any_work(client, tmp_path):
+    limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
+    with (
+        jv.cluster(client),
+        pytest.raises(InputError, match=r"a task takes about .* GB, and worker"),
+    ):
+        list(tasks.in_order(late_first, {}, [1], memory=max(limits.values())))
+    unlimited = SimpleNamespace(
+        memory_manager=SimpleNamespace(memory_limit=None), state=SimpleNamespace(nthreads=2)
+    )
+    assert tasks._room(unlimited) == np.inf
+    folder = write_camera(tmp_path / "camera", seed=0, levels=4, side=16)
+    assert 0.2e9 < memory_of(folder) < 0.3e9
+
+
+class Nanny:
+    """What watches one process of a local cluster; none that was lost while it started."""
+
+    def __init__(self, pid, closed):
+        self.pid, self.closed = pid, closed
+
+    def close(self):
+        self.closed.append(self)
+
+
+def test_processes_lost_while_they_started_are_replaced_and_others_left_alone():
+    closed, asked = [], []
+    dead, alive = Nanny(None, closed), Nanny(7, closed)
+    made = SimpleNamespace(
+        worker_spec={0: {}, 1: {}},
+        workers={0: dead, 1: alive},
+        sync=lambda call: call(),
+        scale=asked.append,
+    )
+    lost = SimpleNamespace(cluster=made, nthreads=lambda: {"tcp://b": 1})
+    tasks._replace_lost(lost)  # pyright: ignore[reportArgumentType]
+    assert closed == [dead]
+    assert made.workers == {1: alive}
+    assert asked == [2]
+    whole = SimpleNamespace(cluster=made, nthreads=lambda: {"tcp://a": 1, "tcp://b": 1})
+    elsewhere = SimpleNamespace(cluster=None, nthreads=dict)
+    for client in (whole, elsewhere):
+        tasks._replace_lost(client)  # pyright: ignore[reportArgumentType]
+    assert (len(closed), asked) == (1, [2])
+
+
+def test_workers_lost_while_they_start_are_tried_again(monkeypatch):
+    tried, made = [], object()
+
+    def start(**settings):
+        tried.append(settings["n_workers"])
+        if len(tried) < tasks.STARTS:
+            raise RuntimeError("Nanny failed to start")
+        return made
+
+    monkeypatch.setattr(distributed, "LocalCluster", start)
+    assert tasks._started(2) is made
+    assert tried == [2] * tasks.STARTS
+    tried.clear()
+    monkeypatch.setattr(tasks, "STARTS", 0)
+    with pytest.raises(InputError, match="2 workers could not be started"):
+        tasks._started(2)
+
+
 def test_wrong_options_are_sentences(tmp_path, monkeypatch):
     asked = ("render", "cornell_box", "--out", tmp_path / "a.exr", "--workers", 2)
     status, _, said = called(app, *asked, "--scheduler", "tcp://localhost:1")
@@ -263,6 +328,31 @@ def slow_tile(shared, item):
     return rng.standard_normal(1000).cumsum()
 
 
+def killed_first(spawned):
+    """Kills the first of the processes that a cluster starts, as soon as it is there."""
+    until = time.monotonic() + 60
+    while time.monotonic() < until and not spawned:
+        spawned += worker_processes()
+        time.sleep(0.01)
+    spawned[0].send_signal(signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_process_killed_while_it_starts_is_started_again():
+    killed = []
+    thread = threading.Thread(target=killed_first, args=(killed,))
+    thread.start()
+    with tasks.workers(2):
+        assert list(tasks.in_order(slow_tile, 3, range(4)))
+    thread.join()
+    assert not killed[0].is_running()
+
+
+def worker_processes():
+    children = psutil.Process(os.getpid()).children(recursive=True)
+    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+
+
 @pytest.mark.slow
 def test_killed_workers_are_replaced_and_nothing_is_lost_or_doubled():
     """200 tasks on two processes, one of which is killed at 20 random moments."""
@@ -273,12 +363,7 @@ def test_killed_workers_are_replaced_and_nothing_is_lost_or_doubled():
         for result in tasks.in_order(slow_tile, 3, range(200)):
             found.append(result)
             if kills < 20 and time.monotonic() > until:
-                victims = [
-                    child
-                    for child in psutil.Process(os.getpid()).children(recursive=True)
-                    if "spawn_main" in " ".join(child.cmdline())
-                ]
-                rng.choice(victims).send_signal(signal.SIGKILL)
+                rng.choice(worker_processes()).send_signal(signal.SIGKILL)
                 kills, until = kills + 1, time.monotonic() + rng.uniform(0.1, 0.6)
     assert kills == 20
     np.testing.assert_array_equal(found, alone)

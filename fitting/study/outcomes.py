@@ -33,6 +33,8 @@ TITLES: dict[Kind, str] = {
 }
 REMEMBERED = "outcome.json"
 RESULTS = "results.json"
+_PROGRAMS = 0.25e9  # bytes, of photon transfer: 12 frames of 64 x 64 pixels took .74 GB in all
+_COPIES = 4  # of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more than these
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Folder:
         out: folder of its report.
         digest: of the rig, and of the names and sizes of its images, as the study found them.
         changed: when the last of these files was, ns.
+        memory: that its calibration takes beside JAX, bytes.
     """
 
     camera: str
@@ -73,6 +76,7 @@ class Folder:
     out: Path
     digest: str
     changed: int
+    memory: float
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,23 @@ def changed_at(path: Path) -> int:
     return max(
         (file.stat().st_mtime_ns for file in _images(load_rig(path)) if file.exists()), default=0
     )
+
+
+def memory_of(path: Path) -> float:
+    """What the calibration of a folder takes beside JAX and small programs, about: larger programs,
+    and images several times over.
+
+    Args:
+        path: of the rig.
+
+    Returns:
+        Bytes.
+
+    Raises:
+        InputError: for a rig that cannot be read.
+    """
+    files = [file for file in _images(load_rig(path)) if file.exists()]
+    return _PROGRAMS + _COPIES * sum(file.stat().st_size for file in files)
 
 
 def _images(rig: Rig) -> list[Path]:

@@ -20,6 +20,7 @@ from .outcomes import (
     calibrated,
     changed_at,
     digest_of,
+    memory_of,
     remembered,
 )
 from .page import page
@@ -71,7 +72,8 @@ def study(
     left = [folder for folder in asked if outcomes[folder.camera] is None]
     done = len(asked) - len(left)
     progress(done, len(asked))
-    for outcome in in_order(calibrated, settings, left):
+    largest = max((folder.memory for folder in left), default=0.0)
+    for outcome in in_order(calibrated, settings, left, memory=largest):
         outcomes[outcome.camera] = outcome
         done += 1
         progress(done, len(asked))
@@ -100,8 +102,8 @@ def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
     found = []
     for name, path in zip(names, paths, strict=True):
         try:
-            digest, changed = digest_of(path), changed_at(path)
+            digest, changed, memory = digest_of(path), changed_at(path), memory_of(path)
         except InputError:
-            digest, changed = "", 0
-        found.append(Folder(name, path.resolve(), out.resolve() / name, digest, changed))
+            digest, changed, memory = "", 0, 0.0
+        found.append(Folder(name, path.resolve(), out.resolve() / name, digest, changed, memory))
     return found

@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
-from .._numerics import norm, safe_sqrt
+from .._numerics import divide, norm, normalize, or_one, safe_sqrt
 from .._types import Scalars
 from .._vector import Vec
-from ._components import Colours, chroma_of, hue_angle, parts
+from ._components import Colours, chroma_of, hue_angle, parts, vanishes
 
 
 @takes_numbers
@@ -54,15 +54,19 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     l2, a2, b2 = parts(other)
     mean_chroma = (chroma_of(a1, b1) + chroma_of(a2, b2)) / 2
     g = (1 - _chroma_weight(mean_chroma)) / 2
+    # c2 - c1 and 2 sqrt(c1 c2) sin((h2 - h1) / 2) come from the differences of a and b: those of
+    # chroma and hue would hold the rounding of the colours themselves
+    d_l, d_a, d_b = l2 - l1, (1 + g) * (a2 - a1), b2 - b1
     a1, a2 = (1 + g) * a1, (1 + g) * a2
     c1, c2 = chroma_of(a1, b1), chroma_of(a2, b2)
     h1, h2 = hue_angle(a1, b1), hue_angle(a2, b2)
-    hued = (c1 > 0) & (c2 > 0)
-
+    hued, grey = (c1 > 0) & (c2 > 0), vanishes(c1 + c2)
+    d_c = divide(d_a * (a1 + a2) + d_b * (b1 + b2), c1 + c2, ~grey, c2 - c1)
+    roots = or_one(c1, hued) ** 0.5, or_one(c2, hued) ** 0.5
     turn = h2 - h1
     turn = turn - jnp.where(jnp.abs(turn) > jnp.pi, 2 * jnp.pi * jnp.sign(turn), 0)
-    d_l, d_c = l2 - l1, c2 - c1
-    d_h = 2 * safe_sqrt(c1) * safe_sqrt(c2) * jnp.sin(jnp.where(hued, turn, 0) / 2)
+    towards = normalize(Vec(a1, b1, jnp.zeros_like(b1)))
+    d_h = jnp.where(hued, _hue_difference(roots, towards, (d_a, d_b), turn), 0)
 
     mean_l, mean_c, mean_h = (l1 + l2) / 2, (c1 + c2) / 2, (h1 + h2) / 2
     apart = jnp.abs(h1 - h2) > jnp.pi
@@ -84,6 +88,23 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     # sqrt(lightness^2 + chroma^2 + hue^2 + r_t chroma hue), r_t^2 < 4, as a sum of three squares,
     # so that the root neither underflows nor loses its gradient
     return norm(Vec(lightness, chroma + r_t / 2 * hue, safe_sqrt(1 - r_t * r_t / 4) * hue))
+
+
+def _hue_difference(
+    roots: tuple[Scalars, Scalars], towards: Vec, change: tuple[Scalars, Scalars], turn: Scalars
+) -> Scalars:
+    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma, from the roots of their
+    chromas, the unit vector of the first's (a, b), the `change` of (a, b) to the second, and the
+    `turn` of hue, rad, within half a circle.
+
+    With k = c1 c2 sin(turn) that is k / (sqrt(c1 c2) cos(turn / 2)), which loses nothing at small
+    angles.
+    """
+    (root1, root2), (d_a, d_b) = roots, change
+    near = jnp.abs(turn) < 0.5
+    small = root1 / root2 * (towards.x * d_b - towards.y * d_a)
+    small = small / jnp.cos(jnp.where(near, turn, 0) / 2)
+    return jnp.where(near, small, 2 * root1 * root2 * jnp.sin(turn / 2))
 
 
 def _chroma_weight(chroma: Scalars) -> Scalars:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import divide, safe_log, smallest_divisor
+from .._numerics import divide, polynomial, safe_log, smallest_divisor
 from .._types import Scalars, as_relative
 
 
@@ -29,7 +29,8 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     positive = jnp.maximum(x, 0)
     mapped = _saturating(positive)
     if white is not None:
-        mapped = mapped * (1 + positive / white / white)
+        inverse = 1 / jnp.asarray(white, x.dtype)
+        mapped = mapped * (1 + positive * inverse * inverse)
     return jnp.where(x > 0, mapped, x)
 
 
@@ -106,7 +107,54 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
 
     Source: the mu-law of ITU-T G.711.
     """
-    return jnp.log1p(strength * jnp.maximum(as_relative(x), 0)) / jnp.log1p(strength)
+    positive = jnp.maximum(as_relative(x), 0)
+    return _log_ratio(*jnp.broadcast_arrays(positive, jnp.asarray(strength, positive.dtype)))
+
+
+@jax.custom_jvp
+def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
+    """log(1 + strength x) / log(1 + strength), however small or large the product."""
+    product = strength * x
+    overflows = jnp.isinf(product) & jnp.isfinite(x) & jnp.isfinite(strength)
+    bright, steep = jnp.where(overflows, x, 1), jnp.where(overflows, strength, 1)
+    apart = (jnp.log(bright) + jnp.log(steep)) / jnp.log1p(steep)
+    large = jnp.log1p(product) / jnp.log1p(jnp.where(product < 1, 1, strength))
+    small = x * (_mean_slope(product) / _mean_slope(strength))
+    return jnp.where(overflows, apart, jnp.where(product < 1, small, large))
+
+
+@_log_ratio.defjvp
+def _log_ratio_jvp(primals, tangents):
+    """The slope in `strength` is a difference, of nearly equal numbers where both logarithms are
+    of numbers near 1: there of their series."""
+    (x, strength), (dx, ds) = primals, tangents
+    mapped, product = _log_ratio(x, strength), strength * x
+    gentle = strength < 1
+    slow, fast = jnp.where(gentle, strength, 1), jnp.where(gentle, 1, strength)
+    by_x = jnp.where(
+        gentle,
+        1 / ((1 + slow * x) * _mean_slope(slow)),
+        1 / ((1 / fast + x) * jnp.log1p(fast)),
+    )
+    near = (product < _NEAR) & (strength < _NEAR)
+    of_x, of_one = (
+        (_mean_slope(z), polynomial(_SERIES, jnp.where(near, z, 0))) for z in (product, strength)
+    )
+    series = x * (x * of_x[1] * of_one[0] - of_x[0] * of_one[1]) / jnp.square(of_one[0])
+    steep = jnp.where(near, 1, strength)
+    difference = (1 / (divide(1, x) + steep) - mapped / (1 + steep)) / jnp.log1p(steep)
+    by_strength = jnp.where(near, series, jnp.where(x > 0, difference, 0 * mapped))
+    return mapped, by_x * dx + by_strength * ds
+
+
+def _mean_slope(z: Scalars) -> Scalars:
+    """log(1 + z) / z, 1 at 0, for z >= 0."""
+    small = z < jnp.finfo(z.dtype).eps / 2
+    return jnp.where(small, 1, jnp.log1p(z) / jnp.where(small, 1, z))
+
+
+_NEAR = 0.1
+_SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]  # of d/dz log(1 + z) / z
 
 
 @takes_numbers

@@ -40,6 +40,7 @@ from .tiles import PartialImage, PartialSum
 ROWS = 64  # of the picture that are written or shown at once
 _SHOWN = 1_000_000  # pixels that the exposure of a preview is chosen from, at most
 _QUANTILE, _LEVEL = 0.95, 0.8
+_PASS = 32  # bytes a value that a pass of light tracing takes: measured for 2048 x 2048 x 3
 
 Advance = Callable[[int, int], None]
 Rows = Callable[[], Iterator[np.ndarray]]
@@ -156,7 +157,8 @@ def _in_passes(
     work = _Work(source, settings, pruned)
     passes, _ = work.passes
     advance(partial.done, passes)
-    for picture in in_order(_pass, work, range(partial.done, passes)):
+    memory = _PASS * math.prod(shape)
+    for picture in in_order(_pass, work, range(partial.done, passes), memory=memory):
         partial.add(picture)
         advance(partial.done, passes)
     picture = (partial.total / passes).astype(np.float32)

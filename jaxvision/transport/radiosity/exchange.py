@@ -103,12 +103,13 @@ def exchanged(
     light = jnp.pad(sent, ((0, missing), (0, 0))).reshape(-1, TILE, sent.shape[1])
 
     def rows(receivers: Tile) -> Array:
-        def arriving(total: Array, part: tuple[Tile, Array]) -> tuple[Array, None]:
-            senders, leaving = part
+        def arriving(total: Array, part: tuple[Array, Tile]) -> tuple[Array, None]:
+            leaving, senders = part
             return total + of.factors(receivers, senders) @ leaving, None
 
-        none = jnp.zeros((TILE, sent.shape[1]), sent.dtype)
-        return jax.lax.scan(arriving, none, (of.senders, light))[0]
+        # like the receivers, also in what differs from device to device
+        none = jnp.zeros_like(receivers[0], shape=(TILE, sent.shape[1]), dtype=sent.dtype)
+        return jax.lax.scan(arriving, none, (light, of.senders))[0]
 
     return jax.lax.map(rows, of.receivers).reshape(-1, sent.shape[1])[: of.counts[0]]
 

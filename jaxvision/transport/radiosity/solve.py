@@ -51,8 +51,7 @@ def solve_radiosity(
 
     Args:
         table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
-            multiplies it by (patches, bands), as `exchanged` does without holding it. Then there is
-            no reverse-mode gradient.
+            multiplies it by (patches, bands), as `exchanged` does without holding it.
         albedo: (patches, bands) rho in [0, 1], no unit.
         sent: (patches, bands) M + rho E, W m^-2.
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
@@ -105,10 +104,11 @@ def solve_radiosity(
 
 
 def _gmres(tolerance: float) -> "lineax.GMRES":
-    """For numbers up to 1: a relative tolerance would never be met by dark patches."""
+    """For numbers up to 1: a relative tolerance would never be met by dark patches. It stops at
+    restarts alone: with 8 steps between two it takes 19 to 28 products where 20 steps take 43."""
     import lineax
 
-    return lineax.GMRES(rtol=0.0, atol=tolerance, restart=20, stagnation_iters=4)
+    return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
 
 
 def _without_table(
