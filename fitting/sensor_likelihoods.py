@@ -25,7 +25,7 @@ from .inference.given import is_concrete
 from .inference.likelihoods import Censored, Numbers, numerics
 from .inference.tails import log_ndtr
 
-FAR = 40.0  # standard deviations: no probability is left beyond
+FAR = 1e9  # standard deviations, for an end without limit: more than any code lies from any other
 ROUNDING = 0.5  # DN between a code and the ends of its interval
 
 
@@ -106,6 +106,9 @@ class SensorNoise(eqx.Module):
         return Censored(deviation, ROUNDING, largest_number(bits) - ROUNDING)
 
 
+_HALVINGS = 40  # of the range of counts, to less than one of 1e12
+
+
 class SensorCounts(eqx.Module):
     """The probability of every code: electrons counted, read out with noise, rounded and clipped.
 
@@ -113,13 +116,13 @@ class SensorCounts(eqx.Module):
         z_n  = (c - offset - K n) / (K sigma)
 
     Exact also below a read noise of half a DN, where the moments are not. The sensor needs shot
-    noise, read noise and gain; electrons within `reach` of a code are summed: the cost grows
-    with the read noise in electrons.
+    noise, read noise and gain; electrons within `reach` of those that contribute most are summed,
+    which lie between the mean and the code: the cost grows with the read noise in electrons.
 
     Attributes:
         sensor: record, or the path of one among the problem's records.
-        reach: electrons to either side of a code that are summed: at least eight times the read
-            noise in electrons, and half a DN.
+        reach: electrons to either side that are summed: at least eight times the read noise in
+            electrons, and half a DN.
     """
 
     sensor: Sensor | str
@@ -158,7 +161,8 @@ class SensorCounts(eqx.Module):
         fewest, most = counts[..., 0], counts[..., -1]
         dark = jnp.where(fewest > 0, gammaincc(jnp.maximum(fewest, 1), mean), 0)
         bright = gammainc(most + 1, mean)
-        beyond = jnp.where(self._is_black(data), dark, jnp.where(self._is_white(data), bright, 0))
+        black, white = self._ends_beyond(data, counts)
+        beyond = jnp.where(black, dark, jnp.where(white, bright, 0))
         some = beyond > 0
         return jnp.where(some, jnp.logaddexp(masses, jnp.log(jnp.where(some, beyond, 1))), masses)
 
@@ -168,7 +172,8 @@ class SensorCounts(eqx.Module):
         mean, counts, log_count = self._counted(jnp.asarray(prediction), data)
         low, high = self._ends(data, counts)
         fewest = counts[..., 0]
-        dark = jnp.where(fewest > 0, gammaincc(jnp.maximum(fewest, 1), mean), 0)
+        darker = (fewest > 0) & (fewest <= self._of_code(data))
+        dark = jnp.where(darker, gammaincc(jnp.maximum(fewest, 1), mean), 0)
         weight = jnp.exp(log_count)
         below = jnp.sum(weight * ndtr(low), axis=-1) + jnp.where(self._is_black(data), 0, dark)
         upto = jnp.sum(weight * ndtr(high), axis=-1) + dark
@@ -214,13 +219,44 @@ class SensorCounts(eqx.Module):
     def _counted(self, prediction: Array, data: Array) -> tuple[Array, Array, Array]:
         """Mean electrons (...), the counts about each code (..., n) and ln of their probability."""
         mean = self._electrons(prediction)
-        nearest = jnp.round((data - self._offset()) / self._gain())
-        nearest = jax.lax.stop_gradient(nearest)
+        centre = jax.lax.stop_gradient(self._likeliest(mean, data))
         about = jnp.arange(-self.reach, self.reach + 1.0, dtype=mean.dtype)
-        counts = nearest[..., None] + about.reshape(*[1] * nearest.ndim, -1)
+        counts = centre[..., None] + about.reshape(*[1] * centre.ndim, -1)
         possible = counts >= 0
         n, mu = jnp.where(possible, counts, 0), jnp.maximum(mean, 1e-30)[..., None]
         return mean, counts, jnp.where(possible, n * jnp.log(mu) - mu - gammaln(n + 1), -jnp.inf)
+
+    def _of_code(self, data: Array) -> Array:
+        return jnp.round((data - self._offset()) / self._gain())
+
+    def _likeliest(self, mean: Array, data: Array) -> Array:
+        """The count that contributes most to each code, where the slope of
+
+            n ln(mu) - ln(n!) - (n - c)^2 / (2 sigma^2)
+
+        in n changes its sign; of the codes of black and white, counts beyond them not regarded. Its
+        neighbours fall off at least as fast as the read noise does.
+        """
+        code, variance = self._of_code(data), jnp.square(self._read_noise())
+        log_mean = jnp.log(jnp.maximum(mean, 1e-30))
+
+        def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+            low, high = ends
+            middle = (low + high) / 2
+            rises = log_mean - jnp.log(middle + 0.5) + (code - middle) / variance > 0
+            return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
+
+        ends = jnp.zeros_like(code + mean), jnp.maximum(jnp.maximum(code, mean), 1.0)
+        low, high = jax.lax.fori_loop(0, _HALVINGS, halved, ends)
+        peak = jnp.round((low + high) / 2)
+        peak = jnp.where(self._is_black(data), jnp.maximum(peak, code), peak)
+        return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)
+
+    def _ends_beyond(self, data: Array, counts: Array) -> tuple[Array, Array]:
+        """Whether all counts below those summed are black, and all above white."""
+        code = self._of_code(data)
+        fewest, most = counts[..., 0], counts[..., -1]
+        return self._is_black(data) & (fewest <= code), self._is_white(data) & (most >= code)
 
     def _ends(self, data: Array, counts: Array) -> tuple[Array, Array]:
         """The ends of each code's interval in standard deviations from the noiseless signal."""

@@ -55,10 +55,11 @@ def test_student_t_with_ends_against_scipy():
     np.testing.assert_allclose(density(PREDICTION, data), expected, rtol=1e-10)
 
 
-@pytest.mark.parametrize("dof", [0.5, 1.0, 4.0, 30.0, 1000.0])
+@pytest.mark.parametrize("dof", [0.5, 1.0, 4.0, 30.0, 1000.0, 20_000.0])
 def test_log_of_student_and_its_slope_in_both_tails(dof):
     """Against 120 digits, where probabilities underflow too, and at the median."""
-    places = np.array([-1e200, -1e8, -40.0, -3.0, -0.5, 0.0, 0.7, 6.0, 1e3])
+    farthest = -1e200 if dof < 1e4 else -1e8  # of which the logarithm is known to eps of itself
+    places = np.array([farthest, -1e8, -40.0, -3.0, -0.5, 0.0, 0.7, 6.0, 1e3])
     with mp.workdps(120):
         a, half = mp.mpf(dof) / 2, mp.mpf(1) / 2
 
@@ -73,6 +74,16 @@ def test_log_of_student_and_its_slope_in_both_tails(dof):
     found = jax.vmap(jax.value_and_grad(log_student), (0, None))(jnp.asarray(places), dof)
     np.testing.assert_allclose(found[0], np.array(truth, float), rtol=2e-12)
     np.testing.assert_allclose(found[1], np.array(slopes, float), rtol=1e-10)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-6)])
+def test_student_of_endless_degrees_of_freedom_is_normal(dtype, tolerance):
+    """In float64 to 40 deviations, where probabilities underflow, too."""
+    z = np.array([-40, -37.5, -20, -8, -3, -2.01, -2, -1.99, -0.5, 0, 0.5, 2, 3], dtype)
+    found = jax.jit(log_student)(z, dtype(1e17))
+    np.testing.assert_allclose(found, stats.norm.logcdf(z.astype(float)), rtol=tolerance)
+    slope = jax.jit(jax.vmap(jax.grad(log_student), (0, None)))(z, dtype(1e17))
+    assert np.isfinite(slope).all()
 
 
 def test_censored_against_scipy():

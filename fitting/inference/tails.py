@@ -10,6 +10,10 @@ _FAR = 5.0  # deviations from which the continued fraction has all digits
 _TERMS = 24
 _NEARBY = 0.25  # of dof / (dof + z^2), below which the series of `_SUMMED` terms has all digits
 _SUMMED = 26
+_MANY = 20.0  # degrees of freedom from which quadrature has all digits, as betainc then has not
+_STEEP = 2.0  # scales from which that of the tail has
+_BETWEEN = np.polynomial.legendre.leggauss(16)  # nodes in (-1, 1), and weights
+_BEYOND = np.polynomial.laguerre.laggauss(32)
 _HALF_STEP = (-1 / 8, 1 / 192, -1 / 640, 17 / 14336, -31 / 18432, 691 / 180224)
 _STEPS = 8
 HALF_LOG_PI = float(np.log(np.pi)) / 2
@@ -61,8 +65,10 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
 def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
     """log F(z) of Student's t, z scales above the median; its slope is that of z alone.
 
-    From the incomplete beta function, in the tail from its series (DLMF 8.17.22), whose leading
-    power is taken as a logarithm so that nothing underflows.
+    From the incomplete beta function; beyond z^2 = 3 dof from its series (DLMF 8.17.22), whose
+    leading power is taken as a logarithm so that nothing underflows. Where many degrees of freedom
+    would cost it its digits, from the density: by Gauss-Laguerre quadrature on the length on which
+    the tail falls, and from there to the median by Gauss-Legendre quadrature.
 
     Args:
         z: (...) scales.
@@ -76,6 +82,7 @@ def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array
 
 @jax.jit
 def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
+    z, dof = jnp.broadcast_arrays(z, dof)
     a, x = dof / 2, dof / (dof + z**2)
     tail = jnp.minimum(x, _NEARBY)
     term = total = jnp.ones_like(tail)
@@ -86,9 +93,33 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
         -a * _log1p_square(z / jnp.sqrt(dof)) + jnp.log1p(-tail) / 2 - jnp.log(a) + jnp.log(total)
     )
     far = series + _half_step(a) - HALF_LOG_PI
-    near = jnp.log(special.betainc(a, 0.5, jnp.maximum(x, _NEARBY)))
-    below = jnp.where(x < _NEARBY, far, near) - float(np.log(2))  # of -|z|
+    many = dof >= _MANY
+    near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _NEARBY)))
+    far, near = (value - float(np.log(2)) for value in (far, near))  # of -|z|
+    below = jnp.where(x < _NEARBY, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
     return jnp.where(z > 0, jnp.log1p(-jnp.exp(below)), below)
+
+
+def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
+    """log F(-z) for z >= 0. In the tail it is the density times the integral of what is left of it
+    beyond, before it that at its begin and the integral up to there: no term is negative."""
+    long = jnp.maximum(z, _STEEP)
+    square = dof + long * long
+    rate = (dof + 1) * long / square
+    places = _over(z, _BEYOND[0]) / rate[None]
+    fall = jnp.log1p(places * (2 * long[None] + places) / square[None])
+    left = _over(z, _BEYOND[1] * np.exp(_BEYOND[0])) * jnp.exp(-(dof[None] + 1) / 2 * fall)
+    tail = student_log_density(long, dof) + jnp.log(left.sum(0) / rate)
+    width = long - z
+    places = z[None] + width[None] * _over(z, (_BETWEEN[0] + 1) / 2)
+    density = jnp.exp(student_log_density(places, dof[None]))
+    between = width * (_over(z, _BETWEEN[1] / 2) * density).sum(0)
+    return jnp.where(z > _STEEP, tail, jnp.log(jnp.exp(tail) + between))
+
+
+def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
+    """Values along an axis before those of z."""
+    return values.astype(z.dtype).reshape(-1, *(1,) * z.ndim)
 
 
 def student_log_density(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import (
     arctan2,
-    divide,
+    or_one,
     reciprocal,
     safe_log,
     safe_sqrt,
@@ -70,7 +70,12 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     # of their size, so that the square of a tiny albedo is in range
     size = jax.lax.stop_gradient(jnp.maximum(body, lobe))
     scale = reciprocal(size)
-    return divide(body * scale, body * scale + lobe * scale, ~(size <= 0), otherwise=0.5)
+    body, lobe = body * scale, lobe * scale
+    # of a quotient, so that the slope of all of something is no difference
+    brighter = ~(body < lobe)
+    mostly = 1 / (1 + lobe / or_one(body, brighter & (body != 0)))
+    little = body / or_one(body + lobe, ~brighter)
+    return jnp.where(size <= 0, 0.5, jnp.where(brighter, mostly, little))
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:

@@ -305,10 +305,10 @@ ENTRIES = [
             (np.array([30.0, 40.0, 20.0]), np.array([30.0, 40.0, 20.001])),
             (np.array([50.0, 0.0, 0.0]), np.array([50.0, 1e-20, 1e-21])),
         ),
-        bound=9,
+        bound=10,
         conditioned=True,
         gradient=1e-3,
-        note="opposite hues decide a branch",
+        note="opposite hues decide a branch; among blues two differences cancel",
     ),
     Entry(
         "colour_spaces.hexagon.rgb_to_hsv",
