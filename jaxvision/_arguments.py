@@ -22,7 +22,7 @@ from ._types import axes_of, check_shape, in_short, is_any_axes, is_known
 P = ParamSpec("P")
 R = TypeVar("R")
 
-UNIT_WITHIN = 1e-2  # of a length of 1: the rounding of half precision, below what a lobe shows
+UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
 LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
 PLAIN = (bool, int, float, list, tuple, str)
 
@@ -197,7 +197,8 @@ def _check(
         check_shape(_place(function, name), value, *want.shapes, advice=advice)
     if want.is_direction and is_known(value):
         length = float(np.linalg.norm(np.asarray(value, np.float64)))
-        if length != 0 and abs(length - 1) > UNIT_WITHIN:
+        rounding = 4 * float(jnp.finfo(value.dtype).eps)
+        if length != 0 and abs(length - 1) > max(UNIT_WITHIN, rounding):
             raise ValueError(
                 f"{_place(function, name)} must be a unit vector, got one of length {length:.6g}; "
                 "divide it by its length (jaxvision.normalize)."

@@ -154,12 +154,14 @@ def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
     """(v / s, s) with s the largest component in magnitude, so that their squares neither over- nor
-    underflow. s is a constant to gradients, and 1 for vectors that are zero or not finite.
+    underflow, but none whose inverse would. s is a constant to gradients, and 1 for vectors that
+    are zero or not finite.
     """
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
-    scale = jax.lax.stop_gradient(jnp.where(usable, largest, 1))
+    invertible = jnp.minimum(largest, float(1 / jnp.finfo(largest.dtype).tiny))
+    scale = jax.lax.stop_gradient(jnp.where(usable, invertible, 1))
     return scaled(v, jnp.where(usable, 1 / scale, 1)), scale
 
 

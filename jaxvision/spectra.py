@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import takes_numbers
+from ._arguments import require_metres, takes_numbers
 from ._exponential import decay
 from ._numerics import difference_of_products, or_one
 from ._powers import exact
-from ._types import Scalar, Spectrum, check_choice, print_by_name
+from ._types import Scalar, Spectrum, check_choice, is_known, print_by_name
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]
@@ -239,6 +239,9 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     Returns:
         (bands,) W m^-2 sr^-1 per m, with the constants of the SI of 2019.
 
+    Raises:
+        ValueError: for wavelengths that were meant in another unit.
+
     Example:
         >>> wavelengths = jnp.linspace(50e-9, 100e-6, 100_000)
         >>> L = jv.spectra.integrate_spectrum(
@@ -247,6 +250,8 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         >>> round(float(np.pi * L / 5000**4 * 1e8), 3)  # Stefan-Boltzmann constant, 5.670e-8
         5.67
     """
+    if is_known(wavelengths):
+        require_metres("blackbody: wavelengths", np.asarray(wavelengths))
     cold = temperature <= 0
     return jnp.where(cold, 0, _planck(wavelengths, or_one(temperature)))
 

@@ -294,6 +294,32 @@ def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
         np.testing.assert_allclose(np.exp(ours).sum(), 1, atol=1e-9)
 
 
+@pytest.mark.parametrize(("light", "code"), [(0.01, 3.0), (0.01, 60.0), (300.0, 0.0), (2.0, 255.0)])
+def test_a_code_far_from_the_mean_has_its_probability(light, code):
+    """Against 60 digits: dozens of standard deviations off, where no electron is near the code."""
+    gain, offset, noise = 0.5, 20.0, 1.5
+    camera = sensor(read_noise=noise, gain=gain, offset=offset, bits=8)
+    likelihood = SensorCounts(camera, reach=13)
+    with mp.workdps(60):
+
+        def share(n):
+            """By the tail in which the interval lies, where no digits cancel."""
+            centre = code - offset - gain * n
+            side = 1 if centre < 0 else -1
+            ends = sorted(side * (centre + half) / (gain * mp.mpf(noise)) for half in (-0.5, 0.5))
+            if code in (0, 255):
+                return mp.ncdf((0.5 + centre if code == 0 else 0.5 - centre) / (gain * noise))
+            return mp.ncdf(ends[1]) - mp.ncdf(ends[0])
+
+        chances = [mp.exp(n * mp.log(light) - light - mp.loggamma(n + 1)) for n in range(900)]
+        truth = mp.log(sum(chance * share(n) for n, chance in enumerate(chances)))
+    found, slope = jax.value_and_grad(
+        lambda light: likelihood.log_density(light[None], jnp.array([code])).sum()
+    )(jnp.asarray(light))
+    np.testing.assert_allclose(found, float(truth), rtol=1e-9)
+    assert np.isfinite(slope)
+
+
 @pytest.mark.parametrize(
     ("options", "reach", "expected"),
     [

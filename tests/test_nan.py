@@ -11,15 +11,22 @@ import pytest
 from examples import ROOMS, examples_of
 from public_names import traced
 
-# Rooms in which no ray decides by comparing what it meets, which with NaN is nothing.
-SWEPT = sorted(
-    set(ROOMS) - {"geometry", "light_to_numbers", "lights", "measured", "radiosity", "transport"}
-)
+# Rooms in which rays decide by comparing what they meet, which with NaN is nothing, and what is
+# swept in them all the same: the beginnings of names.
+RAYS = {
+    "geometry": (),
+    "light_to_numbers": (),
+    "lights": (),
+    "radiosity": ("transport.radiosity.form_factors.",),
+    "transport": (),
+}
 # Functions that say what they make of NaN, or compare a number with a draw: the places in their
 # arguments. A draw takes no part whose chance is NaN.
 EXCEPTIONS = {
     "brdf.dichromatic.sample": ("body", "interface"),
     "brdf.evaluation.sample": ("diffuse", "specular"),
+    "brdf.rgl.albedo": ("vndf",),  # inverted by searching in it
+    "brdf.rgl.sample": ("vndf", "luminance", "[2]"),
     "brdf.torrance_sparrow.sample": ("diffuse", "specular", "interface"),
     "development.jpeg_loss.jpeg": ("[0]",),  # NaN is black
     "histogram.counts.soft_histogram": ("[0]",),  # and counted in no bin
@@ -100,9 +107,11 @@ def faults(calls):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", SWEPT)
+@pytest.mark.parametrize("room", sorted(ROOMS))
 def test_nan_in_gives_nan_out(room):
-    wrong = faults({n: call for n, call in examples_of(room).items() if n not in REFUSE})
+    swept = RAYS.get(room, ("",))
+    calls = {n: call for n, call in examples_of(room).items() if n not in REFUSE}
+    wrong = faults({n: call for n, call in calls.items() if n.startswith(swept)})
     assert not wrong, wrong
 
 

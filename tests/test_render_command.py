@@ -128,6 +128,13 @@ def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
     monkeypatch.setattr(PartialImage, "append", append)
 
 
+def test_a_render_interrupted_before_its_first_tile_promises_nothing(tmp_path, monkeypatch):
+    stop_after(monkeypatch, 0)
+    status, _, error = run("cornell_box", "--resolution", "2,2", "--out", tmp_path / "a.exr")
+    assert status == 130
+    assert "a.exr: interrupted; the same command starts again: nothing was computed" in error
+
+
 @pytest.mark.slow
 def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"

@@ -13,6 +13,7 @@ from .misfit import MISFIT
 from .neighbours import are_known
 from .shared import drift, fixed_lines, temporal_lines
 
+LEAST_EFFICIENCY = 1e-4
 FAR = 3.0  # standard errors between two figures that should agree
 
 
@@ -45,6 +46,12 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
+    if calibration.efficiency is not None and calibration.efficiency < LEAST_EFFICIENCY:
+        return [
+            f"The quantum efficiency comes out at {100 * calibration.efficiency:.3g} %, less than "
+            "any sensor has for light that it is made for: photons are stated too high (give "
+            "photons per pixel and exposure)."
+        ]
     if not is_impossible(calibration):
         return []
     return [

@@ -20,7 +20,6 @@ from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, rounding_step
 COUNT_COLUMNS = ("bright_sum", "bright_pvar", "dark_sum", "dark_pvar")
 MOMENT_COLUMNS = ("mean_bright_DN", "var_bright_DN2", "mean_dark_DN", "var_dark_DN2")
 PIXELS_COLUMN, FRAMES_COLUMN = "pixels", "frames"
-MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 EXPOSURE_UNITS = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6, "exposure_ns": 1e-9}
 
 
@@ -44,11 +43,6 @@ def read_table(file: Path, bits: int | None) -> PhotonTransfer:
             f"{file}: has no exposure column; name one of {', '.join(EXPOSURE_UNITS)}."
         )
     light = _column(file, columns, "photons_per_pixel")
-    if light.max() > MOST_PHOTONS:
-        raise InputError(
-            f"{file}: photons_per_pixel reaches {light.max():.3g}, more than any pixel can "
-            f"hold; correct the unit (at most {MOST_PHOTONS:g})."
-        )
     exposure = _column(file, columns, units[0]) * EXPOSURE_UNITS[units[0]]
     frames = columns.get(FRAMES_COLUMN, np.full(len(light), 2.0))
     pixels = _pixels(file, columns, frames)

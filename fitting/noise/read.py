@@ -23,6 +23,8 @@ from .settings import require_one_setting
 from .shared import Moments, shared_variance
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
+MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
+SEEN = 3.0  # standard errors by which a level must vary more than its darks
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
 
 
@@ -256,6 +258,11 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
             raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
     if bool(jnp.any(bright.light < 0)):
         raise InputError(f"{file}: a flat has negative light; correct its photons.")
+    if measurement.photons_known and float(bright.light.max()) > MOST_PHOTONS:
+        raise InputError(
+            f"{file}: a flat has {float(bright.light.max()):.3g} photons per pixel, more than any "
+            f"pixel can hold; correct the unit (at most {MOST_PHOTONS:g})."
+        )
     if len(np.unique(np.asarray(bright.light))) < FEWEST_LEVELS:
         raise InputError(
             f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
@@ -277,6 +284,12 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
     signal = bright.mean - dark.mean[measurement.dark_of]
     if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
+    if _most_shot_noise(measurement) < SEEN:
+        raise InputError(
+            f"{file}: the flats vary no more from frame to frame than the darks do, so no shot "
+            "noise is seen, from which the gain is read off; give raw frames, neither averaged nor "
+            "smoothed, and more light."
+        )
     if (measurement.full_scale or 0) > 255 and float(bright.mean.max()) <= 255:
         raise InputError(
             f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
@@ -288,3 +301,14 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
             f"{FEWEST_LEVELS} are needed, so add flats at lower light."
         )
+
+
+def _most_shot_noise(measurement: PhotonTransfer) -> float:
+    """By how much a level varies more than its dark frames, in standard errors, at most."""
+    bright, dark = measurement.bright, measurement.dark
+    there = dark.variance[measurement.dark_of]
+    errors = jnp.hypot(
+        bright.variance * jnp.sqrt(2 / (bright.pixels * (bright.frames - 1))),
+        there * jnp.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
+    )
+    return float(jnp.max((bright.variance - there) / errors))

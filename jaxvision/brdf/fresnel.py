@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._shown import Shown
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Range, Scalar, as_float, check_fields
 
 
 class Dielectric(Shown):
@@ -54,7 +54,7 @@ class Schlick(Shown):
     f0: Colour = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self, f0=AMOUNT)
+        check_fields(self, f0=Range(0, 1, nan=True))
 
 
 Interface = Dielectric | Conductor | Schlick

@@ -16,10 +16,20 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from .._arguments import takes_numbers
 from .._numerics import arctan2, safe_sqrt, smallest_divisor
-from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
+from .._types import (
+    AMOUNT,
+    Colour,
+    Range,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_choice,
+    check_fields,
+)
 from .._vector import Direction, as_vec
 from ..scene import Material
 from ._lobe import divisor, where_seen
@@ -31,7 +41,7 @@ class OrenNayar(Material):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
-        sigma: () standard deviation of the facets' slope angle, radians, >= 0.
+        sigma: () standard deviation of the facets' slope angle, radians, in [0, pi / 2].
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
         form: "qualitative" or "full"; static.
     """
@@ -45,7 +55,7 @@ class OrenNayar(Material):
     )
 
     def __check_init__(self) -> None:
-        check_fields(self, diffuse=AMOUNT, sigma=AMOUNT, ambient=AMOUNT)
+        check_fields(self, diffuse=AMOUNT, sigma=Range(0, np.pi / 2, nan=True), ambient=AMOUNT)
         check_choice("OrenNayar.form", self.form, ("qualitative", "full"))
 
 

@@ -148,7 +148,7 @@ def _reflected_by(
     if not material.scaled:
         return value
     ndf, sigma = _over_square(material.ndf, h_place), _over_square(material.sigma, wo_place)
-    return jnp.where(sigma > 0, value * (ndf / (4 * or_one(sigma))), 0)
+    return jnp.where(sigma <= 0, 0, value * (ndf / (4 * or_one(sigma))))
 
 
 @takes_numbers
@@ -169,8 +169,8 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface, and on the horizon.
     `wi`, `wo`: unit, local frame."""
     cos_i = as_vec(wi).z
-    above = cos_i > smallest_divisor(cos_i.dtype)
-    return divide(shading(material, wi, wo), cos_i, where=above)
+    below = cos_i <= smallest_divisor(cos_i.dtype)
+    return divide(shading(material, wi, wo), cos_i, where=~below)
 
 
 @takes_numbers
@@ -203,9 +203,9 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     place = half_to_square(h, origin)
     s, visible = unwarp(material.vndf, at, place)
     area = stretch(place[0], h, wo)
-    usable = (wo.z > 0) & (h.z > 0) & (area > smallest_divisor(area.dtype))
+    unseen = (wo.z <= 0) | (h.z <= 0) | (area <= smallest_divisor(area.dtype))
     density = visible * bilinear(material.luminance.density, at, s)
-    return divide(density, area, where=usable)
+    return divide(density, area, where=~unseen)
 
 
 @takes_numbers
@@ -223,9 +223,9 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     def weight(x: Scalar, y: Scalar) -> Colour:
         place, density = warp(material.vndf, at, (x, y))
         h = square_to_half(place, origin)
-        ahead = (reflected(turned, h).z > 0) & (dot(turned, h) > 0) & (density > 0)
+        behind = (reflected(turned, h).z <= 0) | (dot(turned, h) <= 0) | (density <= 0)
         area = stretch(place[0], h, turned) / or_one(density)
-        return jnp.where(ahead, _reflected_by(material, at, (x, y), place, wo_place) * area, 0)
+        return jnp.where(behind, 0, _reflected_by(material, at, (x, y), place, wo_place) * area)
 
     rows = jax.vmap(jax.vmap(weight, (None, 0)), (0, None))(nodes, nodes)
     return where_above(wo.z, jnp.mean(rows, axis=(0, 1)))

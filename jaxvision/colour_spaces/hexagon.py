@@ -18,7 +18,8 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
         rgb: (..., 3) relative.
 
     Returns:
-        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black, and value, relative.
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black; and value, relative.
+        What is less than 3e-10 in float32, 1e-77 in float64, counts as black, or as grey.
 
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
@@ -60,8 +61,8 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
         rgb: (..., 3) relative.
 
     Returns:
-        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black and white, and
-        lightness, relative.
+        (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black and white; and
+        lightness, relative. What is less than 3e-10 in float32, 1e-77 in float64, counts as none.
 
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.

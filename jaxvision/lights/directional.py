@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import normalize
-from .._types import AMOUNT, Colour, as_float, check_fields
+from .._types import AMOUNT, Colour, as_float, check_direction, check_fields
 from .._vector import Vector
 from ..scene import Light
 from ._registry import Incident, register
@@ -25,6 +25,7 @@ class DirectionalLight(Light):
 
     def __check_init__(self) -> None:
         check_fields(self, irradiance=AMOUNT)
+        check_direction("DirectionalLight.direction", self.direction)
 
 
 @takes_numbers

@@ -81,10 +81,17 @@ def render_to_file(
     unfinished = out.with_name(out.name + ".partial")
     _check_room(out, unfinished, source)
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
-    interrupted = f"{out}: interrupted; the same command goes on from there."
-    say_if_interrupted(interrupted)
+    ending = ""
+
+    def count(done: int, total: int) -> None:
+        nonlocal ending
+        rest = "goes on from there" if done else "starts again: nothing was computed yet"
+        ending = f"{out}: interrupted; the same command {rest}."
+        say_if_interrupted(ending)
+        advance(done, total)
+
     try:
-        with whole(source, settings, pruned, unfinished, fresh, advance) as rows:
+        with whole(source, settings, pruned, unfinished, fresh, count) as rows:
             write_exr(
                 out,
                 rows(),
@@ -95,7 +102,7 @@ def render_to_file(
             if preview is not None:
                 write_image(preview, _display(rows, source))
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(interrupted) from None
+        raise KeyboardInterrupt(ending) from None
 
 
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:

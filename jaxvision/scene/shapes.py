@@ -74,6 +74,8 @@ class Quad(Shown):
 
     def __check_init__(self) -> None:
         check_fields(self)
+        check_direction("Quad.edge_u", self.edge_u)
+        check_direction("Quad.edge_v", self.edge_v)
 
 
 class Box(Shown):

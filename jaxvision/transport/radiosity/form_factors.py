@@ -56,7 +56,7 @@ def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     """
     x, y = (_ratio(side, gap) for side in (width, height))
     area = x * y
-    extended = area > smallest_divisor(area.dtype) ** 1.5
+    extended = ~(area <= smallest_divisor(area.dtype) ** 1.5)
     return divide(2 * _opposed(x, y), jnp.pi * area, extended)
 
 
@@ -79,13 +79,13 @@ def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scal
         Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-14.
     """
     w, h = (_ratio(side, edge) for side in (width, other))
-    wide = w > smallest_divisor(w.dtype)
-    return divide(_hinged(w, h), jnp.pi * w, wide & (h > 0))
+    wide = ~(w <= smallest_divisor(w.dtype))
+    return divide(_hinged(w, h), jnp.pi * w, wide & ~(h <= 0))
 
 
 def _ratio(side: Scalars, unit: Scalars) -> Scalars:
-    """side / unit within [0, _LARGEST]."""
-    fits = side < _LARGEST * unit
+    """side / unit within [0, _LARGEST]; NaN of NaN."""
+    fits = ~(side >= _LARGEST * unit)
     return divide(jnp.maximum(side, 0), unit, fits, _LARGEST)
 
 

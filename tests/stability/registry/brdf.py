@@ -318,7 +318,7 @@ ENTRIES = [
         blinn.normalisation,
         blinn_factor,
         (Range(1e-6, 1e6),),
-        ((0.0,), (1e-30,), (1e10,)),
+        ((0.0,), (1e-30,), (1e10,), (1e20,)),
         bound=5,
     ),
     Entry(

@@ -92,14 +92,19 @@ ENTRIES = [
         norm,
         length,
         (HUGE,),
-        ((vec(1e-30, 1e-30, 0),), (vec(1e30, 3e30, 1e20),), (vec(0, 0, 1e-37),)),
+        (
+            (vec(1e-30, 1e-30, 0),),
+            (vec(1e30, 3e30, 1e20),),
+            (vec(0, 0, 1e-37),),
+            (vec(2e38, 2e38, 0),),
+        ),
     ),
     Entry(
         "_numerics.normalize",
         normalize,
         lambda m, v: tuple(v[:, i] / length(m, v) for i in range(3)),
         (ANY,),
-        ((vec(1e-30, 1e-30, 2e-30),), (vec(1e30, 3e30, 1e30),)),
+        ((vec(1e-30, 1e-30, 2e-30),), (vec(1e30, 3e30, 1e30),), (vec(3e38, 3e38, 1e37),)),
         parts=("x", "y", "z"),
     ),
     Entry(
