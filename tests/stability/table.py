@@ -46,23 +46,28 @@ number may be 0.
   the result is a difference, or an exponential, of rounded numbers, and no formula does better.
 - *slope*: the largest relative error of a derivative over the hard cases, float32 and float64
   (relative to the largest slope by the same argument, or to a hundredth of f / x).
-- *jit*, *one*: the largest ULP between compiled and eager, and between `vmap` and a loop, float32.
+- *jit*, *one*: the largest ULP, in float32, between compiled and eager at 32 points, hard cases
+  first, and between `vmap` and a loop at 3.
 - *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true
   one is finite: {non_finite} of {points:,} points; slopes: {endless}.
+- *points*: what each argument is drawn from, one after the other: between two ends, uniform in the
+  logarithm but for those from 0; ± of either sign; "3 of" for the components of a vector. Outside
+  of it rows say nothing but at their hard cases, which may lie there.
 - Functions of one variable are measured at every float32 of their domain, too: see below.
 - Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64,
   which is then left out; the worst is by 60 digits.
 
 ## Beside an oracle
 
-| function | float32 worst | mean | float64 worst | mean | slope | jit | one | bound | |
+| function | float32 worst | mean | float64 worst | mean | slope | jit | one | bound | points |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 """
 SECOND = """
 ## Compositions
 
 Float32 against the same function in float64 on the example of `tests/examples/`, whose formula
-other tests check: ULP of the largest number of the result, and of each number itself.
+other tests check: ULP of the largest number of the result, and of each number itself, which is
+meaningless for numbers that a sum leaves near 0, as in kernels and Fourier transforms.
 
 | function | of the largest | of each | bound |
 | --- | --- | --- | --- |
@@ -155,7 +160,9 @@ def line(title, rows):
     slopes = [f"{row.gradient:.0e}" if row.gradient == row.gradient else "–" for row in rows]
     cells.append(" / ".join(slopes) if one.entry.gradient is not None else "–")
     cells += [number(one.compiled), number(one.one_by_one), number(one.entry.bound)]
-    return "| " + " | ".join([*cells, one.entry.note]) + " |"
+    points = "; ".join(str(argument) for argument in one.entry.domain)
+    points = points.replace("e-0", "e-").replace("e+", "e")
+    return "| " + " | ".join([*cells, " · ".join(filter(None, (points, one.entry.note)))]) + " |"
 
 
 class Kept:

@@ -197,6 +197,9 @@ def from_xyy(m, c):
 class Lab:
     """Colours of any lightness, and of chroma above 1: near grey a hue is a draw."""
 
+    def __str__(self):
+        return "L* 1…100, chroma 1…120"
+
     def draw(self, rng, n):
         chroma, hue = Range(1.0, 120).draw(rng, n), rng.uniform(0, 2 * np.pi, size=n)
         light = rng.uniform(1, 100, size=n)

@@ -22,6 +22,9 @@ class Range:
     log: bool = True
     signed: bool = False
 
+    def __str__(self) -> str:
+        return f"{'±' * self.signed}{self.low:g}…{self.high:g}"
+
     def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
         u = rng.uniform(size=n)
         if not self.log:
@@ -37,6 +40,9 @@ class Columns:
     of: Range
     count: int = 3
 
+    def __str__(self) -> str:
+        return f"{self.count} of {self.of}"
+
     def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
         return np.stack([self.of.draw(rng, n) for _ in range(self.count)], axis=-1)
 
@@ -48,6 +54,9 @@ class Unit:
 
     above: bool = False
     least: float = 0.0
+
+    def __str__(self) -> str:
+        return f"unit, z > {self.least:g}" if self.above or self.least else "unit"
 
     def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
         if not self.above and not self.least:
@@ -66,6 +75,9 @@ class Whole:
 
     low: int
     high: int
+
+    def __str__(self) -> str:
+        return f"whole {self.low}…{self.high}"
 
     def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
         return rng.integers(self.low, self.high + 1, size=n).astype(float)

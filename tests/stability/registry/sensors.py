@@ -116,6 +116,9 @@ def of_daylight(m, basis, kelvin):
 class Grid:
     """Three wavelengths in ascending order."""
 
+    def __str__(self):
+        return "3 ascending from 4e-07"
+
     def draw(self, rng, n):
         steps = rng.uniform(1e-9, 5e-8, size=(n, 3))
         return 4e-7 + steps.cumsum(axis=-1)

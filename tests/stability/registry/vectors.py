@@ -29,6 +29,9 @@ def unit(*v):
 class NearTo:
     """Unit vectors beside (0, 0, 1): log-uniform angles from 1e-5 to 0.7 rad."""
 
+    def __str__(self):
+        return "unit, 1e-05…0.7 rad from z"
+
     def draw(self, rng, n):
         angle, turn = Range(1e-5, 0.7).draw(rng, n), rng.uniform(0, 2 * np.pi, size=n)
         sine = np.sin(angle)
@@ -44,6 +47,9 @@ def sphere_hit(m, origin, direction):
 
 class Toward:
     """Unit directions from (0, 0, 5) that meet the unit sphere well inside its rim."""
+
+    def __str__(self):
+        return "unit, toward a sphere"
 
     def draw(self, rng, n):
         sine, turn = 0.15 * np.sqrt(rng.uniform(size=n)), rng.uniform(0, 2 * np.pi, size=n)
