@@ -97,7 +97,8 @@ def normalisation(exponent: Scalar) -> Scalar:
         C(n) of the table above, () in sr^-1.
     """
     n = exponent
-    return (n + 2) / (n + jnp.exp2(-n / 2)) * (n + 4) / (8 * jnp.pi)
+    rest = jnp.exp2(-n / 2)
+    return (1 + (2 - rest) / (n + rest)) * (n + 4) / (8 * jnp.pi)
 
 
 @takes_numbers

@@ -90,8 +90,8 @@ def test_one_float32_in_hundreds(entry):
     assert found["worst"] <= entry.bound
     assert not found["not_finite"]
     every = recorded().get(entry.title)
-    if every is not None:  # of one processor; another one may round elsewhere
-        assert found["worst"] <= 1.1 * every["worst"]
+    if every is not None:  # of one processor; another may contract a product and a sum
+        assert found["worst"] <= 1.1 * every["worst"] + 0.5
         assert every["worst"] <= entry.bound
 
 
