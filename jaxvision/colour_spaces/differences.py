@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from .._arguments import takes_numbers
 from .._numerics import divide, norm, normalize, or_one, safe_sqrt
 from .._types import Scalars
-from .._vector import Vec
+from .._vector import Vec, as_vec
 from ._components import Colours, chroma_of, hue_angle, parts, vanishes
 
 
@@ -65,7 +65,7 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     roots = or_one(c1, hued) ** 0.5, or_one(c2, hued) ** 0.5
     turn = h2 - h1
     turn = turn - jnp.where(jnp.abs(turn) > jnp.pi, 2 * jnp.pi * jnp.sign(turn), 0)
-    towards = normalize(Vec(a1, b1, jnp.zeros_like(b1)))
+    towards = as_vec(normalize(Vec(a1, b1, jnp.zeros_like(b1))))
     d_h = jnp.where(hued, _hue_difference(roots, towards, (d_a, d_b), turn), 0)
 
     mean_l, mean_c, mean_h = (l1 + l2) / 2, (c1 + c2) / 2, (h1 + h2) / 2

@@ -250,7 +250,8 @@ def _weighted_counts(
         kept = jnp.where(inside, weight, 0).ravel()
         high_digits = jax.lax.stop_gradient(jnp.floor(kept * DIGITS) / DIGITS)
         upper, lower = upper.at[index].add(high_digits), lower.at[index].add(kept - high_digits)
-    return sum(_in_pairs(table.reshape(n * bands, parts, bins)) for table in (lower, upper))
+    whole, rest = (_in_pairs(part.reshape(n * bands, parts, bins)) for part in (upper, lower))
+    return whole + rest
 
 
 def _in_pairs(parts: Float[Array, "planes parts bins"]) -> Float[Array, "planes bins"]:
