@@ -161,7 +161,7 @@ def line(title, rows):
     cells.append(" / ".join(slopes) if one.entry.gradient is not None else "–")
     cells += [number(one.compiled), number(one.one_by_one), number(one.entry.bound)]
     points = "; ".join(str(argument) for argument in one.entry.domain)
-    points = points.replace("e-0", "e-").replace("e+", "e")
+    points = points.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
     return "| " + " | ".join([*cells, " · ".join(filter(None, (points, one.entry.note)))]) + " |"
 
 
