@@ -134,6 +134,7 @@ def rig_of(folder: Path) -> FoundRig:
     for kind, levels in (("flat", flat), ("dark", dark)):
         lines += _levels(kind, levels, found, warmth, several_gains=len(isos) > 1)
     _refuse_gains(stack + light, found)
+    _refuse_apertures(stack + light, flat, found)
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
         lines += _geometry(shape, found)
@@ -207,6 +208,21 @@ def _refuse_gains(images: Sequence[_Image], found: FoundRig) -> None:
     if len(sensitivities) > 1:
         listed = ", ".join(f"{iso:g}" for iso in sensitivities)
         found.missing.append(f"The images differ in ISO ({listed}); keep those of one gain.")
+
+
+def _refuse_apertures(
+    photographs: Sequence[_Image], flats: Sequence[_Image], found: FoundRig
+) -> None:
+    """A rig has exposures in seconds, which say nothing of the light that an aperture lets in."""
+    for kind, images in (("images", photographs), ("flats", flats)):
+        numbers = sorted(
+            {f"{one.settings.f_number:.3g}" for one in images if one.settings.f_number}, key=float
+        )
+        if len(numbers) > 1:
+            listed = ", ".join(f"f/{number}" for number in numbers)
+            found.missing.append(
+                f"The {kind} differ in aperture ({listed}); keep those of one aperture."
+            )
 
 
 def _warmth(images: Sequence[_Image]) -> dict[str, float]:

@@ -24,6 +24,7 @@ class ImageSettings:
     Attributes:
         exposure: s.
         iso: sensitivity.
+        f_number: of the lens.
         taken: when, in the camera's own time.
         temperature: K, of the sensor.
         camera: maker's name of it.
@@ -34,6 +35,7 @@ class ImageSettings:
 
     exposure: float | None = None
     iso: float | None = None
+    f_number: float | None = None
     taken: datetime.datetime | None = None
     temperature: float | None = None
     camera: str | None = None
@@ -87,6 +89,7 @@ def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
     return ImageSettings(
         exposure=_positive(said.get("ExposureTime")),
         iso=_positive(sensitivity),
+        f_number=_positive(said.get("FNumber")),
         taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
         camera=_name(said.get("Make"), said.get("Model")),
     )
@@ -103,6 +106,7 @@ def _of_raw(file: Path) -> ImageSettings:
     return ImageSettings(
         exposure=_positive(tags.get("EXIF ExposureTime")),
         iso=_positive(tags.get("EXIF ISOSpeedRatings")),
+        f_number=_positive(tags.get("EXIF FNumber")),
         taken=_time(tags.get("EXIF DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
         black_level=float(np.mean(blacks)),

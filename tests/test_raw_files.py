@@ -37,6 +37,7 @@ def dng(codes):
     exif = directory(
         [
             entry(33434, 5, [(1, 60)]),
+            entry(33437, 5, [(28, 10)]),
             entry(34855, 3, [400]),
             entry(36867, 2, "2026:05:04 12:30:00"),
         ]
@@ -84,6 +85,7 @@ def test_raw_files_give_the_mosaic_and_its_settings(tmp_path, codes):
     np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), codes)
     said = read_settings(tmp_path / "a.dng")
     assert said.exposure == pytest.approx(1 / 60)
+    assert said.f_number == pytest.approx(2.8)
     assert (said.iso, said.camera, said.pattern) == (400, "Maker Model 3", "BGGR")
     assert (said.black_level, said.saturation) == (64, 4095)
     assert said.taken == datetime.datetime(2026, 5, 4, 12, 30)

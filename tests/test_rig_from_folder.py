@@ -25,12 +25,17 @@ from jaxvision.io import write_image
 run = partial(called, app)
 
 
-def photograph(path, *, seconds, iso=100, taken="2026:05:04 12:30:00", code=90):
+def photograph(path, *, seconds, iso=100, f_number=4.0, taken="2026:05:04 12:30:00", code=90):
     """A JPEG whose EXIF Pillow writes."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Maker", "Maker Model 3"
     time = IFDRational(Fraction(seconds).limit_denominator(1000))
-    exif[0x8769] = {0x829A: time, 0x8827: iso, 0x9003: taken}
+    exif[0x8769] = {
+        0x829A: time,
+        0x829D: IFDRational(10 * f_number, 10),
+        0x8827: iso,
+        0x9003: taken,
+    }
     Image.fromarray(np.full((8, 10, 3), code, np.uint8)).save(path, exif=exif)
 
 
@@ -122,6 +127,20 @@ def test_flats_and_darks_of_several_gains_are_entries_of_their_own(tmp_path):
     photograph(tmp_path / "scene.jpg", seconds=0.5, iso=200)
     photograph(tmp_path / "scene2.jpg", seconds=1, iso=400)
     assert any("differ in ISO (200, 400)" in sentence for sentence in rig_of(tmp_path).missing)
+
+
+@pytest.mark.parametrize("kind", ["images", "flats"])
+@pytest.mark.parametrize("seconds", [(0.1, 0.1, 0.1), (0.1, 0.2, 0.4)])
+def test_apertures_that_differ_are_said(kind, seconds, tmp_path):
+    """The times tell nothing of the light then."""
+    for i, (time, number) in enumerate(zip(seconds, (2.8, 11, 8), strict=True)):
+        photograph(tmp_path / f"{kind[:-1]}{i}.jpg", seconds=time, f_number=number)
+    said = f"The {kind} differ in aperture (f/2.8, f/8, f/11); keep those of one aperture."
+    assert said in rig_of(tmp_path).missing
+    for i in range(3):
+        (tmp_path / f"dark{i}.jpg").write_bytes((tmp_path / f"{kind[:-1]}{i}.jpg").read_bytes())
+        (tmp_path / f"{kind[:-1]}{i}.jpg").unlink()
+    assert not any("aperture" in sentence for sentence in rig_of(tmp_path).missing)
 
 
 def test_temperatures_that_lie_apart_are_settings():
