@@ -97,6 +97,11 @@ def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
 
 def _of_raw(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
+
+    def said(name: str) -> Any:
+        """Of the photograph, which TIFF/EP and DNG may say in the main directory."""
+        return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
+
     with opened_raw(file) as raw:
         letters = raw.color_desc.decode()
         colours = raw.raw_colors_visible[:2, :2].ravel() if raw.num_colors > 1 else []
@@ -104,10 +109,10 @@ def _of_raw(file: Path) -> ImageSettings:
         blacks = [float(level) for level in raw.black_level_per_channel]
         saturation = float(raw.white_level)
     return ImageSettings(
-        exposure=_positive(tags.get("EXIF ExposureTime")),
-        iso=_positive(tags.get("EXIF ISOSpeedRatings")),
-        f_number=_positive(tags.get("EXIF FNumber")),
-        taken=_time(tags.get("EXIF DateTimeOriginal") or tags.get("Image DateTime")),
+        exposure=_positive(said("ExposureTime")),
+        iso=_positive(said("ISOSpeedRatings")),
+        f_number=_positive(said("FNumber")),
+        taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
         black_level=float(np.mean(blacks)),
         saturation=saturation,

@@ -12,8 +12,9 @@ from jaxvision.image_settings import read_settings
 from jaxvision.io import read_image
 
 
-def dng(codes):
-    """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic."""
+def dng(codes, *, exif_apart=True):
+    """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic; times and
+    ISO in a directory of EXIF, or in the main one as in TIFF/EP."""
     height, width = codes.shape
     extra, base = bytearray(), 4096
 
@@ -34,14 +35,12 @@ def dng(codes):
     def directory(entries):
         return struct.pack("<H", len(entries)) + b"".join(entries) + b"\0" * 4
 
-    exif = directory(
-        [
-            entry(33434, 5, [(1, 60)]),
-            entry(33437, 5, [(28, 10)]),
-            entry(34855, 3, [400]),
-            entry(36867, 2, "2026:05:04 12:30:00"),
-        ]
-    )
+    exif = [
+        entry(33434, 5, [(1, 60)]),
+        entry(33437, 5, [(28, 10)]),
+        entry(34855, 3, [400]),
+        entry(36867, 2, "2026:05:04 12:30:00"),
+    ]
     identity = [(1, 1), (0, 1), (0, 1), (0, 1), (1, 1), (0, 1), (0, 1), (0, 1), (1, 1)]
     main = directory(
         [
@@ -59,7 +58,7 @@ def dng(codes):
             entry(279, 4, [2 * codes.size]),
             entry(33421, 3, [2, 2]),
             entry(33422, 1, [2, 1, 1, 0]),
-            entry(34665, 4, [1024]),
+            *([entry(34665, 4, [1024])] if exif_apart else exif),
             entry(50706, 1, [1, 4, 0, 0]),
             entry(50708, 2, "Maker Model 3"),
             entry(50714, 3, [64]),
@@ -69,7 +68,7 @@ def dng(codes):
         ]
     )
     head = b"II" + struct.pack("<HI", 42, 8) + main
-    whole = head.ljust(1024, b"\0") + exif
+    whole = head.ljust(1024, b"\0") + directory(exif)
     whole = (whole.ljust(base, b"\0") + bytes(extra)).ljust(8192, b"\0")
     return whole + codes.astype("<u2").tobytes()
 
@@ -79,9 +78,10 @@ def codes():
     return np.random.default_rng(0).integers(64, 4096, (48, 64)).astype(np.uint16)
 
 
-def test_raw_files_give_the_mosaic_and_its_settings(tmp_path, codes):
+@pytest.mark.parametrize("exif_apart", [True, False])
+def test_raw_files_give_the_mosaic_and_its_settings(exif_apart, tmp_path, codes):
     pytest.importorskip("rawpy")
-    (tmp_path / "a.dng").write_bytes(dng(codes))
+    (tmp_path / "a.dng").write_bytes(dng(codes, exif_apart=exif_apart))
     np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), codes)
     said = read_settings(tmp_path / "a.dng")
     assert said.exposure == pytest.approx(1 / 60)
