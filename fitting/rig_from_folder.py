@@ -30,6 +30,12 @@ _DARK, _FLAT, _LIGHT = (
     re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
     for words in ("darks?|bias|black", "flats?|bright|ff", "lights?|lamps?|led")
 )
+# In IMAGETYP of a FITS header, such as DARKFLAT and Flat Field: the first that occurs.
+_TYPES = {
+    "dark": re.compile("dark|bias|zero", re.IGNORECASE),
+    "flat": re.compile("flat", re.IGNORECASE),
+    "photograph": re.compile("light|object|science", re.IGNORECASE),
+}
 _NORMALS, _MASK = (re.compile(word, re.IGNORECASE) for word in ("normal", "mask"))
 _TIME = re.compile(r"(?<![a-z\d.,])(\d+(?:[.,]\d+)?) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE)
 _FRACTION, _COUNTED = (
@@ -98,8 +104,9 @@ def rig_of(folder: Path) -> FoundRig:
     """The rig of a folder of images, as text.
 
     Images count by a word in their path: dark or bias; flat or bright; light or lamp (then
-    `normals` and `mask` are the shape); the others are an exposure stack. Times come from the
-    files' heads, or from names such as `flat_8ms` and `scene_1-8s`.
+    `normals` and `mask` are the shape); the others are an exposure stack. IMAGETYP of a FITS header
+    tells flats, darks and photographs as well. Times come from the files' heads, or from names such
+    as `flat_8ms` and `scene_1-8s`.
 
     Args:
         folder: of images, in it or one folder below.
@@ -123,10 +130,10 @@ def rig_of(folder: Path) -> FoundRig:
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
     images = [_image(folder, name, counted=counted) for name in names if name not in shape]
-    dark = [image for image in images if _DARK.search(image.name)]
-    flat = [image for image in images if _FLAT.search(image.name) and image not in dark]
-    light = [image for image in images if _LIGHT.search(image.name) and image not in dark + flat]
-    stack = [image for image in images if image not in dark + flat + light]
+    dark, flat, light, stack = (
+        [image for image in images if _kind(image) == kind]
+        for kind in ("dark", "flat", "light", "")
+    )
     found = FoundRig(kind="noise" if flat else "brdf" if light else "response")
     lines = _camera(folder, images, found)
     warmth = _warmth(flat + dark)
@@ -138,12 +145,13 @@ def rig_of(folder: Path) -> FoundRig:
     lines += _exposures(stack, found) + _lights(light, found)
     if light or shape:
         lines += _geometry(shape, found)
-    doubts = [image.doubt for image in images if image.doubt]
-    if doubts:
-        others = f" {len(doubts) - 1} more names are alike." if len(doubts) > 1 else ""
-        found.missing.append(doubts[0] + others)
+    for doubts in ([image.doubt for image in images], [_doubt_of_kind(image) for image in images]):
+        doubts = [doubt for doubt in doubts if doubt]
+        if doubts:
+            others = f" {len(doubts) - 1} more names are alike." if len(doubts) > 1 else ""
+            found.missing.append(doubts[0] + others)
     if flat and not dark:
-        found.missing.append("No name has the word dark: photon transfer needs darks.")
+        found.missing.append("No name or header says dark: photon transfer needs darks.")
     found.text = "\n".join(lines) + "\n"
     return found
 
@@ -152,6 +160,35 @@ def _natural(name: str) -> list[tuple[int, float | str]]:
     """Numbers in a name by their value."""
     parts = re.split(r"(\d+)", name.lower())
     return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
+
+
+def _kind_in_name(image: _Image) -> str:
+    words = {"dark": _DARK, "flat": _FLAT, "light": _LIGHT}
+    return next((kind for kind, word in words.items() if word.search(image.name)), "")
+
+
+def _kind_in_head(image: _Image) -> str:
+    said = image.settings.kind or ""
+    return next((kind for kind, word in _TYPES.items() if word.search(said)), "")
+
+
+def _kind(image: _Image) -> str:
+    """Dark, flat, light (of a known shape under a lamp) or "" for one of an exposure stack."""
+    named, typed = _kind_in_name(image), _kind_in_head(image)
+    if typed in ("dark", "flat"):
+        return typed
+    return "" if typed and named != "light" else named
+
+
+def _doubt_of_kind(image: _Image) -> str:
+    """A sentence, where name and head say two things."""
+    named = _kind_in_name(image)
+    if not _kind_in_head(image) or named in ("", _kind(image)):
+        return ""
+    return (
+        f"{image.name}: taken by its IMAGETYP, {image.settings.kind}; correct that if it is a "
+        f"{named}, as its name says."
+    )
 
 
 def _image(folder: Path, name: str, *, counted: bool) -> _Image:

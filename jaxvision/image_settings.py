@@ -31,6 +31,7 @@ class ImageSettings:
         black_level: DN.
         saturation: DN.
         pattern: phase of a Bayer mosaic, such as "RGGB".
+        kind: IMAGETYP of FITS, such as "Flat Field".
     """
 
     exposure: float | None = None
@@ -42,6 +43,7 @@ class ImageSettings:
     black_level: float | None = None
     saturation: float | None = None
     pattern: str | None = None
+    kind: str | None = None
 
 
 def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
@@ -147,6 +149,7 @@ def _of_fits(header: Mapping[str, Any]) -> ImageSettings:
         black_level=_number(header.get("PEDESTAL")),
         saturation=_positive(header.get("SATURATE")),
         pattern=pattern if sorted(pattern) == ["B", "G", "G", "R"] else None,
+        kind=_name(header.get("IMAGETYP")),
     )
 
 

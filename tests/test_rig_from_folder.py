@@ -152,6 +152,34 @@ def test_temperatures_that_lie_apart_are_settings():
     assert _warmth(images[:4]) == {}
 
 
+def test_headers_tell_flats_and_darks(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+
+    def write(name, said):
+        header = fits.Header({"EXPTIME": 0.5, "IMAGETYP": said})
+        fits.writeto(tmp_path / name, np.full((6, 8), 900, np.uint16), header)
+
+    for i, said in enumerate(("Flat Field", "FLAT", "DARK", "Dark Frame", "BIAS", "Light Frame")):
+        write(f"img{i}.fits", said)
+    path, found = write_rig(tmp_path)
+    rig = load_rig(path)
+    assert [one.files for one in rig.flat] == [("img0.fits", "img1.fits")]
+    assert [one.files for one in rig.dark] == [("img2.fits", "img3.fits", "img4.fits")]
+    assert [one.file for one in rig.exposure] == ["img5.fits"]
+    assert not any("IMAGETYP" in sentence for sentence in found.missing)
+    write("dark_nebula.fits", "LIGHT")
+    write("lamp.fits", "OBJECT")
+    found = rig_of(tmp_path)
+    content = tomllib.loads(found.text)
+    assert [one["file"] for one in content["exposure"]] == ["dark_nebula.fits", "img5.fits"]
+    assert [one["file"] for one in content["light"]] == ["lamp.fits"]
+    (doubt,) = [sentence for sentence in found.missing if "IMAGETYP" in sentence]
+    assert doubt == (
+        "dark_nebula.fits: taken by its IMAGETYP, LIGHT; correct that if it is a dark, "
+        "as its name says."
+    )
+
+
 def test_what_is_not_known_stands_as_comments(tmp_path):
     (tmp_path / "lamps").mkdir()
     for i in range(3):
