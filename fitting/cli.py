@@ -95,7 +95,8 @@ def brdf(
     model: Annotated[
         Model | None,
         typer.Option(
-            help="Model to report in full (default: phong for a rig, the best for files)."
+            help="Model to report in full (default: phong for a rig, the best for files); facets "
+            "of torrance-sparrow are GGX."
         ),
     ] = None,
     index: Annotated[

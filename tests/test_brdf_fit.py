@@ -38,8 +38,11 @@ from fitting.reflectance.models import REFLECTANCES, unit_brdf
 from fitting.reflectance.names import INDEX, MODELS
 from fitting.report.page import as_json
 from jaxvision._vector import as_vec
+from jaxvision.brdf import evaluate
+from jaxvision.brdf.fresnel import Dielectric
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.measured import BRDFSamples
+from jaxvision.brdf.torrance_sparrow import TorranceSparrow
 from jaxvision.errors import InputError
 from jaxvision.measured_files import write_cornell, write_merl
 
@@ -60,10 +63,10 @@ def oracle(model, wi, wo, kd, ks, shape):
         "gaussian-lobe": lambda: brdfs.gaussian(wi, wo, c=shape, kind="shading", **k),
         "blinn": lambda: brdfs.blinn(wi, wo, n=shape, kind="shading", **k),
         "normalised-blinn": lambda: brdfs.blinn(wi, wo, n=shape, kind="normalised", **k),
-        "torrance-sparrow": lambda: brdfs.torrance_sparrow(
+        "torrance-sparrow-beckmann": lambda: brdfs.torrance_sparrow(
             wi, wo, distribution="beckmann", **index, **facets
         ),
-        "torrance-sparrow-ggx": lambda: brdfs.torrance_sparrow(wi, wo, **index, **facets),
+        "torrance-sparrow": lambda: brdfs.torrance_sparrow(wi, wo, **index, **facets),
         "torrance-sparrow-metal": lambda: brdfs.torrance_sparrow(wi, wo, **facets),
     }[model]()
 
@@ -246,7 +249,7 @@ def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
     # Phong and a Gaussian lobe of c^2 = n / 2 are alike; both are right here.
     assert calibration.model in ("phong", "gaussian-lobe")
     assert calibration.held_out["phong"].relative < 0.1
-    assert calibration.held_out["torrance-sparrow"].relative > 0.15
+    assert calibration.held_out["torrance-sparrow-beckmann"].relative > 0.15
     again = calibrate_brdf(calibration.measured, model="phong")
     truth = np.log([KD.mean(), KS.mean(), SHAPES["exponent"]])
     deviation = np.sqrt(np.diagonal(again.covariance))
@@ -306,11 +309,11 @@ def test_a_matt_surface_reports_no_lobe():
 
 @pytest.mark.slow
 def test_sections_read_and_draw(calibration):
-    other = calibrate_brdf(measured("torrance-sparrow", noise=0.05))
-    assert other.model in ("torrance-sparrow", "torrance-sparrow-ggx")
+    other = calibrate_brdf(measured("torrance-sparrow-beckmann", noise=0.05))
+    assert other.model in ("torrance-sparrow-beckmann", "torrance-sparrow")
     sections = [materials_section([calibration, other]), material_section(calibration)]
     words = " ".join(sections[0].findings)
-    assert "on 1 of 2 (torrance-sparrow)" in words
+    assert "on 1 of 2 (torrance-sparrow-beckmann)" in words
     assert "confirms only in part" in words
     assert json.loads(as_json(sections, seed=0, settings={}))["sections"][0]["tables"]
     for picture in (p for section in sections for p in section.pictures):
@@ -334,6 +337,15 @@ def test_unit_lobes_are_the_oracles():
             model, jnp.asarray(shape), as_vec(jnp.asarray(wi)), as_vec(jnp.asarray(wo)), INDEX
         )
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_facets_of_the_plain_name_are_the_records_default():
+    wi, wo = directions(np.array([0.9]), np.zeros(1)), directions(np.array([0.7]), np.array([2.9]))
+    own = TorranceSparrow([0.0], [1.0], 0.3, interface=Dielectric([INDEX]))
+    expected = evaluate(own, *(as_vec(jnp.asarray(w[0])) for w in (wi, wo)))
+    both = (as_vec(jnp.asarray(w)) for w in (wi, wo))
+    found = unit_brdf("torrance-sparrow", jnp.asarray(0.3), *both, INDEX)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 # ---------------------------------------------------------------- bad input

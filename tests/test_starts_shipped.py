@@ -108,8 +108,8 @@ def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
     """A start on the plateau of facets so rough that they no longer shine: the gradient vanishes,
     and the fit says that it failed."""
     observation, chosen, cells = reflectance.SPHERE.observed
-    gathered = gather(observation, chosen, models=("torrance-sparrow",), channels=(0,))
-    fit = fit_channel(gathered, 0, Form("torrance-sparrow"), cells)
+    gathered = gather(observation, chosen, models=("torrance-sparrow-beckmann",), channels=(0,))
+    fit = fit_channel(gathered, 0, Form("torrance-sparrow-beckmann"), cells)
     assert fit.converged
     *_, converged = optimum(jnp.asarray([-0.9, 8.5, 11.4]), fit.samples)
     assert not converged

@@ -4,9 +4,10 @@ A model is a diffuse part k_d plus k_s times a lobe of one shape parameter. Addi
 its record with unit k_s, and the shape's name, unit and range. Lobes lie about the mirror direction
 or about the half vector; a rough diffuse surface has a shape but no lobe.
 
-The facets of Torrance-Sparrow are Beckmann or GGX with Smith's height-correlated shadowing. Their
-Fresnel term is that of a clear dielectric of a given index, never fitted: k_s and the reflectance
-along the normal only enter as their product, save at grazing angles. Facets of `metal` (GGX)
+The facets of `torrance-sparrow` are GGX, as the record's default is, those of
+`torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
+term is that of a clear dielectric of a given index, never fitted: k_s and the reflectance along the
+normal only enter as their product, save at grazing angles. Facets of `torrance-sparrow-metal` (GGX)
 reflect alike at all angles, as a metal nearly does.
 """
 
@@ -110,10 +111,10 @@ REFLECTANCES: dict[Model, Reflectance] = {
     "normalised-blinn": Reflectance(
         "normalised Blinn", "half", _EXPONENT, _lobe(NormalisedBlinn), "1"
     ),
-    "torrance-sparrow": Reflectance(
+    "torrance-sparrow-beckmann": Reflectance(
         "Torrance-Sparrow (Beckmann)", "half", _FACET_ROUGHNESS, _facets("beckmann"), "1"
     ),
-    "torrance-sparrow-ggx": Reflectance(
+    "torrance-sparrow": Reflectance(
         "Torrance-Sparrow (GGX)", "half", _FACET_ROUGHNESS, _facets("ggx"), "1"
     ),
     "torrance-sparrow-metal": Reflectance(
@@ -122,7 +123,7 @@ REFLECTANCES: dict[Model, Reflectance] = {
 }
 
 LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.items()}
-CLEAR: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-ggx")  # with an index
+CLEAR: tuple[Model, ...] = ("torrance-sparrow-beckmann", "torrance-sparrow")  # with an index
 
 
 def facet_sentence(index: float) -> str:

@@ -11,10 +11,11 @@ Model = Literal[
     "gaussian-lobe",
     "blinn",
     "normalised-blinn",
+    "torrance-sparrow-beckmann",
     "torrance-sparrow",
-    "torrance-sparrow-ggx",
     "torrance-sparrow-metal",
 ]
+# torrance-sparrow has GGX facets, the default of `jaxvision.TorranceSparrow`.
 MODELS: tuple[Model, ...] = get_args(Model)
 Axis = Literal["mirror", "half", "none"]  # what a lobe is centred on
 Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance minimises

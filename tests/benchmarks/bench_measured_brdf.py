@@ -22,7 +22,7 @@ from jaxvision.brdf.measured import BRDFSamples
 
 pytestmark = pytest.mark.benchmark
 
-MODEL, ROUGHNESS, BANDS = "torrance-sparrow", 0.15, 8
+MODEL, ROUGHNESS, BANDS = "torrance-sparrow-beckmann", 0.15, 8
 STARTS = (0.02, 0.1, 0.5)
 
 

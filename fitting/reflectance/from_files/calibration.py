@@ -98,7 +98,8 @@ def calibrate(
 
     Args:
         measured: samples of one material.
-        model: the one reported; None for that of least held-out error.
+        model: the one reported; None for that of least held-out error. "torrance-sparrow" has GGX
+            facets, as `jaxvision.TorranceSparrow` by default.
         objective: to minimise.
         index: of refraction, of the clear facets of Torrance-Sparrow.
         sampling: how to draw the posterior of the reported model by emcee; None for Laplace.

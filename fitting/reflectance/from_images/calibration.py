@@ -26,7 +26,7 @@ from .read import ReflectanceObservation
 from .samples import Selection, gather, select
 
 FEWEST_SAMPLES = 50
-USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow-ggx")
+USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow")
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,7 +78,8 @@ def calibrate(
 
     Args:
         observation: of a known shape under known lights.
-        model: the one reported in full.
+        model: the one reported in full; "torrance-sparrow" has GGX facets, as
+            `jaxvision.TorranceSparrow` by default.
         compare_all: fit every model instead of the usual rivals.
         index: of refraction, of the clear facets of Torrance-Sparrow.
         sampling: how to draw the posterior of `model` by emcee; None for Laplace.
