@@ -11,7 +11,9 @@ from examples import ROOMS, examples_of
 from public_names import traced
 
 import jaxvision as jv
+from jaxvision.brdf.fresnel import Schlick
 from jaxvision.brdf.phong import phong_shading
+from jaxvision.camera_files import read_camera
 from jaxvision.development import fit_colour_matrix
 from jaxvision.histogram import equalise, exact_histogram
 from jaxvision.optics import airy_radius
@@ -84,6 +86,34 @@ SENTENCES = {
     "three normals for one point": (
         lambda: jv.lambert_shading(THREE_NORMALS, UP, [1.0, 1.0, 1.0]),
         r"normal must have shape \(3,\), got \(3, 3\); for many at once take jax.vmap",
+    ),
+    "a camera for its view": (
+        lambda: jv.project(read_camera("emva1288"), UP),
+        "project: view must be a record, Orthographic or Pinhole or ThinLens, got a Camera",
+    ),
+    "a camera for its sensor": (
+        lambda: jv.sensor.at_iso(read_camera("emva1288"), 400.0),
+        "at_iso: sensor must be a record, Sensor, got a Camera",
+    ),
+    "a scene for a ray": (
+        lambda: jv.intersect(jv.Sphere(UP, 1.0), jv.Sphere(UP, 1.0)),
+        "intersect: ray must be a record, Ray, got a Sphere",
+    ),
+    "degrees": (
+        lambda: jv.brdf.at_angles(jv.Lambert([0.1]), 45.0, 0.0, 45.0, 180.0),
+        "at_angles: theta_i, in rad, must be finite, at least 0 and at most 3.14159, got 45",
+    ),
+    "a light without a direction": (
+        lambda: jv.DirectionalLight([0, 0, 0], [1.0]),
+        "DirectionalLight.direction must have a direction",
+    ),
+    "more than all light reflected": (
+        lambda: Schlick([3.0]),
+        "Schlick.f0 must be finite, at least 0 and at most 1, got 3",
+    ),
+    "a roughness in degrees": (
+        lambda: jv.OrenNayar([0.1], 30.0),
+        r"OrenNayar.sigma must be finite, at least 0 and at most 1\.5708, got 30",
     ),
     "words": (lambda: jv.dot("abc", UP), "dot: u must be numbers, got 'abc'"),
     "nothing": (lambda: jv.dot(None, UP), "dot: u must be numbers, got None"),

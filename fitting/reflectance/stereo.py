@@ -97,7 +97,8 @@ def photometric_stereo(
     """Normals, albedo and their errors from photographs of one still view under distant lights.
 
     Args:
-        images: (lights, h, w) linear readings without black level, in any unit.
+        images: (lights, h, w) linear readings without black level, in any unit; NaN stands for a
+            reading that is missing, and the others are used.
         lights: (lights, 3) unit vectors toward the lights, in any axes.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.

@@ -104,10 +104,10 @@ def _label(parameter: Parameter, *, in_percent: bool) -> str:
 
 def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
     """Whether each parameter is drawn in per cent: several posteriors, in none of which it may be
-    0."""
+    0, nor a small part of itself, as a size that is known from above alone."""
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
-    clear = np.all([low * high > 0 for low, high in ends], axis=0)
-    return clear & (len(posteriors) > 1)
+    clear = [(low * high > 0) & (high - low < np.abs(low + high)) for low, high in ends]
+    return np.all(clear, axis=0) & (len(posteriors) > 1)
 
 
 def _around(low: float, high: float) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from jaxvision.colour_spaces import luminance
 from jaxvision.point_ops import reinhard, scaled_to_key, srgb_encode, with_luminance
 
-from ..inference.formatting import format_value
 from ..report.colours import OF_CHANNEL
 from .calibration import ChannelResponse, ResponseCalibration
 from .findings import DRAWN
@@ -61,7 +60,7 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
     gamma = channel.gamma.gamma.value or np.nan
-    label = f"{channel.plane.channel}, γ = {format_value(channel.gamma.gamma)}"
+    label = f"{channel.plane.channel}, best γ {gamma:.3g}"  # its error is in the table, or none
     axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=width, label=label)
     axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
     pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))

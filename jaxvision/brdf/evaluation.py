@@ -1,10 +1,11 @@
 """The BRDF of any material, its sampler and its albedo. Local frame, unless stated."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._types import Colour, Scalar, check_shape
+from .._types import Colour, Scalar, check_range, check_shape
 from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..hemisphere import direction_at, local_frame, to_local
 from ..scene import Material
@@ -45,11 +46,14 @@ def at_angles(
         material: any material.
         theta_i: () rad, between the light and the normal, in [0, pi].
         phi_i: () rad, the light's azimuth, from x towards y.
-        theta_o: () rad, between the viewer and the normal.
+        theta_o: () rad, between the viewer and the normal, in [0, pi].
         phi_o: () rad, the viewer's azimuth.
 
     Returns:
         f_r, (bands,) in sr^-1; 0 where an angle to the normal is pi / 2 or more.
+
+    Raises:
+        ValueError: for angles that were meant in degrees.
 
     Example:
         The mirror direction is at the same angle, on the other side.
@@ -58,6 +62,8 @@ def at_angles(
         >>> print(jv.brdf.at_angles(material, 0.7, 0.0, 0.7, np.pi).round(6))
         [0.5]
     """
+    for name, angle in (("theta_i", theta_i), ("theta_o", theta_o)):
+        check_range(f"at_angles: {name}, in rad,", angle, 0, float(np.pi) + 1e-6, nan=True)
     light = direction_at(2 * jnp.sin(theta_i / 2) ** 2, phi_i)  # 1 - cos, without cancellation
     viewer = direction_at(2 * jnp.sin(theta_o / 2) ** 2, phi_o)
     return family(material).evaluate(material, light, viewer)

@@ -8,6 +8,7 @@ systems. The same operator without a matrix is the filter itself, and its transp
 """
 
 from collections.abc import Sequence
+from typing import cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -40,7 +41,7 @@ class MatrixForm(eqx.Module):
 def filter_matrix(
     kernel: Kernel,
     *,
-    shape: tuple[int, ...],
+    shape: int | tuple[int, ...],
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
     fill: Fill = 0.0,
@@ -52,7 +53,7 @@ def filter_matrix(
 
     Args:
         kernel: (kh, kw), or (k,) for signals, no unit.
-        shape: (h, w) of the planes, or (n,) of the signals.
+        shape: (h, w) of the planes, or n or (n,) of the signals.
         anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
         border: a key of `padding.BORDERS`.
         fill: () in the picture's unit: the value outside with border "constant".
@@ -74,16 +75,17 @@ def filter_matrix(
     """
     check_border(border)
     kernel = as_float(kernel)
-    if len(shape) != kernel.ndim or kernel.ndim not in (1, 2):
+    sides: tuple[int, ...] = (shape,) if isinstance(shape, int) else shape
+    if len(sides) != kernel.ndim or kernel.ndim not in (1, 2):
         raise ValueError(
-            f"shape must be (h, w) with a kernel (kh, kw), or (n,) with (k,), got {shape} and "
+            f"shape must be (h, w) with a kernel (kh, kw), or (n,) with (k,), got {sides} and "
             f"{kernel.shape}."
         )
     if kernel.ndim == 1:
         row = None if anchor is None else (0, *anchor)
         beside = {"anchor": row, "border": border, "fill": fill}
-        return filter_matrix(kernel[None], shape=(1, *shape), **beside)
-    h, w = shape
+        return filter_matrix(kernel[None], shape=(1, *sides), **beside)
+    h, w = cast(tuple[int, int], sides)
     anchor = _anchor(anchor, (kernel.shape[0], kernel.shape[1]))
     stack = jnp.broadcast_to(kernel[:, :, None, None], (*kernel.shape, h, w))
     outer = "zero" if border in ("constant", "normalised_zero") else border

@@ -19,7 +19,7 @@ from .._arguments import takes_numbers
 from .._groups import group_by_structure, take
 from .._numerics import dot, or_one
 from .._staging import at_once, stored, together
-from .._types import Scalar
+from .._types import Scalar, check_kind
 from .._vector import Direction, Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
@@ -100,7 +100,12 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
     Returns:
         The nearest hit in front of the origin; a miss has distance inf.
+
+    Raises:
+        ValueError: for what is no ray, and no shape.
     """
+    check_kind("intersect: ray", ray, Ray)
+    check_kind("intersect: shape", shape, Shape)
     match shape:
         case Sphere():
             return intersect_sphere(ray, shape)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, norm, normalize
-from .._types import Scalar
+from .._types import Scalar, check_kind
 from .._vector import Vec, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Orthographic, Pinhole, ThinLens, View
@@ -61,6 +61,7 @@ def chip_size(view: View) -> Float[Array, "2"]:
         >>> print(jv.optics.chip_size(view))  # full frame
         [0.024 0.036]
     """
+    check_kind("chip_size: view", view, View)
     return jnp.asarray(view.resolution, view.pixel_pitch.dtype) * view.pixel_pitch
 
 
@@ -196,6 +197,7 @@ def project(view: View, point: Float[Array, "3"]) -> Projection:
         >>> [round(float(x), 3) for x in jv.project(view, jnp.array([0.1, 0.0, 2.0]))]
         [239.5, 569.5, 2.0]
     """
+    check_kind("project: view", view, View)
     x, y, depth = view.rotation @ (point - view.position)
     if not isinstance(view, Orthographic):
         seen = depth > 0

@@ -14,7 +14,15 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from .._arguments import takes_numbers
-from .._types import Image, Scalars, Spectrum, as_float, is_known, print_by_name
+from .._types import (
+    Image,
+    Scalars,
+    Spectrum,
+    as_float,
+    check_kind,
+    is_known,
+    print_by_name,
+)
 from ..colour_filters import check_pattern, mosaic
 from ..scene import ColourFilter, Sensor
 from ._draws import check_image
@@ -75,6 +83,7 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
         >>> print(jv.sensor.at_iso(jv.Sensor(gain=0.25, bits=12), 400).gain)
         1.0
     """
+    check_kind("at_iso: sensor", sensor, Sensor)
     gain = 1.0 if sensor.gain is None else sensor.gain
     return replace(sensor, gain=gain * (iso / base_iso))
 
