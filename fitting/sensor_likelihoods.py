@@ -234,8 +234,8 @@ class SensorCounts(eqx.Module):
 
             n ln(mu) - ln(n!) - (n - c)^2 / (2 sigma^2)
 
-        in n changes its sign; of the codes of black and white, counts beyond them not regarded. Its
-        neighbours fall off at least as fast as the read noise does.
+        in n changes its sign; for the code of black at least that code's own count, for white at
+        most. Its neighbours fall off at least as fast as the read noise does.
         """
         code, variance = self._of_code(data), jnp.square(self._read_noise())
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))

@@ -154,8 +154,8 @@ def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
     """(v / s, s) with s the largest component in magnitude, so that their squares neither over- nor
-    underflow, but none whose inverse would. s is a constant to gradients, and 1 for vectors that
-    are zero or not finite.
+    underflow, or the largest number whose inverse is normal. s is a constant to gradients, and 1
+    for vectors that are zero or not finite.
     """
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))

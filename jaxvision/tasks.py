@@ -34,7 +34,7 @@ Result = TypeVar("Result")
 AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
 BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are shorter than that
 MEMORY = 0.9  # of the machine, for all workers together
-PROGRAMS = 0.5e9  # bytes that JAX and compiled programs take in a worker, at least
+PROGRAMS = 0.5e9  # bytes that JAX and small compiled programs take in a worker
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 LOSSES = 100  # workers that may be lost with one task before it is given up
 STARTS = 3  # of all workers, where one is lost before it is there
@@ -186,7 +186,8 @@ def in_order(
             is raised here.
         shared: what all tasks need; sent to a worker once.
         items: one for each task.
-        memory: bytes that the largest task takes beside JAX and its programs, about.
+        memory: bytes that a worker needs for the largest task, about: `PROGRAMS` and the task's
+            own; 0 where that is not known.
 
     Returns:
         The results, each as soon as it and all before it are there.
@@ -204,7 +205,8 @@ def in_order(
         for item in items:
             yield function(shared, item)
         return
-    _check_room(client, PROGRAMS + memory)
+    if memory:
+        _check_room(client, memory)
     yield from _on(client, function, shared, items)
 
 

@@ -1,6 +1,7 @@
 """The likelihood of photon transfer: bias, efficiency, coverage, and what it notices."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -18,6 +19,7 @@ from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import evaluate, ranges, sheet, statistics
+from fitting.noise.findings import _efficiency
 from fitting.noise.fit import (
     base_space,
     fit_space,
@@ -477,3 +479,13 @@ def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
         found, by_noise = pattern_variance(levels)
         np.testing.assert_allclose(found, fixed, atol=1e-6)
         np.testing.assert_allclose(by_noise, spatial.var(), rtol=0.15)  # known to 4 %
+
+
+@pytest.mark.parametrize(
+    ("efficiency", "said"),
+    [(None, ""), (0.6, ""), (5e-29, "photons are stated too high"), (1.3, "which no sensor has")],
+)
+def test_an_efficiency_that_no_sensor_has_is_told(efficiency, said):
+    told = _efficiency(SimpleNamespace(efficiency=efficiency))  # pyright: ignore[reportArgumentType]
+    assert said in " ".join(told)
+    assert bool(told) == bool(said)

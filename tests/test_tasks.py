@@ -181,13 +181,13 @@ def test_a_task_larger_than_a_workers_memory_is_refused_before_any_work(client, 
         jv.cluster(client),
         pytest.raises(InputError, match=r"a task takes about .* GB, and worker"),
     ):
-        list(tasks.in_order(late_first, {}, [1], memory=max(limits.values())))
+        list(tasks.in_order(late_first, {}, [1], memory=2 * max(limits.values())))
     unlimited = SimpleNamespace(
         memory_manager=SimpleNamespace(memory_limit=None), state=SimpleNamespace(nthreads=2)
     )
     assert tasks._room(unlimited) == np.inf
     folder = write_camera(tmp_path / "camera", seed=0, levels=4, side=16)
-    assert 0.2e9 < memory_of(folder) < 0.3e9
+    assert 0.7e9 < memory_of(folder) < 0.8e9
 
 
 class Nanny:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 from jaxvision.io import replaced_on_success
-from jaxvision.tasks import in_order
+from jaxvision.tasks import PROGRAMS, in_order
 
 from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior
@@ -46,7 +46,9 @@ def simulated(
     if kept is not None and kept.exists():
         rows = np.load(kept)[:count]
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
-        for row in in_order(_places, (simulate, parameters), range(len(rows), count)):
+        for row in in_order(
+            _places, (simulate, parameters), range(len(rows), count), memory=PROGRAMS
+        ):
             rows = np.vstack([rows, row])
             progress(len(rows), count)
             if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):

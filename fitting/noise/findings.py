@@ -13,7 +13,7 @@ from .misfit import MISFIT
 from .neighbours import are_known
 from .shared import drift, fixed_lines, temporal_lines
 
-LEAST_EFFICIENCY = 1e-4
+LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
 
 

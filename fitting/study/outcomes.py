@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 from jaxvision.io import replaced_on_success, write_image
+from jaxvision.tasks import PROGRAMS
 
 from .. import folders
 from ..inference.estimates import Estimate
@@ -33,7 +34,7 @@ TITLES: dict[Kind, str] = {
 }
 REMEMBERED = "outcome.json"
 RESULTS = "results.json"
-_PROGRAMS = 0.25e9  # bytes, of photon transfer: 12 frames of 64 x 64 pixels took .74 GB in all
+_LARGER = 0.25e9  # bytes, of photon transfer: 12 frames of 64 x 64 pixels took .74 GB in all
 _COPIES = 4  # of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more than these
 
 
@@ -68,7 +69,7 @@ class Folder:
         out: folder of its report.
         digest: of the rig, and of the names and sizes of its images, as the study found them.
         changed: when the last of these files was, ns.
-        memory: that its calibration takes beside JAX, bytes.
+        memory: that its calibration takes, bytes.
     """
 
     camera: str
@@ -137,8 +138,7 @@ def changed_at(path: Path) -> int:
 
 
 def memory_of(path: Path) -> float:
-    """What the calibration of a folder takes beside JAX and small programs, about: larger programs,
-    and images several times over.
+    """What the calibration of a folder takes, about: its programs, and its images several times.
 
     Args:
         path: of the rig.
@@ -150,7 +150,7 @@ def memory_of(path: Path) -> float:
         InputError: for a rig that cannot be read.
     """
     files = [file for file in _images(load_rig(path)) if file.exists()]
-    return _PROGRAMS + _COPIES * sum(file.stat().st_size for file in files)
+    return PROGRAMS + _LARGER + _COPIES * sum(file.stat().st_size for file in files)
 
 
 def _images(rig: Rig) -> list[Path]:

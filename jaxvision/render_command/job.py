@@ -32,7 +32,7 @@ from ..scene import View
 from ..scene_files import SceneFile
 from ..scene_files.bands import colours_of
 from ..scene_files.schema import RenderEntry
-from ..tasks import in_order
+from ..tasks import PROGRAMS, in_order
 from .integrators import BY_PIXEL, passes_of, pixels_of
 from .pruning import left_of
 from .tiles import PartialImage, PartialSum
@@ -81,7 +81,8 @@ def render_to_file(
     unfinished = out.with_name(out.name + ".partial")
     _check_room(out, unfinished, source)
     whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
-    ending = ""
+    ending = f"{out}: interrupted."
+    say_if_interrupted(ending)
 
     def count(done: int, total: int) -> None:
         nonlocal ending
@@ -140,7 +141,7 @@ def _in_tiles(
     with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
         work = _Work(source, settings, pruned)
         advance(partial.done, tiles)
-        for radiance in in_order(_tile, work, range(partial.done, tiles)):
+        for radiance in in_order(_tile, work, range(partial.done, tiles), memory=PROGRAMS):
             partial.append(radiance)
             advance(partial.done, tiles)
         yield lambda: partial.rows(width, source.bands, height, at_once=ROWS)
@@ -164,7 +165,7 @@ def _in_passes(
     work = _Work(source, settings, pruned)
     passes, _ = work.passes
     advance(partial.done, passes)
-    memory = _PASS * math.prod(shape)
+    memory = PROGRAMS + _PASS * math.prod(shape)
     for picture in in_order(_pass, work, range(partial.done, passes), memory=memory):
         partial.add(picture)
         advance(partial.done, passes)

@@ -51,8 +51,8 @@ number may be 0.
 - *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true
   one is finite: {non_finite} of {points:,} points; slopes: {endless}.
 - *points*: what each argument is drawn from, one after the other: between two ends, uniform in the
-  logarithm but for those from 0; ± of either sign; "3 of" for the components of a vector. Outside
-  of it rows say nothing but at their hard cases, which may lie there.
+  logarithm but for those from 0; ± of either sign; "3 of" for the components of a vector. Of
+  arguments outside of these a row knows only its hard cases.
 - Functions of one variable are measured at every float32 of their domain, too: see below.
 - Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64,
   which is then left out; the worst is by 60 digits.

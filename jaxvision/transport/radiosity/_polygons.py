@@ -36,10 +36,10 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     around = together([corner * scale for corner in around])
     # seen from the front the corners run counterclockwise, opposite to the sense of lights
     area = cross(around[2] - around[0], around[3] - around[1])
-    facing = dot(area, around[0] + around[2])
+    facing = -dot(area, around[0] + around[2])
     seen = contour_integral(around, normal) / jnp.pi
-    # also where the contour has no length that could be compared, as that of NaN
-    return jnp.where(jnp.isnan(facing), facing, jnp.where(facing < 0, jnp.clip(seen, 0, 1), 0))
+    value = jnp.where(facing > 0, jnp.clip(seen, 0, 1), 0)
+    return jnp.where(jnp.isnan(facing), jnp.nan, value)  # the integral of NaN may be 0
 
 
 def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
