@@ -294,3 +294,13 @@ def test_views_are_made_inside_transformations():
         return optics.sensor_vergence(view)
 
     np.testing.assert_allclose(jax.jit(jax.grad(sharpness))(a(F)), -1 / F**2, rtol=1e-12)
+
+
+def test_a_focal_length_in_mm_beside_a_blur_in_m_is_a_sentence():
+    for f, blur in ((50.0, 30e-6), (a([0.05, 50.0]), a(1e-5))):
+        with pytest.raises(ValueError, match=r"hyperfocal_distance: .* in m \(50 mm are 0.05\)"):
+            optics.hyperfocal_distance(f, 8.0, blur)
+        with pytest.raises(ValueError, match="depth_of_field: "):
+            optics.depth_of_field(3.0, f, 8.0, blur)
+    assert np.isfinite(optics.hyperfocal_distance(50.0, 8.0, 0.03))  # all in mm
+    assert np.isinf(optics.hyperfocal_distance(0.05, 8.0, 0.0))

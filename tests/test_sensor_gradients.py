@@ -310,6 +310,28 @@ def test_a_full_well_cuts_counts_with_the_bias_that_is_stated():
     assert (slope[number > well - 0.5] < 1).all()
 
 
+@pytest.mark.parametrize(("well", "most"), [(5, 0.037), (10, 0.014), (100, 9e-4)])
+def test_a_full_well_biases_the_slope_of_mean_squares_as_stated(well, most):
+    """Of squares of Poisson counts up to the mean that fills the well."""
+    for m in np.linspace(0.01, well, 60):
+        bias = -(well - m) * stats.poisson.pmf(well - 1, m) / 2
+        n = np.arange(400.0)
+        passed = np.where(n < well, 1, np.where(n == well, 0.5, 0))
+        drawn = 2 * np.minimum(n, well) * passed * (0.5 + n / (2 * m))
+        below = np.arange(float(well))
+        true = ((2 * below + 1) * stats.poisson.pmf(below, m)).sum()
+        np.testing.assert_allclose((stats.poisson.pmf(n, m) * drawn).sum() - true, bias, atol=1e-9)
+        assert abs(bias) <= most * true
+    level, draws = 0.8 * well, 200_000
+    light = jnp.full((draws, 1), level)
+    shoot = partial(raw_image, KEY, Sensor(shot_noise=POISSON, full_well=float(well)))
+    number, slope = jax.jvp(shoot, (light,), (jnp.ones_like(light),))
+    below = np.arange(float(well))
+    true = ((2 * below + 1) * stats.poisson.pmf(below, level)).sum()
+    bias = -(well - level) * stats.poisson.pmf(well - 1, level) / 2
+    within(2 * np.asarray(number * slope).ravel(), true + bias)
+
+
 @pytest.mark.parametrize(("rms", "most"), [(0.5, 0.0144), (1.0, 6e-9)])
 def test_rounding_leaves_out_what_is_stated(rms, most):
     """The mean of rounded Gaussian numbers, summed, has a slope that is 1 but for that."""

@@ -48,6 +48,14 @@ def test_shading_tells_the_directions():
     assert contradictions(observation) == []
 
 
+def test_copies_of_an_image_are_named():
+    images = ball()
+    images[5], images[7] = images[2], images[2]
+    sentences = contradictions(observed(images, LIGHTS))
+    assert sentences[0].startswith("Images of equal numbers are copies of one exposure: 2.tif, 5.")
+    assert "7.tif" in sentences[0]
+
+
 def test_an_encoding_that_a_fit_has_found_is_undone_first():
     encoded = [np.round(4095 * (image / 4095) ** (1 / 2.2)).astype(np.uint16) for image in ball()]
     observation = observed(encoded, LIGHTS)

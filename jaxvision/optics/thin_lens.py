@@ -13,11 +13,14 @@ Sources:
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, smallest_divisor
-from .._types import Scalars
+from .._types import Scalars, is_known
+
+NARROWEST_BLUR = 1e-6  # rad: what is said to be less was meant in another unit
 
 
 @takes_numbers
@@ -221,12 +224,16 @@ def depth_of_field(
     Returns:
         (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
 
+    Raises:
+        ValueError: for a focal length of more than a million times the blur, one of them in mm.
+
     Example:
         >>> z_f, f, N, c = (jnp.array(x) for x in (3.0, 0.05, 8.0, 30e-6))
         >>> near, far = jv.depth_of_field(z_f, f, N, c)
         >>> round(float(1 / near + 1 / far), 6)  # 2 / z_f
         0.666667
     """
+    _check_blur("depth_of_field", focal_length, allowed_blur)
     focused = _reciprocal(focus_distance)
     image = image_vergence(focus_distance, focal_length)
     tolerance = jnp.abs(allowed_blur * f_number * image / focal_length)
@@ -247,12 +254,30 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
     Returns:
         (...) m; inf where c N is 0.
 
+    Raises:
+        ValueError: for a focal length of more than a million times the blur, one of them in mm.
+
     Example:
         >>> H = jv.hyperfocal_distance(jnp.array(0.05), jnp.array(8.0), jnp.array(30e-6))
         >>> round(float(H), 4)
         10.4667
     """
+    _check_blur("hyperfocal_distance", focal_length, allowed_blur)
     return focal_length + _positive_reciprocal(f_number * allowed_blur / focal_length**2)
+
+
+def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None:
+    """`ValueError` for lengths that were not meant in one unit, where they are known."""
+    if not (is_known(focal_length) and is_known(allowed_blur)):
+        return
+    lengths, blurs = np.broadcast_arrays(np.abs(focal_length), np.abs(allowed_blur))
+    odd = (blurs > 0) & (lengths > blurs / NARROWEST_BLUR)
+    if odd.any():
+        length, blur = float(lengths[odd][0]), float(blurs[odd][0])
+        raise ValueError(
+            f"{name}: focal_length and allowed_blur must be in m (50 mm are 0.05), got "
+            f"{length:g} and {blur:g}: the blur would be {blur / length:.1g} rad wide."
+        )
 
 
 def _is_near(z: Scalars, f: Scalars) -> Bool[Array, "..."]:

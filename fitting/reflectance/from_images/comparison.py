@@ -226,7 +226,7 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
             )
             for score in scores
         ),
-        caption=f"Relative RMS over unsaturated lit pixels, held out: {held_out} lights that no "
+        caption=f"Relative RMS over unsaturated lit pixels; held out: {_lights(held_out)} that no "
         "fit has seen. ΔAIC and ΔBIC are differences from the channel's best, with the likelihood "
         "and the sample size divided by the design effect.",
     )
@@ -289,7 +289,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     equal = equally_good(scores)
     best = equal[0]
     sentence = (
-        f"On {held_out} held-out lights {LABELS[best]} predicts best: relative RMS "
+        f"On {_lights(held_out, 'held-out ')} {LABELS[best]} predicts best: relative RMS "
         f"{_percentages(errors[best])} ({', '.join(channels)})"
     )
     if "lambert" not in equal:
@@ -318,6 +318,10 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
             "points more."
         )
     return sentence
+
+
+def _lights(count: int, kind: str = "") -> str:
+    return f"{count} {kind}light{'' if count == 1 else 's'}"
 
 
 def _gaps(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:

@@ -54,7 +54,7 @@ def misfit_table(calibration: ReflectanceCalibration) -> Table:
             fit.sensor_chi_square,
             fit.chi_square,
             fit.spread.relative,
-            None if robust is None else robust.by_light,
+            None if robust is None or np.isnan(robust.by_light) else robust.by_light,
             None if robust is None else robust.by_pixel,
             round(fit.samples.dn.size / fit.design_effect),
         )
@@ -121,7 +121,7 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
         found.append(
             f"{name}Errors are judged by how {len(np.unique(fit.selection.light))} fitted lights "
             f"agree; that leaves {np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % "
-            f"intervals reach {stdtrit(np.min(fit.robustness.freedom), 0.975):.1f} standard errors "
+            f"intervals reach {stdtrit(np.min(fit.robustness.freedom), 0.975):.3g} standard errors "
             "to either side; more lights narrow them."
         )
     if fit.design_effect > 1:

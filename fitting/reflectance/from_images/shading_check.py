@@ -78,18 +78,35 @@ def _direction(
 
 
 def contradictions(observation: ReflectanceObservation, *, gamma: float | None = None) -> list[str]:
-    """What in the images speaks against the stated directions and outline, in sentences.
+    """What in the images speaks against the rig: copies, directions and outline, in sentences.
 
     Args:
         observation: of the object.
         gamma: encoding exponent that a fit has found; None for the rig's.
 
     Returns:
-        At most one sentence on directions and one on the outline.
+        At most one sentence on copies, one on directions and one on the outline.
     """
     if gamma is not None:
         observation = replace(observation, gamma=gamma)
-    return [*_of_directions(observation), *_of_outline(observation)]
+    return [*_of_copies(observation), *_of_directions(observation), *_of_outline(observation)]
+
+
+def _of_copies(observation: ReflectanceObservation) -> list[str]:
+    """Images of equal numbers, which noise rules out for two exposures."""
+    alike: dict[bytes, list[str]] = {}
+    for light, file in enumerate(observation.files):
+        shown = observation.dn[:, light]
+        if np.ptp(shown):  # all black or all white says nothing
+            alike.setdefault(shown.tobytes(), []).append(file)
+    copies = [files for files in alike.values() if len(files) > 1]
+    if not copies:
+        return []
+    named = "; ".join(", ".join(files[:5]) + (" ..." if len(files) > 5 else "") for files in copies)
+    return [
+        f"Images of equal numbers are copies of one exposure: {named}. Every copy counts as "
+        "another measurement, so the intervals are too narrow; keep one of them, under its light."
+    ]
 
 
 def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
