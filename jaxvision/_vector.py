@@ -5,15 +5,15 @@ Functions of vectors take a (..., 3) array or a `Vec` and return the kind they w
 difference of both kinds is a `Vec`.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._arguments import takes_numbers
+from ._shown import Shown
 from ._types import Scalars, print_by_name
 
 
-class Vec(eqx.Module):
+class Vec(Shown):
     """A vector of three components; arithmetic is componentwise, with scalars too.
 
     Attributes:

@@ -13,11 +13,12 @@ from jaxtyping import Array, Float
 from ._arguments import takes_numbers
 from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
 from ._quadrature import gauss_legendre
+from ._shown import Shown
 from ._types import Scalars
 from ._vector import Vec, Vec3, as_array, as_vec, where
 
 
-class Frame(eqx.Module):
+class Frame(Shown):
     """Three unit vectors at right angles, right-handed: tangent x bitangent = normal.
 
     Attributes:

@@ -5,13 +5,13 @@ Lengths in m; no gradient. For ONE point: the caller vmaps.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool
 
 from ._arguments import takes_numbers
+from ._shown import Shown
 from ._staging import stored
 from ._types import Scalar, common_dtype
 from ._vector import Direction, Vector, as_vec
@@ -38,7 +38,7 @@ UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over 
 Visible = tuple[Bool[Array, " _"] | None, ...]
 
 
-class Leaving(eqx.Module):
+class Leaving(Shown):
     """How shadow rays leave a surface.
 
     Attributes:
@@ -50,7 +50,7 @@ class Leaving(eqx.Module):
     size: Scalar | None = None
 
 
-class Place(eqx.Module):
+class Place(Shown):
     """A point of a surface and what may lie between it and the lights.
 
     Attributes:

@@ -13,11 +13,11 @@ it again the two factors cancel.
 
 from typing import Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .._numerics import reciprocal
+from .._shown import Shown
 from .._types import Colour, Scalar
 from .._vector import Vec, where
 from ._lobe import diffuse_share
@@ -25,7 +25,7 @@ from ._lobe import diffuse_share
 Carries = Literal["radiance", "light"]
 
 
-class Specular(eqx.Module):
+class Specular(Shown):
     """The directions in which a ray goes on from a smooth surface, and their shares of the flux.
 
     Attributes:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import dot, normalize, or_one, safe_sqrt
+from .._shown import Shown
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Direction, Vec, as_vec
 from ..scene import Material
@@ -32,7 +33,7 @@ from ._lobe_sampler import LobeSampler, albedo, pdf, sample
 from ._registry import register
 
 
-class HalfDifference(eqx.Module):
+class HalfDifference(Shown):
     """Angles of the half vector, and of `wi` about it.
 
     Attributes:

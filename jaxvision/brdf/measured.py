@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._shown import Shown
 from .._types import Colour, as_float, as_optional_float, check_choice, check_fields
 from .._vector import Direction, Vec, as_vec
 from ..scene import Material
@@ -32,7 +33,7 @@ from ._registry import family, register
 Outside = Literal["clamp", "extrapolate", "zero"]
 
 
-class BRDFSamples(eqx.Module):
+class BRDFSamples(Shown):
     """Measured values at scattered pairs of directions: what a goniometer writes.
 
     Attributes:

@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._shown import Shown
 from .._types import Spectrum, as_float, check_fields, check_range, is_known
 from ..colour_spaces import adapt, xyz_to_rgb
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
 from .white_balancing import neutral_gains
 
 
-class CameraColour(eqx.Module):
+class CameraColour(Shown):
     """The conversion of a camera's RGB to a picture's, under one light.
 
     Attributes:

@@ -13,19 +13,19 @@ ends below and right of them into NaN.
 
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._arguments import takes_numbers
+from .._shown import Shown
 from .._types import as_float
 from ..padding import Picture, check_picture
 
 Pair = tuple[Array, Array]
 
 
-class IntegralImage(eqx.Module):
+class IntegralImage(Shown):
     """Sums over all boxes from the first pixel, as pairs high + low.
 
     Attributes:

@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._shown import Shown
 from .._types import as_float
 from ..padding import Filtered, Picture, check_border, check_picture
 from ._terms import Fill, Separable, Settings, filtered
 from .convolution import _anchor
 
 
-class LowRank(eqx.Module):
+class LowRank(Shown):
     """A kernel as the sum over r of columns[r, i] rows[r, j].
 
     Attributes:

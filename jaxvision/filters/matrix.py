@@ -17,6 +17,7 @@ from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
 from .._numerics import divide, smallest_divisor
+from .._shown import Shown
 from .._types import as_float, as_optional_float, print_by_name
 from ..padding import check_border, ghosts
 from ._terms import Fill, Settings, filtered
@@ -26,7 +27,7 @@ Kernel = Float[Array | np.ndarray, "kh kw"] | Float[Array | np.ndarray, " k"]
 print_by_name(globals(), "Kernel")
 
 
-class MatrixForm(eqx.Module):
+class MatrixForm(Shown):
     """g = matrix @ f + offset for a plane f of (h w,) pixels.
 
     Attributes:

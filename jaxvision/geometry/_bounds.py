@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from functools import reduce
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import norm
+from .._shown import Shown
 from .._types import Scalar
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
 
-class Ball(eqx.Module):
+class Ball(Shown):
     """A sphere that encloses something.
 
     Attributes:

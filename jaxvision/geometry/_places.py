@@ -4,12 +4,12 @@ Two uniform numbers become a point whose density by area is the same everywhere,
 in m, areas in m^2, normals unit. For ONE point; the caller vmaps.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, norm, normalize, safe_sqrt
+from .._shown import Shown
 from .._types import Scalar
 from .._vector import Vec, as_vec, scaled
 from ..hemisphere import cross, direction_at, local_frame, to_world
@@ -17,7 +17,7 @@ from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._triangle import corners
 
 
-class SurfacePoint(eqx.Module):
+class SurfacePoint(Shown):
     """A point of a shape.
 
     Attributes:

@@ -8,12 +8,12 @@ A ray (nearly) in the plane misses it.
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from .._arguments import takes_numbers
 from .._numerics import divide, dot, exact_cross, normalize, smallest_divisor
+from .._shown import Shown
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, Vector, as_vec, masked
@@ -94,7 +94,7 @@ def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
     return _hit(ray, disc.centre, normal, inside, size_of(disc), compute)
 
 
-class FlatQuad(eqx.Module):
+class FlatQuad(Shown):
     """A quad with all that no ray changes. `corner`: m. `normal`: unit, 0 for one without area.
     `across_u`, `across_v`: m^-1, the reciprocal edges: their inner products with u edge_u +
     v edge_v are u and v. `size`: () m, as `Hit.size`."""

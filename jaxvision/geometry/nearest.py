@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Int
 from .._arguments import takes_numbers
 from .._groups import group_by_structure, take
 from .._numerics import dot, or_one
+from .._shown import Shown
 from .._staging import at_once, stored, together
 from .._types import Scalar, check_kind
 from .._vector import Direction, Vec, Vector, as_vec, where
@@ -45,7 +46,7 @@ Carry = TypeVar("Carry")
 _CHUNK = 8  # shapes tested at once: one alone does not fill the vector units
 
 
-class Sorted(eqx.Module):
+class Sorted(Shown):
     """Shapes sorted by kind, with everything that does not depend on the ray computed once.
 
     Attributes:

@@ -12,12 +12,13 @@ from .._arguments import takes_numbers
 from .._numerics import angle_between as angle_between
 from .._numerics import dot
 from .._numerics import log_cos_between as log_cos_between
+from .._shown import Shown
 from .._types import Scalar
 from .._vector import Direction, Vec, Vec3, Vector, as_vec, scaled
 from ._size import largest_component, offset_length
 
 
-class Ray(eqx.Module):
+class Ray(Shown):
     """A ray; (3,) arrays are split into components.
 
     Attributes:
@@ -29,7 +30,7 @@ class Ray(eqx.Module):
     direction: Vec = eqx.field(converter=as_vec)
 
 
-class Encounter(eqx.Module):
+class Encounter(Shown):
     """What a ray meets first, in whole numbers.
 
     Attributes:
@@ -41,7 +42,7 @@ class Encounter(eqx.Module):
     primitive: Int[Array, ""] | None = None
 
 
-class Hit(eqx.Module):
+class Hit(Shown):
     """Where a ray meets a shape.
 
     Attributes:

@@ -8,7 +8,6 @@ range are not counted.
 
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from .._arguments import takes_numbers
 from .._numerics import divide
+from .._shown import Shown
 from .._types import Scalar, as_float, check_choice
 from ._planes import (
     Binning,
@@ -37,7 +37,7 @@ RUN = 2**12  # pixels that are summed at once, at least
 DIGITS = 2**11  # of a weight, of which 2^13 sum to a float32
 
 
-class Histogram(eqx.Module):
+class Histogram(Shown):
     """Counts of the planes of an image.
 
     Attributes:

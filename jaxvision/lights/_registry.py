@@ -7,9 +7,9 @@ looks along a ray, and maps of the unit square onto its directions.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
+from .._shown import Shown
 from .._types import Colour, Scalar
 from .._vector import Direction, Vec
 from ..geometry import Ray
@@ -17,7 +17,7 @@ from ..scene import Light
 from ._nodes import square_nodes
 
 
-class Incident(eqx.Module):
+class Incident(Shown):
     """Light that arrives at a point from one direction.
 
     Attributes:
@@ -32,7 +32,7 @@ class Incident(eqx.Module):
     distance: Scalar | None = None
 
 
-class Seen(eqx.Module):
+class Seen(Shown):
     """What a ray sees of an extended light.
 
     Attributes:
@@ -46,7 +46,7 @@ class Seen(eqx.Module):
     radiance: Colour | Scalar
 
 
-class Emitted(eqx.Module):
+class Emitted(Shown):
     """A ray that leaves a light.
 
     Attributes:

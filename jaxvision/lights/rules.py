@@ -7,10 +7,11 @@ which is the knob of accuracy.
 
 import equinox as eqx
 
+from .._shown import Shown
 from .._types import Key, check_count
 
 
-class Quadrature(eqx.Module):
+class Quadrature(Shown):
     """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment.
 
     For diffuse surfaces under area lights, and for gradients without noise.
@@ -45,7 +46,7 @@ class Quadrature(eqx.Module):
         check_count("Quadrature.order", self.order, 1)
 
 
-class MonteCarlo(eqx.Module):
+class MonteCarlo(Shown):
     """Random samples where the light is bright, without bias.
 
     For skies, and for surfaces that are not glossier than the light is small. The samples of one
@@ -64,7 +65,7 @@ class MonteCarlo(eqx.Module):
         check_count("MonteCarlo.samples", self.samples, 1)
 
 
-class Balanced(eqx.Module):
+class Balanced(Shown):
     """Random samples of light and material, joined by the balance heuristic.
 
     As `MonteCarlo`, with a direction from the material's own sampler beside each one from the

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
+from .._shown import Shown
 from .._types import Scalar, as_float, check_fields
 from .._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Ray
@@ -18,7 +19,7 @@ from ..hemisphere import cross
 from ..scene import Quad
 
 
-class Window(eqx.Module):
+class Window(Shown):
     """A parallelogram in space; its front is the side of edge_u x edge_v.
 
     Attributes:

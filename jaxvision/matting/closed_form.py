@@ -9,13 +9,13 @@ confidence). It is solved by conjugate gradients with a multigrid preconditioner
 that of the solution, by one more solve, not of the steps.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
+from .._shown import Shown
 from .._types import as_relative, is_known
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
@@ -24,7 +24,7 @@ from ._multigrid import coarsened, v_cycle
 BACKGROUND, FOREGROUND = 0.1, 0.9
 
 
-class Matte(eqx.Module):
+class Matte(Shown):
     """A coverage and whether its solver converged.
 
     Attributes:

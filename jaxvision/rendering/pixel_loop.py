@@ -37,7 +37,7 @@ WHITE = 0.99  # quantile of the radiance that a notebook shows white
 Along = Callable[[Ray, Stream], Any]
 
 
-class PixelSamples(eqx.Module):
+class PixelSamples(Shown):
     """Rays spread over the square of each pixel, and over the lens of a thin-lens view.
 
     The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel: as

@@ -31,6 +31,7 @@ from .._arguments import takes_numbers
 from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, Word, seed_of, uniforms
+from .._shown import Shown
 from .._staging import stored
 from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count
 from ..brdf import is_delta
@@ -62,7 +63,7 @@ from ._world import World, world_of
 _KEPT = 8
 
 
-class Paths(eqx.Module):
+class Paths(Shown):
     """How finely light is followed; all static.
 
     Attributes:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._numerics import arctan2, reciprocal, safe_sqrt
+from ..._shown import Shown
 from ..._types import Scalar, check_count
 
 
@@ -33,7 +34,7 @@ class Face(NamedTuple):
     wraps: bool
 
 
-class Plan(eqx.Module):
+class Plan(Shown):
     """How the surfaces of a scene are cut.
 
     Attributes:

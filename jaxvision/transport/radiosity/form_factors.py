@@ -8,7 +8,6 @@ A_i F_ij in m^2, form factors without unit; nothing stands between. Closed forms
 and keep reciprocity; each other function states its error. For ONE pair: the caller vmaps.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from ..._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
+from ..._shown import Shown
 from ..._types import Scalar, Scalars, check_count
 from ..._vector import Vec, as_vec
 from ...lights import gauss_legendre, square_nodes
@@ -252,7 +252,7 @@ def _far(apart: Float[Array, "3"], first: Array, second: Array) -> Array:
     return norm(apart) > reach * size
 
 
-class Exchange(eqx.Module):
+class Exchange(Shown):
     """A form factor and its error.
 
     Attributes:

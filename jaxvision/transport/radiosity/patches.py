@@ -10,7 +10,6 @@ they are, under `jit` and with gradients. Lengths in m, areas in m^2.
 from collections.abc import Sequence
 from functools import partial, reduce
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._numerics import divide, norm, normalize, reciprocal
+from ..._shown import Shown
 from ..._staging import stored, together
 from ..._vector import Vec, as_vec
 from ...brdf.lambert import Lambert
@@ -27,7 +27,7 @@ from ._faces import face_point, lengths, side
 from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of, surfaces_of
 
 
-class Patches(eqx.Module):
+class Patches(Shown):
     """Flat cells of surfaces.
 
     Attributes:

@@ -4,11 +4,11 @@ Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads 
 the elements directly, with shadows; what then leaves them, patches exchange.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
+from ..._shown import Shown
 from ..._staging import TILE, in_tiles
 from ..._types import Colour
 from ..._vector import Vec
@@ -32,7 +32,7 @@ from .solve import PatchSpectra, Product, solve_radiosity
 DEFAULT_RULE = Quadrature(4)
 
 
-class Solution(eqx.Module):
+class Solution(Shown):
     """The light that patches exchange.
 
     Attributes:
