@@ -11,9 +11,7 @@ import hashlib
 import io
 import logging
 import math
-import os
 import platform
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,10 +20,11 @@ from contextvars import ContextVar
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from ._local_workers import LOOK, LOSSES, local_workers, replace_lost
 from .errors import InputError
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster
+    from distributed import Client, Future
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -33,13 +32,9 @@ Result = TypeVar("Result")
 
 AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
 BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are shorter than that
-MEMORY = 0.9  # of the machine, for all workers together
 PROGRAMS = 0.5e9  # bytes that JAX and small compiled programs take in a worker
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
-LOSSES = 100  # workers that may be lost with one task before it is given up
-STARTS = 3  # of all workers, where one is lost before it is there
 _PATIENCE = 20.0  # s, for a scheduler to answer
-_LOOK = 5.0  # s, between two looks at the workers while a result is awaited
 _LONELY = 120.0  # s without any worker
 _INSTALL = "install it with pip install 'jaxvision[cluster]'"
 
@@ -117,59 +112,8 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
         with client, cluster(client):
             yield
         return
-    with _local(count) as client, cluster(client):
+    with local_workers(count) as client, cluster(client):
         yield
-
-
-@contextmanager
-def _local(count: int) -> "Iterator[Client]":
-    """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
-    keeps its compiled programs where this process does."""
-    from dask import config
-    from distributed import Client
-
-    single = {
-        "NPROC": "1",  # of XLA's thread pool
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-    }
-    options = {
-        "distributed.nanny.pre-spawn-environ": single | _of_jax(),
-        "distributed.scheduler.allowed-failures": LOSSES,
-        "distributed.deploy.lost-worker-timeout": f"{_LOOK} s",
-        # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
-        "distributed.worker.profile.enabled": False,
-        # Compiled programs cannot be moved to disk, and a worker that waits for memory waits for
-        # ever; one that takes more than its share is started again.
-        "distributed.worker.memory.target": False,
-        "distributed.worker.memory.spill": False,
-        "distributed.worker.memory.pause": False,
-    }
-    # Python's resource tracker outlives an interrupted command and warns of what ended with it.
-    sys.warnoptions.append("ignore:resource_tracker")
-    with config.set(options), _started(count) as made, Client(made) as client:
-        yield client
-
-
-def _started(count: int) -> "LocalCluster":
-    """Processes of this machine. One that is lost while it starts takes the others with it."""
-    from distributed import LocalCluster
-
-    settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
-    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-    lost = None
-    for _ in range(STARTS):
-        try:
-            return LocalCluster(n_workers=count, **settings, **quiet)
-        except RuntimeError as error:
-            lost = error
-    raise InputError(f"{count} workers could not be started ({lost}).") from lost
-
-
-def _of_jax() -> dict[str, str]:
-    """Variables of the environment that decide what JAX computes, and where it keeps programs."""
-    return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
 
 
 def in_order(
@@ -305,7 +249,7 @@ def _awaited(client: "Client", future: "Future") -> Any:
     missed, before = time.monotonic(), None
     while True:
         try:
-            return future.result(timeout=_LOOK)
+            return future.result(timeout=LOOK)
         except TimeoutError:
             if future.done():  # just now, or with a TimeoutError of its own
                 return future.result()
@@ -316,7 +260,7 @@ def _awaited(client: "Client", future: "Future") -> Any:
                 f"a worker took {full[-1][1]['rss'] / 1e9:.2g} GB, more than its share of memory, "
                 f"and was started again, {TOO_LARGE} times; use fewer workers or smaller tasks."
             )
-        _replace_lost(client)
+        replace_lost(client)
         if client.nthreads():
             missed = time.monotonic()
         elif time.monotonic() - missed > _LONELY:
@@ -324,21 +268,6 @@ def _awaited(client: "Client", future: "Future") -> Any:
                 f"no worker has been there for {_LONELY:.0f} s; start some, and give the same "
                 "command, which goes on from what is done."
             )
-
-
-def _replace_lost(client: "Client") -> None:
-    """Starts anew what processes of this machine were lost while they started; those that are lost
-    later start again by themselves."""
-    made: Any = client.cluster
-    wanted = len(getattr(made, "worker_spec", ()))
-    there: Any = client.nthreads()
-    if len(there) >= wanted:
-        return
-    for name, nanny in list(made.workers.items()):
-        if getattr(nanny, "pid", -1) is None:  # it waits for a process that is no more
-            made.workers.pop(name, None)
-            made.sync(nanny.close)
-    made.scale(wanted)
 
 
 class _Bundles:

@@ -23,7 +23,8 @@ import jaxvision as jv
 from fitting.checks import noise
 from fitting.study.outcomes import Settings, memory_of
 from fitting.study.run import study
-from jaxvision import tasks
+from jaxvision import _local_workers, tasks
+from jaxvision._local_workers import replace_lost
 from jaxvision.cli import app
 from jaxvision.errors import InputError
 from jaxvision.render_command import render_to_file
@@ -162,7 +163,7 @@ def test_a_client_that_cannot_work_is_a_sentence():
 
 
 def test_without_any_worker_left_it_does_not_wait_for_ever(monkeypatch):
-    monkeypatch.setattr(tasks, "_LOOK", 0.05)
+    monkeypatch.setattr(tasks, "LOOK", 0.05)
     monkeypatch.setattr(tasks, "_LONELY", 0.2)
     made = distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
@@ -210,14 +211,14 @@ def test_processes_lost_while_they_started_are_replaced_and_others_left_alone():
         scale=asked.append,
     )
     lost = SimpleNamespace(cluster=made, nthreads=lambda: {"tcp://b": 1})
-    tasks._replace_lost(lost)  # pyright: ignore[reportArgumentType]
+    replace_lost(lost)  # pyright: ignore[reportArgumentType]
     assert closed == [dead]
     assert made.workers == {1: alive}
     assert asked == [2]
     whole = SimpleNamespace(cluster=made, nthreads=lambda: {"tcp://a": 1, "tcp://b": 1})
     elsewhere = SimpleNamespace(cluster=None, nthreads=dict)
     for client in (whole, elsewhere):
-        tasks._replace_lost(client)  # pyright: ignore[reportArgumentType]
+        replace_lost(client)  # pyright: ignore[reportArgumentType]
     assert (len(closed), asked) == (1, [2])
 
 
@@ -226,17 +227,17 @@ def test_workers_lost_while_they_start_are_tried_again(monkeypatch):
 
     def start(**settings):
         tried.append(settings["n_workers"])
-        if len(tried) < tasks.STARTS:
+        if len(tried) < _local_workers.STARTS:
             raise RuntimeError("Nanny failed to start")
         return made
 
     monkeypatch.setattr(distributed, "LocalCluster", start)
-    assert tasks._started(2) is made
-    assert tried == [2] * tasks.STARTS
+    assert _local_workers._started(2) is made
+    assert tried == [2] * _local_workers.STARTS
     tried.clear()
-    monkeypatch.setattr(tasks, "STARTS", 0)
+    monkeypatch.setattr(_local_workers, "STARTS", 0)
     with pytest.raises(InputError, match="2 workers could not be started"):
-        tasks._started(2)
+        _local_workers._started(2)
 
 
 def test_wrong_options_are_sentences(tmp_path, monkeypatch):
