@@ -32,7 +32,7 @@ STEPS, WALKERS = 20_000, 64  # of a chain, where none are asked for
 failures = partial(
     failures_as_sentences,
     COMMAND,
-    interrupted="interrupted; with --out the same command resumes a chain or a check.",
+    interrupted="interrupted; with --out the same command resumes a chain, a check or a study.",
 )
 
 

@@ -23,11 +23,21 @@ STARTS = 3  # of all workers, where one is lost before it is there
 
 
 @contextmanager
-def local_workers(count: int) -> "Iterator[Client]":
+def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
     """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
-    keeps its compiled programs where this process does."""
+    keeps its compiled programs where this process does. `memory`: bytes that each needs at least.
+    """
     from dask import config
     from distributed import Client
+    from distributed.system import MEMORY_LIMIT
+
+    room = MEMORY * MEMORY_LIMIT
+    if count * memory > room:
+        raise InputError(
+            f"{count} workers take {count * memory / 1e9:.3g} GB before any work, and this machine "
+            f"has {room / 1e9:.3g} GB for them; start as many as it has cores, at most "
+            f"{room // memory:.0f}."
+        )
 
     single = {
         "NPROC": "1",  # of XLA's thread pool

@@ -17,10 +17,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ._local_workers import LOOK, LOSSES, local_workers, replace_lost
+from ._local_workers import LOOK, local_workers, replace_lost
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are short
 PROGRAMS = 0.5e9  # bytes that JAX and small compiled programs take in a worker
 TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
 _PATIENCE = 20.0  # s, for a scheduler to answer
+_ASKED = 5  # times, for the version of workers that are being lost
 _LONELY = 120.0  # s without any worker
 _INSTALL = "install it with pip install 'jaxvision[cluster]'"
 
@@ -54,26 +57,41 @@ def cluster(client: "Client") -> Iterator[None]:
 
     Raises:
         InputError: for a client without workers, and for a worker with another version of
-            jaxvision, jax, jaxlib or NumPy, or another kind of device, before any work.
+            jaxvision, by number or by source, of jax, jaxlib or NumPy, or another kind of device,
+            before any work.
     """
     wanted = _environment()
-    try:
-        found: Any = client.run(_difference, wanted)
-    except Exception as error:  # what a worker cannot import, it cannot say in our words
-        raise InputError(
-            f"a worker cannot run jaxvision {wanted['jaxvision']}: {error}; "
-            "install the same on all machines."
-        ) from error
+    found = _answers(client, wanted)
     if not found:
         raise InputError("the Dask client has no workers; start at least one.")
-    for address, difference in found.items():
-        if difference:
-            raise InputError(f"worker {address} {difference}; install the same on all machines.")
+    for address, answer in found.items():
+        if isinstance(answer, OSError):
+            raise InputError(f"worker {address} was lost before any work ({answer}); start it.")
+        if isinstance(answer, BaseException):  # what it cannot import, it cannot say in our words
+            raise InputError(
+                f"worker {address} cannot run jaxvision {wanted['jaxvision']}: {answer}; "
+                "install the same on all machines."
+            )
+        if answer:
+            raise InputError(f"worker {address} {answer}; install the same on all machines.")
     token = _client.set(client)
     try:
         yield
     finally:
         _client.reset(token)
+
+
+def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """How each worker differs, or why it cannot say. Those that are lost just now are asked again,
+    once others took their place."""
+    found: Any = {}
+    for _ in range(_ASKED):
+        found = client.run(_difference, wanted, on_error="return")
+        if not any(isinstance(answer, OSError) for answer in found.values()):
+            break
+        replace_lost(client)
+        time.sleep(LOOK)
+    return found
 
 
 @contextmanager
@@ -89,7 +107,8 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
         A context manager.
 
     Raises:
-        InputError: where both are given, Dask is not installed, or no scheduler answers.
+        InputError: where both are given, Dask is not installed, no scheduler answers, or the
+            processes are more than the machine has room for.
     """
     if count and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one.")
@@ -112,7 +131,7 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
         with client, cluster(client):
             yield
         return
-    with local_workers(count) as client, cluster(client):
+    with local_workers(count, memory=PROGRAMS) as client, cluster(client):
         yield
 
 
@@ -138,7 +157,7 @@ def in_order(
 
     Raises:
         InputError: before any work, for a worker of another version or with too little memory;
-            later, for a task that `LOSSES` workers were lost with.
+            later, for a task that too many workers were lost with.
 
     Example:
         >>> list(jv.tasks.in_order(pow, 2, range(4)))
@@ -188,8 +207,8 @@ def _on(
                 results, seconds = _awaited(client, future)
             except KilledWorker as error:
                 raise InputError(
-                    f"{LOSSES} workers were lost with one task, perhaps for want of memory; "
-                    "use fewer workers or smaller tasks."
+                    f"{error.allowed_failures + 1} workers were lost with one task, perhaps for "
+                    "want of memory; use fewer workers or smaller tasks."
                 ) from error
             waiting.popleft()
             bundles.measured(len(results), seconds)
@@ -324,6 +343,18 @@ class _Task:
         return results, time.perf_counter() - begun
 
 
+@cache
+def _source() -> str:
+    """Digits that tell the files of this package from others of the same version."""
+    here, found = Path(__file__).parent, hashlib.sha256()
+    for package in (here, here.parent / "fitting"):  # the other package of this distribution
+        for file in sorted(package.rglob("*")):
+            if file.is_file() and file.suffix != ".pyc":
+                found.update(f"{file.relative_to(here.parent).as_posix()}\n".encode())
+                found.update(file.read_bytes())
+    return found.hexdigest()[:8]
+
+
 def _environment() -> dict[str, Any]:
     """What results depend on besides the task."""
     import jax
@@ -331,6 +362,7 @@ def _environment() -> dict[str, Any]:
     packages = ("jaxvision", "jax", "jaxlib", "numpy")
     return {
         **{name: version(name) for name in packages},
+        "source": _source(),
         "device": jax.devices()[0].device_kind,
         "machine": platform.machine(),
         "x64": bool(jax.config.read("jax_enable_x64")),

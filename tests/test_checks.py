@@ -81,6 +81,17 @@ def test_a_check_goes_on_where_it_stopped(tmp_path):
     assert any("1 of 30 fits print no interval" in sentence for sentence in told)
 
 
+@pytest.mark.parametrize("rows", [np.ones((2, 3)), np.ones(4), np.ones((2, 2), int), None])
+def test_kept_fits_that_are_damaged_or_of_another_fit_are_made_again(tmp_path, rows):
+    file = tmp_path / "places.npy"
+    np.save(file, np.ones((2, 2)) if rows is None else rows)
+    if rows is None:
+        file.write_bytes(file.read_bytes()[:-5])
+    found = simulated(lambda seed: np.full(2, seed / 4), 4, parameters=2, kept=file)
+    np.testing.assert_array_equal(found, np.repeat(np.arange(4)[:, None] / 4, 2, axis=1))
+    np.testing.assert_array_equal(np.load(file), found)
+
+
 def line():
     x = np.linspace(-1, 1, 20)
     return Problem(

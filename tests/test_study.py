@@ -16,7 +16,7 @@ from fitting.cli import app
 from fitting.inference.estimates import Estimate
 from fitting.report.section import Section
 from fitting.study.compare import compared, drifts
-from fitting.study.outcomes import Outcome, Settings
+from fitting.study.outcomes import Outcome, Settings, digest_of
 from fitting.study.run import study
 from fitting.study.table import table
 from jaxvision.errors import InputError
@@ -153,6 +153,54 @@ def test_other_data_than_the_study_saw_are_refused(cameras, monkeypatch):
     monkeypatch.setattr("fitting.study.run.digest_of", lambda path: "seen elsewhere")
     with pytest.raises(InputError, match="this worker sees other files"):
         study(paths, out, Settings("noise"))
+
+
+def test_images_of_one_size_and_other_content_are_other_data(cameras):
+    _, paths, _ = cameras
+    seen = digest_of(paths[0])
+    image = paths[0] / "flat_0_1.png"
+    content = bytearray(image.read_bytes() + bytes(300_000))
+    image.write_bytes(content)
+    longer = digest_of(paths[0])
+    for place in (0, len(content) // 2, len(content) - 1):
+        changed = content.copy()
+        changed[place] ^= 1
+        image.write_bytes(changed)
+        assert digest_of(paths[0]) != longer
+    image.write_bytes(content)
+    assert digest_of(paths[0]) == longer != seen
+
+
+def test_a_report_that_cannot_be_written_is_of_its_folder_alone(cameras):
+    asked, paths, out = cameras
+    out.mkdir()
+    (out / "b").write_text("in the way")
+    found = study(paths, out, Settings("noise", reports=False))
+    assert [bool(one.failed) for one in found.outcomes] == [False, True, False]
+    assert str(out / "b") in found.outcomes[1].failed
+    (out / "b").unlink()
+    asked.clear()
+    assert not study(paths, out, Settings("noise", reports=False)).outcomes[1].failed
+    assert asked == ["b"]
+
+
+@pytest.mark.parametrize("damage", [lambda kept: kept.pop("outcome"), lambda kept: kept.clear()])
+def test_a_damaged_outcome_is_no_outcome(cameras, damage):
+    asked, paths, out = cameras
+    settings = Settings("noise", reports=False)
+    first = study(paths[:1], out, settings)
+    kept = json.loads((out / "a" / "outcome.json").read_text())
+    damage(kept)
+    (out / "a" / "outcome.json").write_text(json.dumps(kept))
+    assert study(paths[:1], out, settings).outcomes == first.outcomes
+    assert asked == ["a", "a"]
+
+
+def test_links_to_folders_of_any_name(cameras):
+    _, paths, out = cameras
+    odd = paths[0].rename(paths[0].with_name("a#1 100%41?"))
+    study([odd], out, Settings("noise", reports=False))
+    assert 'href="a%231%20100%2541%3F/results.json"' in (out / "study.html").read_text()
 
 
 def test_the_command_names_what_failed_and_its_status_says_so(cameras):

@@ -134,7 +134,7 @@ def test_bundles_are_all_items_in_order(threads):
 
 def test_a_worker_of_another_version_is_refused_before_any_work():
     differs = "has jax 0.9.0 where 0.10.2 is wanted"
-    other = SimpleNamespace(run=lambda *_: {"tcp://a": "", "tcp://b": differs})
+    other = SimpleNamespace(run=lambda *_, **__: {"tcp://a": "", "tcp://b": differs})
     with pytest.raises(InputError, match=f"worker tcp://b {differs}"), jv.cluster(other):
         pass
     wanted = tasks._environment() | {"jax": "0.0.1"}
@@ -148,17 +148,52 @@ def test_a_worker_of_another_version_is_refused_before_any_work():
 def test_a_client_that_cannot_work_is_a_sentence():
     with (
         pytest.raises(InputError, match="client has no workers"),
-        jv.cluster(SimpleNamespace(run=lambda *_: {})),
+        jv.cluster(SimpleNamespace(run=lambda *_, **__: {})),
     ):
         pass
 
-    def lacking(*_):
-        raise ModuleNotFoundError("No module named 'jaxvision'")
-
+    lacking = {"tcp://a": ModuleNotFoundError("No module named 'jaxvision'")}
     with (
-        pytest.raises(InputError, match=r"a worker cannot run jaxvision .*No module named"),
-        jv.cluster(SimpleNamespace(run=lacking)),
+        pytest.raises(InputError, match=r"worker tcp://a cannot run jaxvision .*No module named"),
+        jv.cluster(SimpleNamespace(run=lambda *_, **__: lacking)),
     ):
+        pass
+
+
+def test_a_worker_that_is_lost_at_the_start_is_asked_again(monkeypatch):
+    monkeypatch.setattr(tasks, "LOOK", 0.0)
+    lost, there = {"tcp://a": ConnectionError("Stream is closed")}, {"tcp://b": ""}
+    answers = [lost, lost, there]
+    replaced = SimpleNamespace(run=lambda *_, **__: answers.pop(0), cluster=None, nthreads=dict)
+    with jv.cluster(replaced):
+        assert not answers
+    for_ever = SimpleNamespace(run=lambda *_, **__: lost, cluster=None, nthreads=dict)
+    with (
+        pytest.raises(InputError, match="worker tcp://a was lost before any work"),
+        jv.cluster(for_ever),
+    ):
+        pass
+
+
+def test_the_source_of_a_version_counts(tmp_path, monkeypatch):
+    for changed in ("alike", "other"):
+        for package in ("jaxvision", "fitting"):
+            (tmp_path / changed / package).mkdir(parents=True)
+            (tmp_path / changed / package / "a.py").write_text("a = 1\n")
+    (tmp_path / "other" / "fitting" / "a.py").write_text("a = 2\n")
+    found = []
+    for copy in ("alike", "other"):
+        monkeypatch.setattr(tasks, "__file__", str(tmp_path / copy / "jaxvision" / "tasks.py"))
+        found.append(tasks._source.__wrapped__())
+    assert found[0] != found[1]
+    (tmp_path / "alike" / "fitting" / "a.pyc").write_text("compiled")
+    monkeypatch.setattr(tasks, "__file__", str(tmp_path / "alike" / "jaxvision" / "tasks.py"))
+    assert tasks._source.__wrapped__() == found[0]
+
+
+def test_more_workers_than_memory_are_refused_before_they_start():
+    refused = pytest.raises(InputError, match=r"100000 workers take 5e\+04 GB .* at most \d+\.")
+    with refused, tasks.workers(100_000):
         pass
 
 

@@ -1,6 +1,7 @@
 """What `jaxvision-fit check` runs."""
 
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 from ..report.progress import Reporter
@@ -34,7 +35,7 @@ def run(kind: str, simulations: int, kept: Path | None, reporter: Reporter) -> S
                 partial(room.places, case),
                 simulations,
                 parameters=len(room.NAMES),
-                kept=None if kept is None else kept / f"{kind}, {name}.npy",
+                kept=None if kept is None else kept / f"{kind}, {name}, {version('jaxvision')}.npy",
                 progress=progress,
             )
         found[name] = coverage(rows, room.NAMES)

@@ -43,8 +43,8 @@ def simulated(
         (simulations, parameters), NaN where a fit gave no interval.
     """
     rows = np.empty((0, parameters))
-    if kept is not None and kept.exists():
-        rows = np.load(kept)[:count]
+    if kept is not None:
+        rows = _kept(kept, parameters)[:count]
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
         for row in in_order(
             _places, (simulate, parameters), range(len(rows), count), memory=PROGRAMS
@@ -55,6 +55,17 @@ def simulated(
                 with replaced_on_success(kept) as partial, partial.open("wb") as stream:
                     np.save(stream, rows)
     return rows
+
+
+def _kept(file: Path, parameters: int) -> Float[np.ndarray, "simulations parameters"]:
+    """What an earlier run has written; nothing where the file is damaged or of another fit."""
+    nothing = np.empty((0, parameters))
+    try:
+        rows = np.load(file)
+    except (OSError, ValueError, EOFError):
+        return nothing
+    sound = isinstance(rows, np.ndarray) and rows.ndim == 2 and rows.dtype == nothing.dtype
+    return rows if sound and rows.shape[1] == parameters else nothing
 
 
 def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " parameters"]:

@@ -35,6 +35,7 @@ TITLES: dict[Kind, str] = {
 REMEMBERED = "outcome.json"
 RESULTS = "results.json"
 _LARGER = 0.25e9  # bytes, of photon transfer: 12 frames of 64 x 64 pixels took .74 GB in all
+_PART = 65536  # bytes
 _COPIES = 4  # of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more than these
 
 
@@ -67,7 +68,7 @@ class Folder:
         camera: its name in the study.
         path: of the rig.
         out: folder of its report.
-        digest: of the rig, and of the names and sizes of its images, as the study found them.
+        digest: of the rig and its images, as the study found them.
         changed: when the last of these files was, ns.
         memory: that its calibration takes, bytes.
     """
@@ -101,8 +102,8 @@ class Settings:
 
 
 def digest_of(path: Path) -> str:
-    """What tells the data of a folder from others: its rig file, and names and sizes of all images
-    that it lists.
+    """What tells the data of a folder from others: its rig file, and of all images that it lists
+    names, sizes and what stands at the beginning, in the middle and at the end.
 
     Args:
         path: of the rig.
@@ -116,8 +117,24 @@ def digest_of(path: Path) -> str:
     rig = load_rig(path)
     found = hashlib.sha256(rig.model_dump_json(exclude={"folder"}).encode())
     for file in _images(rig):
-        found.update(f"{file.name} {file.stat().st_size if file.exists() else -1}\n".encode())
+        found.update(f"{file.name}\n".encode())
+        if file.is_file():
+            found.update(_excerpt(file))
     return found.hexdigest()[:16]
+
+
+def _excerpt(file: Path) -> bytes:
+    """The size of a file and three parts of it: noise tells any two images apart there."""
+    size = file.stat().st_size
+    parts = [f"{size}\n".encode()]
+    try:
+        with file.open("rb") as stream:
+            for start in (0, (size - _PART) // 2, size - _PART):
+                stream.seek(max(start, 0))
+                parts.append(stream.read(_PART))
+    except OSError:  # its calibration says so
+        pass
+    return b"".join(parts)
 
 
 def changed_at(path: Path) -> int:
@@ -189,12 +206,10 @@ def remembered(settings: Settings, folder: Folder) -> Outcome | None:
     """
     try:
         found = json.loads((folder.out / REMEMBERED).read_text())
-    except (OSError, ValueError):
+        outcome = _read(found["outcome"]) if found["key"] == key_of(settings, folder) else None
+    except (OSError, ValueError, LookupError, TypeError):  # none, or a damaged one
         return None
-    if not isinstance(found, dict) or found.get("key") != key_of(settings, folder):
-        return None
-    outcome = _read(found["outcome"])
-    return None if outcome.failed else outcome
+    return None if outcome is None or outcome.failed else outcome
 
 
 @in_double
@@ -232,13 +247,15 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
     more = {"model": "phong", "index": 1.5} if settings.kind in ("brdf", "joint") else {}
     try:
         sections, images = calibrate(folder.path, _silent, partial(_laplace, settings), **more)
-    except InputError as error:
-        found = replace(known, failed=str(error))
-    else:
         folder.out.mkdir(parents=True, exist_ok=True)
         for name, pixels in images.items():
             write_image(folder.out / name, pixels)
         _report(settings, folder, sections)
+    except InputError as error:
+        found = replace(known, failed=str(error))
+    except OSError as error:  # of one folder: the others go on
+        found = replace(known, failed=f"{error.filename or folder.out}: {error.strerror or error}")
+    else:
         found = replace(
             known,
             estimates=tuple(one for section in sections for one in section.estimates),
@@ -270,10 +287,13 @@ def _laplace(settings: Settings, kind: str, progress: Progress) -> dict[str, Any
 
 
 def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
-    folder.out.mkdir(parents=True, exist_ok=True)
     content = {"key": key_of(settings, folder), "outcome": asdict(found)}
-    with replaced_on_success(folder.out / REMEMBERED) as whole:
-        whole.write_text(json.dumps(content, indent=1, default=_plain))
+    try:
+        with replaced_on_success(folder.out / REMEMBERED) as whole:
+            whole.write_text(json.dumps(content, indent=1, default=_plain))
+    except InputError:
+        if not found.failed:  # which may be why
+            raise
 
 
 def _plain(value: Any) -> Any:

@@ -102,6 +102,8 @@ def render_to_file(
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
+            ending = f"{out}: interrupted; the picture is written."
+            say_if_interrupted(ending)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(ending) from None
 
