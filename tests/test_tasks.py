@@ -349,7 +349,7 @@ def greedy(shared, item):
 
 @pytest.mark.slow
 def test_a_task_too_large_for_its_workers_memory_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(tasks, "MEMORY", 700e6 / system.MEMORY_LIMIT)
+    monkeypatch.setattr(_local_workers, "MEMORY", 700e6 / system.MEMORY_LIMIT)
     sentence = r"a worker took 0.* GB, more than its share of memory, and was started again, 3"
     with tasks.workers(1):
         assert list(tasks.in_order(greedy, 10, range(1))) == [10]
