@@ -12,6 +12,7 @@ from scipy import stats
 
 from fitting.inference import blocks
 from fitting.inference.emcee_run import SamplingOptions, for_group
+from fitting.inference.importance import laplace_where_it_holds
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates, laplace, sample
 from fitting.inference.trust import convergence_in_words
@@ -40,6 +41,11 @@ def heavy_tailed(vector, precision):
 def gamma_in_log(vector, shape):
     """log density of ln x for x ~ Gamma(shape, 1): skewed, so that Laplace errs visibly."""
     return shape * vector[0] - jnp.exp(vector[0])
+
+
+def one_sided(vector, precision):
+    """Of a number of which only a lower bound is known."""
+    return -precision @ jnp.square(jnp.minimum(vector, 0)) / 2
 
 
 def flat(vector, args):
@@ -285,3 +291,12 @@ def test_each_group_has_a_checkpoint_of_its_own():
     options = SamplingOptions(checkpoint=Path("c"))
     assert for_group(options, "green 1").checkpoint == Path("c/green_1")
     assert for_group(None, "red") is None
+
+
+def test_a_posterior_without_end_is_a_sentence():
+    space, precision = (Parameter("share"), Parameter("other")), jnp.asarray([1.0, 1.0])
+    with pytest.raises(InputError, match=r"do not bound (share|other) on both sides"):
+        sample(one_sided, space, jnp.zeros(2), np.eye(2), precision, seed=SEED)
+    found = laplace_where_it_holds(one_sided, space, jnp.zeros(2), np.eye(2), precision, seed=SEED)
+    assert found.method == "Laplace"
+    assert "on one side only" in convergence_in_words(found)

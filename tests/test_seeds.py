@@ -88,7 +88,7 @@ def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
 
     seeds = []
 
-    def ensemble(log_density, mode, covariance, *, options, seed, fingerprint, before):
+    def ensemble(log_density, mode, covariance, *, seed, **others):
         seeds.append(seed)
         drawn = np.random.default_rng(seed).multivariate_normal(mode, covariance, (60, 8))
         return Chain(drawn, np.zeros((60, 8)), np.ones(len(mode)), 0.5, 60, 0, ())

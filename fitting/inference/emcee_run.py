@@ -29,6 +29,22 @@ PATIENCE = 1.25  # growth of the chain from one judgement to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
+BEYOND = 1e9  # standard deviations from the mode: no walker of a posterior that ends gets there
+
+
+class Unbounded(InputError):
+    """A chain that went on without end.
+
+    Attributes:
+        parameter: name of the one along which it went furthest.
+    """
+
+    def __init__(self, parameter: str) -> None:
+        super().__init__(
+            f"the walkers went on without end: the data do not bound {parameter} on both sides; "
+            "give it bounds or a prior, or more data."
+        )
+        self.parameter = parameter
 
 
 @dataclass(frozen=True)
@@ -122,6 +138,7 @@ def run_ensemble(
     mode: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     *,
+    names: Sequence[str],
     options: SamplingOptions,
     seed: int,
     fingerprint: str,
@@ -133,6 +150,7 @@ def run_ensemble(
         log_density: (walkers / 2, parameters) to (walkers / 2,), -inf where impossible.
         mode: (parameters,) about which the walkers start.
         covariance: (parameters, parameters) of the Gaussian from which they start.
+        names: of the parameters.
         options: walkers, ceiling, block, checkpoint and progress.
         seed: of every draw.
         fingerprint: of everything that decides the chain; stored with each block.
@@ -142,7 +160,8 @@ def run_ensemble(
         The settled part of the chain, and what it lacks.
 
     Raises:
-        InputError: for a checkpoint or blocks of another run.
+        InputError: for a checkpoint or blocks of another run; `Unbounded` where the walkers go on
+            without end.
     """
     import emcee
 
@@ -163,12 +182,23 @@ def run_ensemble(
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
         with threadpool_limits(1, user_api="blas"):  # threads cost more than the move's matrices
-            state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+            for after in sampler.sample(state, iterations=steps, skip_initial_state_check=True):
+                _refuse_without_end(after.coords, mode, covariance, names)
+                state = after
         blocks.append(_block(sampler, state, fingerprint))
         store(options.checkpoint, len(blocks) - 1, blocks[-1])
         if options.progress is not None:
             options.progress(length(blocks), options.steps)
     return chain
+
+
+def _refuse_without_end(
+    walkers: np.ndarray, mode: np.ndarray, covariance: np.ndarray, names: Sequence[str]
+) -> None:
+    """Before emcee's own moves overflow."""
+    reached = np.max(np.abs(walkers - mode), axis=0) / np.sqrt(np.diagonal(covariance))
+    if not np.all(reached < BEYOND):
+        raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
 
 
 def _moves(dimension: int) -> list[tuple[Any, float]]:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, ndtri
 
+from .emcee_run import Unbounded
 from .parameters import ParameterSpace, from_scaled, names, scaled_ends, to_natural, to_scaled
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
@@ -50,7 +51,8 @@ def laplace_where_it_holds(
     by_chain: bool = True,
 ) -> Posterior:
     """Laplace's posterior if the density is as Gaussian as that says, else draws by importance
-    sampling, else, where proposals do not settle, by emcee.
+    sampling, else, where proposals do not settle, by emcee. A posterior without end, of numbers
+    that the data bound on one side only, stays Laplace's, and the parameter is named.
 
     Args:
         log_density: module-level function of (vector, args).
@@ -85,7 +87,10 @@ def laplace_where_it_holds(
     if found is None and not by_chain:
         return replace(drawn, missed=worst)
     if found is None:
-        return sample(log_density, space, mode, spread, args, seed=seed)
+        try:
+            return sample(log_density, space, mode, spread, args, seed=seed)
+        except Unbounded as error:
+            return replace(drawn, endless=error.parameter)
     vectors, effective = found
     return replace(
         drawn,

@@ -26,7 +26,7 @@ from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
 from .fingerprint import fingerprint
 from .natural_draws import natural_draws
 from .on_host import on_host
-from .parameters import ParameterSpace, to_natural
+from .parameters import ParameterSpace, names, to_natural
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
@@ -56,6 +56,7 @@ class Posterior:
         r_hat: (P,) split R-hat of independent chains, None but for NUTS.
         divergences: trajectories that left the surface of equal energy, None but for NUTS.
         missed: parameter whose posterior is least like Laplace's, where that matters.
+        endless: parameter that the data bound on one side only, as a chain has shown.
         effective: independent draws that those of importance sampling are worth.
         blocks: the whole chain, from which a longer run goes on; empty for Laplace.
     """
@@ -76,6 +77,7 @@ class Posterior:
     r_hat: Float[np.ndarray, " parameters"] | None = None
     divergences: int | None = None
     missed: str = ""
+    endless: str = ""
     effective: float = float("nan")
     blocks: tuple[Block, ...] = field(default=(), repr=False)
 
@@ -224,7 +226,8 @@ def sample(
         The posterior, one chain a walker, burn-in removed.
 
     Raises:
-        InputError: for a checkpoint, or a posterior to go on from, of another run.
+        InputError: for a checkpoint, or a posterior to go on from, of another run; `Unbounded`
+            where the data bound a parameter on one side only.
     """
     options = options or SamplingOptions()
 
@@ -236,6 +239,7 @@ def sample(
         evaluate,
         centre,
         covariance,
+        names=names(space),
         options=options,
         seed=seed,
         fingerprint=fingerprint(

@@ -22,6 +22,12 @@ def _diverges(posterior: Posterior) -> bool:
 def convergence_in_words(posterior: Posterior) -> str:
     """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
     it is."""
+    if posterior.endless:
+        return (
+            f"The data bound {posterior.endless} on one side only: a chain went on without end. "
+            "Laplace's intervals are about the best fit alone and mislead; take more data, or "
+            "leave out what disturbs these."
+        )
     if posterior.missed and posterior.method == "Laplace":
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so Laplace's intervals "
