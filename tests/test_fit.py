@@ -292,6 +292,21 @@ def test_neighbours_are_those_by_input_in_whatever_order_data_came():
     assert "move together" in " ".join(fit(problem, starts=4).failures)
 
 
+def test_rounding_of_data_on_the_model_itself_is_no_structure():
+    x = np.linspace(-1, 1, 50)
+    for sd, offset in ((0.01, 0.0), (1.0, 1e-4)):  # exact, and far below the noise
+        problem = Problem(
+            {name: Parameter(lower=-10, upper=10) for name in "ab"},
+            predict=lambda a, b, inputs: a + b * inputs,
+            likelihood=Gaussian(sd=sd),
+            data=0.3 + 2 * x + offset * x**2,
+            inputs=x,
+        )
+        found = fit(problem)
+        assert found.converged, found.failures
+        assert any("scatter less than stated" in sentence for sentence in found.findings)
+
+
 def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
     """Whose residual has a slope to one side only."""
     sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=3.0, gain=0.5, offset=50.0)

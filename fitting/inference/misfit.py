@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtrc, ndtri
 
+FAINT = 1e-3  # chi-square per degree of freedom below which structure is lost in the noise
 CHANCE = 1e-3  # of calling a good fit a misfit, by each of the two tests
 
 
@@ -113,7 +114,7 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
     pairs = [_correlation(*four) for four in totals[2:].reshape(-1, 4)]
     limit = float(-ndtri(CHANCE / max(len(pairs), 1)))
     for axis, (correlation, significance) in enumerate(pairs):
-        if significance > limit:
+        if significance > limit and chi_square > FAINT * dof:
             faults.append(
                 f"Residuals of neighbours along axis {axis} move together (correlation "
                 f"{correlation:.2f}, {significance:.0f} standard deviations): the model misses "
