@@ -199,6 +199,19 @@ def test_nan_stays_within_its_window():
     assert not wrong.any()
 
 
+@pytest.mark.parametrize("at", [(7, 9), (8, 8), (0, 0), (8, 11), (5, 1)])
+def test_nan_is_in_all_that_a_pixel_decides(at):
+    """Menon's directions among it: whatever some value of the pixel changes has no value."""
+    holed, known = CODES.copy(), [demosaic_menon(CODES, bayer("RGGB"))]
+    for value in (0.0, 30.0, 300.0, 4000.0):
+        holed[at] = value
+        known.append(demosaic_menon(holed, bayer("RGGB")))
+    holed[at] = np.nan
+    found = np.isnan(demosaic_menon(holed, bayer("RGGB")))
+    assert found[np.ptp(known, axis=0) > 1e-9].all()
+    assert not found.all()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

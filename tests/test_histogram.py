@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxvision.histogram import (
+    Histogram,
     cumulative_distribution,
     equalise,
     equalise_locally,
@@ -323,9 +324,18 @@ def test_nan_stays_where_it_was():
     for result in (equalise(x), equalise_locally(x), match_histogram(x, VALUES)):
         assert np.isnan(result[3, 4])
         assert np.isfinite(np.asarray(result)[others]).all()
-    reference = VALUES.copy()
-    reference[0, :5] = np.nan
-    assert np.isfinite(match_histogram(VALUES, reference)).all()
+    reference = np.stack([VALUES, VALUES], axis=-1)
+    reference[0, 5, 1] = np.nan
+    known = np.isfinite(match_histogram(reference[::-1], reference))
+    assert known[..., 0].all()
+    assert not known[..., 1].any()
+
+
+@pytest.mark.parametrize("counts", [[0.0, 0.0, 0.0], [1.0, np.nan, 2.0], [np.nan, 1.0, 2.0]])
+def test_no_counts_and_unknown_ones_have_no_quantile_and_no_threshold(counts):
+    histogram = Histogram(jnp.asarray([counts, [1.0, 2.0, 1.0]]), jnp.arange(4.0))
+    for found in (quantile(histogram, 0.5), otsu_threshold(histogram)):
+        np.testing.assert_array_equal(np.isnan(found), [True, False])
 
 
 @pytest.mark.sweep

@@ -93,15 +93,32 @@ def test_opencv_reads_the_same(compressed):
     np.testing.assert_array_equal(levels(compressed(relative(codes), jnp.float32(70))), truth)
 
 
-def test_what_bytes_cannot_hold_is_cut_and_nan_is_black(compressed):
+def test_what_bytes_cannot_hold_is_cut(compressed):
     wild = RNG.uniform(0, 1, size=(16, 16, 3)).astype(np.float32)
-    wild[3, 4], wild[5, 6], wild[7, 8] = np.nan, np.inf, -np.inf
+    wild[5, 6], wild[7, 8] = np.inf, -np.inf
     wild[9, 10] = 1.7
-    tame = np.nan_to_num(np.clip(wild, 0, 1))
+    tame = np.clip(wild, 0, 1)
     quality = jnp.float32(75)
     np.testing.assert_array_equal(
         compressed(jnp.asarray(wild), quality), compressed(jnp.asarray(tame), quality)
     )
+
+
+@pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
+@pytest.mark.parametrize(("subsampling", "block"), [("4:4:4", 8), ("4:2:0", 16)])
+def test_nan_spreads_as_far_as_a_pixel_reaches(rounding, subsampling, block):
+    """Its block, and with chroma at half size the pixels beside, which share a sample of it."""
+    compressed = partial(jpeg, subsampling=subsampling, rounding=rounding)
+    picture = RNG.uniform(0, 1, size=(48, 48, 3)).astype(np.float32)
+    dark, bright, unknown = picture.copy(), picture.copy(), picture.copy()
+    dark[20, 21], bright[20, 21], unknown[20, 21, 1] = 0, (1, 0, 1), np.nan
+    quality = jnp.float32(90)
+    found = np.isnan(np.asarray(compressed(unknown, quality)))
+    assert found[compressed(dark, quality) != compressed(bright, quality)].all()
+    corner, beside = (20 // block * block, 21 // block * block), block == 16
+    (top, bottom), (left, right) = ((at - beside, at + block + beside) for at in corner)
+    assert found[top:bottom, left:right].sum() == found.sum() > 0
+    assert np.isnan(compressed(np.full((9, 9, 1), np.nan), 50.0)).all()
 
 
 @pytest.mark.slow

@@ -110,15 +110,15 @@ def separate(
     cos = (c_b * c_i).sum()
     aside = c_b - cos * c_i
     sine = _length(aside)
-    distinct = sine > jnp.finfo(image.dtype).eps
+    same = sine <= jnp.finfo(image.dtype).eps
     on_b, on_i = image @ c_b, image @ c_i
-    below = jnp.square(or_one(sine, distinct))
+    below = jnp.square(or_one(sine, ~same))
     m_b, m_i = (on_b - cos * on_i) / below, (on_i - cos * on_b) / below
-    inside = distinct & (m_b > 0) & (m_i > 0)
+    outside = same | (m_b <= 0) | (m_i <= 0)
     alone_b, alone_i = jnp.maximum(on_b, 0), jnp.maximum(on_i, 0)
     body_wins = alone_b >= alone_i
-    m_b = jnp.where(inside, m_b, jnp.where(body_wins, alone_b, 0))
-    m_i = jnp.where(inside, m_i, jnp.where(body_wins, 0, alone_i))
+    m_b = jnp.where(outside, jnp.where(body_wins, alone_b, 0), m_b)
+    m_i = jnp.where(outside, jnp.where(body_wins, 0, alone_i), m_i)
     left = image - m_b[..., None] * _as_row(c_b, image) - m_i[..., None] * _as_row(c_i, image)
     return Separation(
         body=m_b,

@@ -56,9 +56,9 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices
     below = safe_sqrt((eta - 1) * (eta + 1) + v.z * v.z) / eta
     aside = v.x * v.x + v.y * v.y
-    through = (eta - 1) * (eta + 1) + v.z * v.z > 0
+    total = (eta - 1) * (eta + 1) + v.z * v.z <= 0
     along = 1 / jnp.sqrt(or_one(aside))
-    scale = jnp.where(through, 1 / eta, along)
+    scale = jnp.where(total, along, 1 / eta)
     return Vec(-v.x * scale, -v.y * scale, jnp.where(v.z > 0, -below, below))
 
 

@@ -174,10 +174,10 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
         is_green, first_rows = layout.masks(*plane.shape)
         is_first = first_rows & ~is_green
-        green, by_rows = stored(lambda f: _directed_green(f, is_green), plane)
+        green, lead = stored(lambda f: _directed_green(f, is_green), plane)
 
         def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
-            return jnp.where(by_rows, near(difference, 1), near(difference, 0))
+            return _directed(lead, near(difference, 1), near(difference, 0))
 
         def at_green(from_green: Plane) -> tuple[Plane, Plane]:
             """Either band minus green, at the green pixels, from their neighbours."""
@@ -375,8 +375,8 @@ def _mean_of_three(plane: Plane, axis: int) -> Plane:
     return (before + plane + behind) / 3
 
 
-def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Mask]:
-    """Menon's green, and where it was interpolated along the rows: equations 1 to 6."""
+def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
+    """Menon's green, and by how much rows are smoother than columns: equations 1 to 6."""
     greens, roughness = [], []
     for axis in (1, 0):
         far_before, far_behind = _neighbours(raw, axis, 2)
@@ -386,8 +386,13 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Mask]:
         change = jnp.abs(difference - _neighbours(difference, axis, 2)[1])
         greens.append(green)
         roughness.append(_near(change, axis))
-    by_rows = roughness[1] >= roughness[0]
-    return jnp.where(by_rows, *greens), by_rows
+    lead = jax.lax.stop_gradient(roughness[1] - roughness[0])
+    return jnp.where(is_green, raw, _directed(lead, *greens)), lead
+
+
+def _directed(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
+    """The better of two directions, NaN where NaN leaves that open."""
+    return jnp.where(lead >= 0, by_rows, jnp.where(lead < 0, by_columns, lead))
 
 
 def _near(change: Plane, axis: int) -> Plane:

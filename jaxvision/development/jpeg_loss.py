@@ -2,7 +2,8 @@
 
 Colour to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division by a table and
 rounding, and all the way back. Pictures are (..., h, w, bands) with one band or R'G'B', encoded and
-relative: 1 is code 255, values outside [0, 1] are cut, as bytes are, and NaN is black.
+relative: 1 is code 255, values outside [0, 1] are cut, as bytes are. NaN spreads over its block,
+and to the pixels that share a chroma with it.
 
 `rounding` chooses how the digits that a file cannot hold are dropped:
 "straight_through": every code and coefficient is a whole number, equal to libjpeg's own (its
@@ -137,8 +138,7 @@ def jpeg(
     coded_chroma = _coded if subsampling == "4:4:4" else _coded_at_half_size
 
     def of_image(image: Float[Array, "h w bands"]) -> Float[Array, "h w bands"]:
-        known = jnp.where(jnp.isnan(image), 0, image)
-        codes = _part(255 * jnp.clip(known, 0, 1), 0.5, 1, whole)
+        codes = _part(255 * jnp.clip(image, 0, 1), 0.5, 1, whole)
         if image.shape[-1] == 1:
             return _coded(codes[..., 0], luma_table, whole)[..., None] / 255
         luma, chroma = _to_ycbcr(codes, whole)
@@ -270,5 +270,7 @@ def _pass(
     smooth = product(rows) / 2**bits
     if whole:
         exact = (product(rows.astype(jnp.int32)) + 2 ** (bits - 1)) >> bits
-        smooth = with_gradient_of(exact.astype(plane.dtype), smooth)
+        # a whole number cannot hold NaN
+        value = jnp.where(jnp.isnan(smooth), smooth, exact.astype(plane.dtype))
+        smooth = with_gradient_of(value, smooth)
     return smooth.reshape(plane.shape)

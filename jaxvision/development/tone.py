@@ -100,7 +100,7 @@ def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
         return jnp.concatenate([chord, chord])
     before, behind = chord[:-1], chord[1:]
     near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
-    onward = before * behind > 0
+    onward = ~(before * behind <= 0)
     safe_before, safe_behind = (or_one(c, onward) for c in (before, behind))
     mean = (near_before + near_behind) / (near_before / safe_before + near_behind / safe_behind)
     first = _end_slope(width[0], width[1], chord[0], chord[1])
@@ -111,6 +111,6 @@ def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
 def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
     """The parabola through three points, kept from overshooting."""
     slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
-    slope = jnp.where(slope * chord > 0, slope, 0)
+    slope = jnp.where(slope * chord <= 0, 0, slope)
     steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))
     return jnp.where(steep, 3 * chord, slope)

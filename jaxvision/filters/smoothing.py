@@ -138,6 +138,6 @@ def blur_straight(
     check_picture(picture)
     light, alpha = picture[..., :-1], picture[..., -1:]
     layer = blur(jnp.concatenate([light * alpha, alpha], axis=-1))
-    covered = jnp.abs(layer[..., -1:]) > smallest_divisor(layer.dtype)
+    covered = ~(jnp.abs(layer[..., -1:]) <= smallest_divisor(layer.dtype))
     straight = divide(layer[..., :-1], layer[..., -1:], covered)
     return jnp.concatenate([straight, layer[..., -1:]], axis=-1)

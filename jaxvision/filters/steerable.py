@@ -193,8 +193,8 @@ def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
     c2 = 2 / count * jnp.tensordot(jnp.cos(2 * angles), energy, 1)
     c3 = 2 / count * jnp.tensordot(jnp.sin(2 * angles), energy, 1)
     square = c2 * c2 + c3 * c3
-    oriented = square > 0
-    angle = jnp.arctan2(jnp.where(oriented, c3, 0), jnp.where(oriented, c2, 1)) / 2
+    flat = square <= 0
+    angle = jnp.arctan2(jnp.where(flat, 0, c3), jnp.where(flat, 1, c2)) / 2
     return angle, safe_sqrt(square)
 
 

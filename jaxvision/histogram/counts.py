@@ -144,7 +144,7 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 
     Returns:
         () or (..., bands) in the image's unit. q = 0 gives the lower edge of the first occupied
-        bin, q = 1 the upper edge of the last; without counts it is the last edge but one.
+        bin, q = 1 the upper edge of the last; without counts it is NaN.
     """
     cdf, edges = cumulative_distribution(histogram), histogram.edges
     bins = edges.shape[0] - 1
@@ -155,7 +155,8 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     rise = high - low
     part = divide(q - low, rise)
     start = jnp.take(edges, end[..., 0] - 1)
-    return start + jnp.maximum(part, 0) * (edges[1] - edges[0])
+    value = start + jnp.maximum(part, 0) * (edges[1] - edges[0])
+    return jnp.where(cdf[..., -1] > 0, value, jnp.nan)
 
 
 def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
@@ -170,7 +171,7 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
         histogram: exact or soft, of at least 2 bins.
 
     Returns:
-        () or (..., bands) in the image's unit.
+        () or (..., bands) in the image's unit; NaN without counts.
 
     Raises:
         ValueError: for fewer than 2 bins.
@@ -185,13 +186,13 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     centres = jnp.arange(bins, dtype=edges.dtype) - (bins - 1) / 2
     centres = centres.reshape(*(1,) * (counts.ndim - 1), bins)
     weight = cumulative_distribution(histogram)[..., 1:-1]
-    total = jnp.maximum(counts.sum(-1, keepdims=True), jnp.finfo(edges.dtype).tiny)
-    moment = jnp.cumsum(counts / total * centres, axis=-1)
+    total = counts.sum(-1, keepdims=True)
+    moment = jnp.cumsum(divide(counts, total) * centres, axis=-1)
     mean = moment[..., -1:]
     spread = weight * (1 - weight)
     between = divide((mean * weight - moment[..., :-1]) ** 2, spread)
     best = jnp.argmax(between, axis=-1)
-    return jnp.take(edges, best + 1)
+    return jnp.where(total[..., 0] > 0, jnp.take(edges, best + 1), jnp.nan)
 
 
 @partial(jax.jit, static_argnames=("chosen",))

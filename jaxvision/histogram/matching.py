@@ -17,9 +17,10 @@ def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
 
     That is F_reference^-1(F_image(x)), linear between the values that occur. Integer images are
     matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
-    truncated. Floating images are matched by rank, without bins; NaN stays NaN and is not counted,
-    and a plane of the reference that is all NaN gives NaN. The gradient goes to the values of
-    `reference`; that with respect to `image` is 0, since a small change leaves every rank.
+    truncated. Floating images are matched by rank, without bins; NaN in the image stays NaN and is
+    left out of its ranks, and a plane of the reference that holds NaN gives NaN. The gradient goes
+    to the values of `reference`; that with respect to `image` is 0, since a small change leaves
+    every rank.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -88,18 +89,15 @@ def _by_rank(source: Stack, target: Stack) -> Stack:
 def _matched(
     values: Float[Array, " pixels"], offered: Float[Array, " others"]
 ) -> Float[Array, " pixels"]:
-    """One plane by ranks. NaN sorts last: it is beyond every fraction and takes no part."""
+    """One plane by ranks. NaN sorts last, beyond every fraction."""
     ordered = jnp.sort(offered)
-    usable = (~jnp.isnan(ordered)).sum()
-    ordered = jnp.where(jnp.isnan(ordered), ordered[usable - 1], ordered)
-    at = _fraction_up_to(ordered, ordered, usable)
-    wanted = _fraction_up_to(jnp.sort(values), values, (~jnp.isnan(values)).sum())
-    return jnp.where(jnp.isnan(values), jnp.nan, jnp.interp(wanted, at, ordered))
+    at, wanted = _fraction_up_to(ordered, ordered), _fraction_up_to(jnp.sort(values), values)
+    unknown = jnp.isnan(values) | jnp.isnan(ordered[-1])
+    return jnp.where(unknown, jnp.nan, jnp.interp(wanted, at, ordered))
 
 
-def _fraction_up_to(
-    ordered: Float[Array, " n"], values: Float[Array, " m"], usable: Int[Array, ""]
-) -> Float[Array, " m"]:
-    """The fraction of `usable` ordered values that each value is not below."""
+def _fraction_up_to(ordered: Float[Array, " n"], values: Float[Array, " m"]) -> Float[Array, " m"]:
+    """The fraction of the ordered values, NaN left out, that each value is not below."""
     rank = jnp.searchsorted(ordered, values, side="right", method="sort")
-    return rank.astype(values.dtype) / jnp.maximum(usable, 1).astype(values.dtype)
+    known = (~jnp.isnan(ordered)).sum()
+    return rank.astype(values.dtype) / jnp.maximum(known, 1).astype(values.dtype)
