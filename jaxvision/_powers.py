@@ -111,24 +111,32 @@ def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
     return (jnp.int64, 1023, 52) if x.dtype == jnp.float64 else (jnp.int32, 127, 23)
 
 
-@jax.custom_jvp
 def exp2(x: Scalars) -> Scalars:
-    """2^x to the last place, exact at whole x, where XLA's own is off by |x| / 2 units of it.
+    """2^x, as `times_exp2` of 1."""
+    return times_exp2(jnp.ones_like(x), x)
+
+
+@jax.custom_jvp
+def times_exp2(value: Scalars, x: Scalars) -> Scalars:
+    """value 2^x, with 2^x to the last place, exact at whole x, where XLA's own is off by |x| / 2
+    units of it, and in or out of range itself.
 
     Infinite above the range of the dtype and 0 below it.
     """
     whole, bias, digits = _format(x)
-    limited = jnp.clip(x, -2 * bias, 2 * bias)
+    limited = jnp.clip(x, -3 * (bias - 1), 3 * (bias - 1))
     steps = jnp.round(limited)
-    value = jnp.exp2(limited - steps)
-    first = jnp.clip(steps, 1 - bias, bias)
-    for step in (first, jnp.clip(steps - first, 1 - bias, bias)):
+    first = jnp.round(steps / 3)  # three numbers of one sign, so that no product but the last ends
+    second = jnp.round((steps - first) / 2)
+    product = value * jnp.exp2(limited - steps)
+    for step in (first, second, steps - first - second):
         bits = (step.astype(whole) + bias) << digits
-        value = value * jax.lax.bitcast_convert_type(bits, x.dtype)
-    return value
+        product = product * jax.lax.bitcast_convert_type(bits, x.dtype)
+    return product
 
 
-@exp2.defjvp
-def _exp2_jvp(primals, tangents):
-    value = exp2(*primals)
-    return value, _LN_2 * value * tangents[0]
+@times_exp2.defjvp
+def _times_exp2_jvp(primals, tangents):
+    (value, x), (change, dx) = primals, tangents
+    product = times_exp2(value, x)
+    return product, times_exp2(change, x) + _LN_2 * product * dx

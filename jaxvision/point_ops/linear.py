@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._powers import exp2
+from .._powers import times_exp2
 from .._types import Scalars, as_relative
 
 
@@ -60,7 +60,7 @@ def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
         (...) relative.
     """
     x = as_relative(x)
-    return exp2(stops if isinstance(stops, jax.Array) else jnp.asarray(stops, x.dtype)) * x
+    return times_exp2(x, stops if isinstance(stops, jax.Array) else jnp.asarray(stops, x.dtype))
 
 
 @takes_numbers
