@@ -111,6 +111,16 @@ def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
     return (jnp.int64, 1023, 52) if x.dtype == jnp.float64 else (jnp.int32, 127, 23)
 
 
+def power_of_two_in(x: Scalars) -> Scalars:
+    """The largest power of two up to x > 0 whose inverse is normal, a constant to gradients; 1 for
+    what is 0, infinite or NaN."""
+    whole, _, digits = _format(x)
+    bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole)
+    power = jax.lax.bitcast_convert_type(bits >> digits << digits, x.dtype)
+    usable = (x >= jnp.finfo(x.dtype).tiny) & (x < jnp.inf)
+    return jnp.where(usable, jnp.minimum(power, 2.0 ** (_format(x)[1] - 1)), 1)
+
+
 def exp2(x: Scalars) -> Scalars:
     """2^x, as `times_exp2` of 1."""
     return times_exp2(jnp.ones_like(x), x)

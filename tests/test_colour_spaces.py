@@ -210,6 +210,21 @@ NEAR = [
 ]
 
 
+@pytest.mark.parametrize("size", [1e-37, 1e-20, 1.0, 1e38])
+def test_hue_and_chromaticity_do_not_depend_on_size(size):
+    colour = jnp.asarray(size * np.asarray([1.0, 2.0, 3.0]), jnp.float32)
+    lightness = float(cs.rgb_to_hsl(colour)[2])
+    found = [*cs.rgb_to_hsv(colour)[:2], cs.rgb_to_hsl(colour)[0], *cs.xyz_to_xyy(colour)[:2]]
+    np.testing.assert_allclose(found, [7 / 12, 2 / 3, 7 / 12, 1 / 6, 1 / 3], rtol=2e-6)
+    np.testing.assert_allclose(lightness, 2 * size, rtol=1e-6)
+    white = jnp.asarray([0.9, 1.0, 1.1], jnp.float32)
+    luv = cs.xyz_to_luv(colour, white)
+    chroma = luv[1:] / (13 * luv[0])  # u' - u'_n and v' - v'_n
+    total, total_n = 1 + 15 * 2 + 3 * 3, 0.9 + 15 + 3 * 1.1
+    wanted = [4 / total - 4 * 0.9 / total_n, 18 / total - 9 / total_n]
+    np.testing.assert_allclose(chroma, wanted, rtol=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):

@@ -255,6 +255,7 @@ def test_reinhard_at_its_fixed_points():
     x = jnp.asarray([0.0, 1.0, 4.0])
     np.testing.assert_allclose(reinhard(x), [0, 0.5, 0.8], rtol=1e-15)
     np.testing.assert_allclose(reinhard(x, white=scalar(4.0))[2], 1.0, rtol=1e-15)
+    assert float(reinhard(jnp.asarray(jnp.inf))) == 1.0
     # the more can burn out, the nearer to the simple curve
     np.testing.assert_allclose(reinhard(x, white=scalar(1e9)), reinhard(x), rtol=1e-15)
     slope = jax.jit(jax.vmap(jax.grad(reinhard)))(jnp.asarray([-1e-9, 0.0, 1e-9]))

@@ -1,11 +1,14 @@
 """What all conversions share: arrays whose last axis holds the three components of colours, and
 divisors that count as 0. Components in any unit, matrices without one."""
 
+from functools import reduce
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._numerics import arctan2, divide, norm, smallest_divisor
+from .._powers import power_of_two_in
 from .._types import Scalars, as_relative, print_by_name
 from .._vector import Vec
 
@@ -24,6 +27,23 @@ def checked(colours: Colours) -> Colours:
 def parts(colours: Colours) -> tuple[Scalars, Scalars, Scalars]:
     colours = checked(colours)
     return colours[..., 0], colours[..., 1], colours[..., 2]
+
+
+def to_unit_size(*parts: Scalars) -> Scalars:
+    """The power of two that brings the largest component into [1, 2), a constant to gradients."""
+    return 1 / power_of_two_in(reduce(jnp.maximum, map(jnp.abs, parts)))
+
+
+def of_unit_size(*parts: Scalars) -> tuple[Scalars, ...]:
+    """The components times that power, for what does not depend on size: neither their sums nor
+    the inverses of these leave the range."""
+    scale = to_unit_size(*parts)
+    return tuple(part * scale for part in parts)
+
+
+def over(a: Scalars, b: Scalars) -> Scalars:
+    """a / b, with 0 where b is 0."""
+    return divide(a, b, b != 0)
 
 
 def joined(*parts: Scalars) -> Colours:

@@ -1,9 +1,9 @@
-"""Chromaticity and luminance: xyY. A colour too dark to have a chromaticity is 0."""
+"""Chromaticity and luminance: xyY. The chromaticity of black is 0."""
 
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
-from ._components import Colours, joined, parts, reciprocal, vanishes
+from ._components import Colours, joined, of_unit_size, over, parts, reciprocal, vanishes
 
 
 @takes_numbers
@@ -14,15 +14,15 @@ def xyz_to_xyy(xyz: Colours) -> Colours:
         xyz: (..., 3) relative.
 
     Returns:
-        (..., 3) relative; black, of a sum below 3e-10 in float32 and 1e-77 in float64, has
-        x = y = 0.
+        (..., 3) relative; black, of sum 0, has x = y = 0.
 
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
     """
-    x, y, z = parts(xyz)
-    share = reciprocal(x + y + z)
-    return joined(x * share, y * share, y)
+    luminance = parts(xyz)[1]
+    x, y, z = of_unit_size(*parts(xyz))
+    total = x + y + z
+    return joined(over(x, total), over(y, total), luminance)
 
 
 @takes_numbers

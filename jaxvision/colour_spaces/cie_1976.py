@@ -6,7 +6,16 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._types import Scalars
-from ._components import Colours, chroma_of, hue_angle, joined, parts, reciprocal
+from ._components import (
+    Colours,
+    chroma_of,
+    hue_angle,
+    joined,
+    of_unit_size,
+    over,
+    parts,
+    reciprocal,
+)
 
 _BREAK = 6 / 29
 
@@ -89,8 +98,9 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     lightness = 116 * (fy + y_0)
     # u' - u'_n over one common denominator: a near grey keeps the digits of its small difference
     x_n, y_n, z_n = white
+    x, y, z = of_unit_size(x, y, z)
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
-    scale = 13 * lightness * reciprocal(total * total_n)
+    scale = over(13 * lightness, total * total_n)
     u, v = 4 * (x * total_n - x_n * total), 9 * (y * total_n - y_n * total)
     return joined(lightness, scale * u, scale * v)
 
@@ -109,12 +119,13 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
     """
-    lightness, u, v = parts(luv)
-    share = reciprocal(13 * lightness)
+    lightness = parts(luv)[0]
     x_n, y_n, z_n = white
+    y = y_n * _from_lightness(lightness / 116)
+    unit, u, v = of_unit_size(*parts(luv))
+    share = reciprocal(13 * unit)
     sum_n = x_n + 15 * y_n + 3 * z_n
     u_prime, v_prime = u * share + 4 * x_n / sum_n, v * share + 9 * y_n / sum_n
-    y = y_n * _from_lightness(lightness / 116)
     scale = y * reciprocal(4 * v_prime)
     return joined(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
 

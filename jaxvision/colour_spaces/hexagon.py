@@ -1,13 +1,10 @@
-"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit.
-
-A colour whose components differ by less than 3e-10 (float64: 1e-77) counts as grey.
-"""
+"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit."""
 
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
 from .._types import Scalars
-from ._components import Colours, joined, parts, reciprocal, vanishes, within
+from ._components import Colours, joined, of_unit_size, over, parts, to_unit_size, within
 
 
 @takes_numbers
@@ -19,15 +16,16 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
 
     Returns:
         (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black; and value, relative.
-        What is less than 3e-10 in float32, 1e-77 in float64, counts as black, or as grey.
 
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
 
     Source: Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978.
     """
-    hue, least, most = _hexagon(rgb)
-    return joined(hue, (most - least) * reciprocal(most), most)
+    value = _ends(*parts(rgb))[1]
+    unit = of_unit_size(*parts(rgb))
+    least, most = _ends(*unit)
+    return joined(_hue(*unit), over(most - least, most), value)
 
 
 @takes_numbers
@@ -62,15 +60,19 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
 
     Returns:
         (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black and white; and
-        lightness, relative. What is less than 3e-10 in float32, 1e-77 in float64, counts as none.
+        lightness, relative.
 
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
     """
-    hue, least, most = _hexagon(rgb)
+    least, most = _ends(*parts(rgb))
+    lightness = most / 2 + least / 2
+    one = to_unit_size(*parts(rgb))
+    low, high = one * least, one * most
     # 1 - |2 lightness - 1|, which keeps its digits near black
-    room = jnp.minimum(most + least, 2 - (most + least))
-    return joined(hue, (most - least) * reciprocal(room), (most + least) / 2)
+    room = jnp.minimum(high + low, 2 * one - (high + low))
+    hue = _hue(*of_unit_size(*parts(rgb)))
+    return joined(hue, over(high - low, room), lightness)
 
 
 @takes_numbers
@@ -102,13 +104,17 @@ def _trapezium(rising: Scalars, falling: Scalars, floor: int) -> Scalars:
     return jnp.maximum(jnp.minimum(jnp.minimum(rising, falling), 1), floor)
 
 
-def _hexagon(rgb: Colours) -> tuple[Scalars, Scalars, Scalars]:
-    """(hue in turns, smallest, largest component)."""
-    r, g, b = parts(rgb)
-    most, least = jnp.maximum(jnp.maximum(r, g), b), jnp.minimum(jnp.minimum(r, g), b)
-    share = reciprocal(most - least)
+def _ends(r: Scalars, g: Scalars, b: Scalars) -> tuple[Scalars, Scalars]:
+    """(smallest, largest component)."""
+    return jnp.minimum(jnp.minimum(r, g), b), jnp.maximum(jnp.maximum(r, g), b)
+
+
+def _hue(r: Scalars, g: Scalars, b: Scalars) -> Scalars:
+    """In turns; 0 for greys."""
+    least, most = _ends(r, g, b)
+    share = over(jnp.ones_like(most), most - least)
     sextant = jnp.where(
         most == r, (g - b) * share, jnp.where(most == g, 2 + (b - r) * share, 4 + (r - g) * share)
     )
     turn = jnp.where(sextant < 0, sextant + 6, sextant) / 6
-    return jnp.where(vanishes(most - least), 0, within(turn, 1.0)), least, most
+    return jnp.where(most == least, 0, within(turn, 1.0))

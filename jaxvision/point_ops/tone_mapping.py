@@ -36,8 +36,8 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
 
 @jax.custom_jvp
 def _saturating(x: Scalars) -> Scalars:
-    """x / (1 + x), whose slope 1 / (1 + x)^2 is no difference."""
-    return x / (1 + x)
+    """x / (1 + x), 1 at infinity, whose slope 1 / (1 + x)^2 is no difference."""
+    return jnp.where(x == jnp.inf, 1, x / (1 + x))
 
 
 @_saturating.defjvp

@@ -194,6 +194,21 @@ def from_xyy(m, c):
     return c[:, 0] * c[:, 2] / c[:, 1], c[:, 2], (1 - c[:, 0] - c[:, 1]) * c[:, 2] / c[:, 1]
 
 
+class Sized:
+    """Colours times one size, however small or large."""
+
+    def __str__(self):
+        return f"{COLOURS} times {SIZES}"
+
+    def draw(self, rng, n):
+        return COLOURS.draw(rng, n) * SIZES.draw(rng, n)[:, None]
+
+
+SIZES = Range(1e-30, 1e30)
+DARKEST = np.array([1e-37, 3e-37, 2e-37])
+OF_ANY_SIZE = ((DARKEST,), (DARKEST * 1e70,), (DARKEST * 1e7,), (np.array([0.2, 0.1, 0.05]),))
+
+
 class Lab:
     """Colours of any lightness, and of chroma above 1: near grey a hue is a draw."""
 
@@ -252,6 +267,19 @@ ENTRIES = [
         conditioned=True,
         gradient=1e-4,
         note=NEAR_GREY,
+    ),
+    Entry(
+        "colour_spaces.cie_1976.xyz_to_luv",
+        with_white(cs.xyz_to_luv),
+        luv,
+        (Sized(),),
+        OF_ANY_SIZE,
+        parts=("L*", "u*", "v*"),
+        form="of any size",
+        bound=20,
+        conditioned=True,
+        gradient=0.0001,
+        note=NEAR_GREY + "; XLA's cube root of a huge number",
     ),
     Entry(
         "colour_spaces.cie_1976.luv_to_xyz",
@@ -326,6 +354,19 @@ ENTRIES = [
         note=NEAR_GREY,
     ),
     Entry(
+        "colour_spaces.hexagon.rgb_to_hsv",
+        cs.rgb_to_hsv,
+        hsv,
+        (Sized(),),
+        OF_ANY_SIZE,
+        parts=("hue", "saturation", "value"),
+        form="of any size",
+        turn=lambda m: 1,
+        conditioned=True,
+        gradient=0.0001,
+        note=NEAR_GREY,
+    ),
+    Entry(
         "colour_spaces.hexagon.hsv_to_rgb",
         cs.hsv_to_rgb,
         from_hsv,
@@ -344,6 +385,19 @@ ENTRIES = [
         turn=lambda m: 1,
         conditioned=True,
         gradient=1e-4,
+        note=NEAR_GREY + ", and the saturation near white",
+    ),
+    Entry(
+        "colour_spaces.hexagon.rgb_to_hsl",
+        cs.rgb_to_hsl,
+        hsl,
+        (Sized(),),
+        OF_ANY_SIZE,
+        parts=("hue", "saturation", "lightness"),
+        form="of any size",
+        turn=lambda m: 1,
+        conditioned=True,
+        gradient=0.0001,
         note=NEAR_GREY + ", and the saturation near white",
     ),
     Entry(
@@ -380,6 +434,15 @@ ENTRIES = [
         to_xyy,
         (XYZ,),
         parts=("x", "y", "Y"),
+    ),
+    Entry(
+        "colour_spaces.chromaticity.xyz_to_xyy",
+        cs.xyz_to_xyy,
+        to_xyy,
+        (Sized(),),
+        OF_ANY_SIZE,
+        parts=("x", "y", "Y"),
+        form="of any size",
     ),
     Entry(
         "colour_spaces.chromaticity.xyy_to_xyz",
