@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from ._types import axes_of, check_shape, in_short, is_any_axes, is_known
+from ._types import Range, axes_of, check_range, check_shape, in_short, is_any_axes, is_known
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -88,6 +88,25 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
         return function(*args, **kwargs)
 
     return of_numbers
+
+
+def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator, below `takes_numbers`: `ValueError` for arguments outside their range, where
+    they are known."""
+
+    def of(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(signature(function).parameters)
+
+        @wraps(function)
+        def of_known(*args: P.args, **kwargs: P.kwargs) -> R:
+            values = dict(zip(names, args, strict=False)) | kwargs
+            for name, allowed in ranges.items():
+                check_range(_place(function, name), values.get(name), **allowed._asdict())
+            return function(*args, **kwargs)
+
+        return of_known
+
+    return of
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:

@@ -285,6 +285,8 @@ NOT_NEGATIVE = Range(0)
 POSITIVE = Range(0, above=True)
 FRACTION = Range(0, 1)
 AMOUNT = Range(0, finite=False, nan=True)  # of light, size, roughness; NaN shows in the picture
+DIVISOR = Range(0, above=True, finite=False, nan=True)
+SHARE = Range(0, 1, nan=True)
 
 
 def check_fields(record: Any, **ranges: Range) -> None:

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import require_metres, takes_numbers
+from ._arguments import in_range, require_metres, takes_numbers
 from ._exponential import decay
 from ._numerics import difference_of_products, or_one
 from ._powers import exact
-from ._types import Scalar, Spectrum, check_choice, is_known, print_by_name
+from ._types import AMOUNT, Scalar, Spectrum, check_choice, is_known, print_by_name
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]
@@ -229,18 +229,19 @@ def rgb_to_reflectance(
 
 
 @takes_numbers
+@in_range(temperature=AMOUNT)
 def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     """Planck's law: spectral radiance 2 h c^2 / lambda^5 / (exp(h c / (lambda k T)) - 1).
 
     Args:
         wavelengths: (bands,) m.
-        temperature: () K; at 0 and below the radiance is 0.
+        temperature: () K; at 0 the radiance is 0.
 
     Returns:
         (bands,) W m^-2 sr^-1 per m, with the constants of the SI of 2019.
 
     Raises:
-        ValueError: for wavelengths that were meant in another unit.
+        ValueError: for wavelengths that were meant in another unit, and a temperature below 0.
 
     Example:
         >>> wavelengths = jnp.linspace(50e-9, 100e-6, 100_000)

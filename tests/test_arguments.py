@@ -185,6 +185,55 @@ SENTENCES = {
         lambda: jv.Pinhole(UP, np.eye(3), 8.0, 3.45e-6, resolution=(2, 2)),
         "Pinhole.focal_length must be in m",
     ),
+    "a negative f-number": (
+        lambda: airy_radius(550e-9, -4),
+        r"airy_radius: f_number must be at least 0, got -4\.0",
+    ),
+    "a negative f-number of a far focus": (
+        lambda: jv.hyperfocal_distance(0.05, -8.0, 3e-5),
+        r"hyperfocal_distance: f_number must be at least 0, got -8\.0",
+    ),
+    "a focus behind the lens": (
+        lambda: jv.circle_of_confusion(jnp.ones(2), -2.0, 0.05, 2.0),
+        "circle_of_confusion: focus_distance must be at least 0",
+    ),
+    "sharpness behind the lens": (
+        lambda: jv.depth_of_field(-1.0, 0.05, 8.0, 3e-5),
+        "depth_of_field: focus_distance must be at least 0",
+    ),
+    "colder than nothing": (
+        lambda: jv.spectra.blackbody([5e-7], -3.0),
+        "blackbody: temperature must be at least 0, got -3.0",
+    ),
+    "no gamma": (lambda: jv.gamma_encode([0.5], 0), "gamma_encode: gamma must be above 0, got 0"),
+    "a negative gamma": (
+        lambda: jv.gamma_decode(jnp.full((2, 1), 0.5), [2.2, -2.2]),
+        "gamma_decode: gamma must be above 0, got -2.2",
+    ),
+    "a curve bent the other way": (
+        lambda: jv.point_ops.log_curve([0.5], -0.5),
+        "log_curve: strength must be at least 0",
+    ),
+    "a key of 0": (
+        lambda: jv.point_ops.scaled_to_key(np.ones((2, 2)), key_value=0.0),
+        "scaled_to_key: key_value must be above 0",
+    ),
+    "a quantile in percent": (
+        lambda: jv.histogram.quantile(jv.histogram.exact_histogram(np.eye(2)), 50.0),
+        "quantile: q must be finite, at least 0 and at most 1, got 50.0",
+    ),
+    "a filter of negative width": (
+        lambda: jv.point_ops.graded_filter(np.ones((2, 2, 1)), 0.3, 0.0, 0.0, -1.0),
+        "graded_filter: width must be at least 0",
+    ),
+    "a lamp without an edge": (
+        lambda: jv.RectangleLight(UP, [0, 0, 0], [1, 0, 0], [1.0]),
+        "RectangleLight.edge_u must have a direction",
+    ),
+    "a picture without pixels": (
+        lambda: jv.development.grey_world_gains(np.ones((0, 3, 3))),
+        "with at least one pixel, got shape .0, 3, 3.",
+    ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
 }
 
@@ -205,6 +254,7 @@ def test_what_is_traced_is_not_looked_at():
     """Inside a compiled function numbers are not known; shapes are."""
     jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.full(3, 2.0))
     jax.eval_shape(lambda normal: jv.Plane(normal, normal), jnp.zeros(3))
+    jax.eval_shape(lambda gamma: jv.gamma_decode(gamma, gamma), jnp.asarray(-1.0))
     jax.eval_shape(lambda f: jv.Pinhole(UP, np.eye(3), f, 1e-6, resolution=(2, 2)), 50.0)
     with pytest.raises(ValueError, match="normal must have shape"):
         jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.ones((2, 3)))

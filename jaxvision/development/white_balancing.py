@@ -86,12 +86,17 @@ def grey_world_gains(
     Returns:
         (..., bands) no unit.
 
+    Raises:
+        ValueError: for a picture without pixels or of fewer than three axes.
+
     Source: Buchsbaum, J. Franklin Institute 310, 1980 (the grey world); Finlayson and Trezzi,
     "Shades of gray and colour constancy", CIC 2004.
     """
     image = as_relative(image)
-    if image.ndim < 3:
-        raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
+    if image.ndim < 3 or image.size == 0:
+        raise ValueError(
+            f"image must be (..., h, w, bands) with at least one pixel, got shape {image.shape}."
+        )
     used = jnp.ones_like(image)
     if saturation is not None:
         used = jnp.broadcast_to((image < saturation).all(-1, keepdims=True), image.shape)

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide
 from .._shown import Shown
-from .._types import Scalar, as_float, check_choice
+from .._types import SHARE, Scalar, as_float, check_choice
 from ._planes import (
     Binning,
     Pixels,
@@ -132,6 +132,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 
 
 @takes_numbers
+@in_range(q=SHARE)
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     """The smallest value that a fraction q of all values does not exceed.
 
@@ -140,11 +141,14 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 
     Args:
         histogram: exact or soft.
-        q: () no unit, in [0, 1]; values outside count as 0 or 1.
+        q: () no unit, in [0, 1].
 
     Returns:
         () or (..., bands) in the image's unit. q = 0 gives the lower edge of the first occupied
         bin, q = 1 the upper edge of the last; without counts it is NaN.
+
+    Raises:
+        ValueError: for a q outside [0, 1].
     """
     cdf, edges = cumulative_distribution(histogram), histogram.edges
     bins = edges.shape[0] - 1

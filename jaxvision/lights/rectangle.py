@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import dot, reciprocal
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields
 from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light, Quad
@@ -41,6 +41,8 @@ class RectangleLight(Light):
 
     def __check_init__(self) -> None:
         check_fields(self, radiance=AMOUNT)
+        check_direction("RectangleLight.edge_u", self.edge_u)
+        check_direction("RectangleLight.edge_v", self.edge_v)
 
 
 def window_of(light: RectangleLight) -> Window:

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide
-from .._types import Colour, Image, Scalar, Scalars, check_count
+from .._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count
 from ..filters import correlate
 from ..scene import Diffraction, ThinLens
 from ._bessel import jinc
@@ -29,6 +29,7 @@ _WIDE = 3.0  # lambda N in a pixel, above which it is its edges that are integra
 
 
 @takes_numbers
+@in_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
     """Radius of the first dark ring of the Airy pattern: 1.22 lambda N.
 
@@ -39,6 +40,9 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
     Returns:
         (...) m on the sensor.
 
+    Raises:
+        ValueError: for an argument below 0.
+
     Example:
         >>> micrometres = 1e6 * jv.optics.airy_radius(jnp.array(550e-9), jnp.array(8.0))
         >>> round(float(micrometres), 2)
@@ -48,6 +52,7 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
 
 
 @takes_numbers
+@in_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
     """The Airy pattern: irradiance (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
@@ -60,6 +65,9 @@ def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Sca
 
     Returns:
         (...) relative to the middle.
+
+    Raises:
+        ValueError: for a wavelength or an f-number below 0.
     """
     x = jnp.pi * radius / (wavelength * f_number)
     amplitude = jinc(x * x)

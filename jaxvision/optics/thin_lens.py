@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide, or_one, smallest_divisor
-from .._types import Scalars, is_known
+from .._types import AMOUNT, Scalars, is_known
 
 NARROWEST_BLUR = 1e-6  # rad: what is said to be less was meant in another unit
 
@@ -99,6 +99,7 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 
 @takes_numbers
+@in_range(f_number=AMOUNT, focus_distance=AMOUNT)
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Image distance over lens diameter, z_i / d = N (1 + |m|), for a lens in focus.
 
@@ -111,6 +112,9 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
 
     Returns:
         (...) relative (no unit).
+
+    Raises:
+        ValueError: for an f-number or a distance below 0.
 
     Example:
         >>> f = jnp.array(0.05)
@@ -179,6 +183,7 @@ def lens_focal_length(
 
 
 @takes_numbers
+@in_range(focus_distance=AMOUNT, f_number=AMOUNT)
 def circle_of_confusion(
     object_distance: Scalars, focus_distance: Scalars, focal_length: Scalars, f_number: Scalars
 ) -> Scalars:
@@ -188,13 +193,17 @@ def circle_of_confusion(
     sensor is.
 
     Args:
-        object_distance: (...) z_o in m from the lens.
+        object_distance: (...) z_o in m from the lens; negative where light converges on its way to
+            the lens.
         focus_distance: (...) z_f in m from the lens to the plane in focus.
         focal_length: (...) f in m.
         f_number: (...) N, no unit.
 
     Returns:
         (...) m on the sensor; 0, with gradient 0, in focus.
+
+    Raises:
+        ValueError: for a plane in focus behind the lens, or an f-number below 0.
 
     Example:
         >>> z_f, f, N = jnp.array(1.0), jnp.array(0.05), jnp.array(2.0)
@@ -208,6 +217,7 @@ def circle_of_confusion(
 
 
 @takes_numbers
+@in_range(focus_distance=AMOUNT, focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
 def depth_of_field(
     focus_distance: Scalars, focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars
 ) -> tuple[Scalars, Scalars]:
@@ -225,7 +235,8 @@ def depth_of_field(
         (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
 
     Raises:
-        ValueError: for a focal length of more than a million times the blur, one of them in mm.
+        ValueError: for an argument below 0, or a focal length of more than a million times the
+            blur, one of them in mm.
 
     Example:
         >>> z_f, f, N, c = (jnp.array(x) for x in (3.0, 0.05, 8.0, 30e-6))
@@ -241,6 +252,7 @@ def depth_of_field(
 
 
 @takes_numbers
+@in_range(focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
     """Nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 
@@ -255,7 +267,8 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
         (...) m; inf where c N is 0.
 
     Raises:
-        ValueError: for a focal length of more than a million times the blur, one of them in mm.
+        ValueError: for an argument below 0, or a focal length of more than a million times the
+            blur, one of them in mm.
 
     Example:
         >>> H = jv.hyperfocal_distance(jnp.array(0.05), jnp.array(8.0), jnp.array(30e-6))

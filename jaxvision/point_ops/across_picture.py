@@ -4,14 +4,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide, smallest_divisor
-from .._types import Image, Scalar, as_relative
+from .._types import AMOUNT, Image, Scalar, as_relative
 
 _LN_10 = 2.302585092994046
 
 
 @takes_numbers
+@in_range(width=AMOUNT)
 def graded_filter(
     image: Image,
     density: Scalar | float,
@@ -29,13 +30,13 @@ def graded_filter(
         angle: () rad, the direction in which it darkens: 0 to the right, pi/2 up.
         centre: () where half the density is reached, relative to the picture's height, from its
             centre.
-        width: () over which it rises, relative to the picture's height; 0 or less is a step.
+        width: () over which it rises, relative to the picture's height; 0 is a step.
 
     Returns:
         (..., h, w, bands) relative.
 
     Raises:
-        ValueError: for fewer than three axes.
+        ValueError: for fewer than three axes, and a width below 0.
     """
     image, rows, columns = _sized(image)
     right, up = _from_centre(rows, columns, image.dtype, unit=rows)

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._powers import (
     Exponent,
     exact,
@@ -14,10 +14,11 @@ from .._powers import (
     power_in_parts,
     power_of_sum,
 )
-from .._types import Scalars, as_relative, check_choice
+from .._types import DIVISOR, Scalars, as_relative, check_choice
 
 
 @takes_numbers
+@in_range(gamma=DIVISOR)
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """linear^(1 / gamma); values below 0 count as 0, where the gradient is 0.
 
@@ -30,13 +31,14 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
         (...) relative, encoded.
 
     Raises:
-        ValueError: for an unknown method.
+        ValueError: for a gamma of 0 or less, and an unknown method.
     """
     linear = as_relative(linear)
     return _raised(linear, exact_inverse(gamma, linear.dtype), method)
 
 
 @takes_numbers
+@in_range(gamma=DIVISOR)
 def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """encoded^gamma, the inverse of `gamma_encode`; values below 0 count as 0.
 
@@ -50,7 +52,7 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
         (...) relative, linear.
 
     Raises:
-        ValueError: for an unknown method.
+        ValueError: for a gamma of 0 or less, and an unknown method.
     """
     encoded = as_relative(encoded)
     return _raised(encoded, exact(gamma, encoded.dtype), method)

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide, polynomial, safe_log, smallest_divisor
-from .._types import Scalars, as_relative
+from .._types import AMOUNT, DIVISOR, Scalars, as_relative
 
 
 @takes_numbers
@@ -48,6 +48,7 @@ def _saturating_jvp(primals, tangents):
 
 
 @takes_numbers
+@in_range(key_value=DIVISOR)
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
     """Luminance times key / log-average, which moves the picture's middle grey to the key.
 
@@ -55,10 +56,13 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
 
     Args:
         luminance: (h, w) relative.
-        key_value: relative, the wanted middle grey.
+        key_value: relative, above 0, the wanted middle grey.
 
     Returns:
         (h, w) relative.
+
+    Raises:
+        ValueError: for a key of 0 or less.
 
     Source: Reinhard et al. 2002, equations 1 and 2.
     """
@@ -95,15 +99,19 @@ def filmic(x: Scalars) -> Scalars:
 
 
 @takes_numbers
+@in_range(strength=AMOUNT)
 def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
 
     Args:
         x: (...) relative; below 0 counts as 0.
-        strength: no unit, above 0; the larger, the steeper at the dark end.
+        strength: no unit; the larger, the steeper at the dark end, and straight at 0.
 
     Returns:
         (...) relative.
+
+    Raises:
+        ValueError: for a strength below 0.
 
     Source: the mu-law of ITU-T G.711.
     """
