@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INCH = 1.7  # of a corner plot, a parameter
+MARGIN = 0.9  # inch, for its numbers and names
 SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#0e7490", "#be185d", "#4b5563")
 MARKS = "osD^vX*P"
 
@@ -235,7 +236,7 @@ def corner(
             raise InputError(
                 f"the draws of {name!r} are not finite, or all the same; leave it out."
             )
-    size = INCH * len(columns) + 0.8
+    size = INCH * len(columns) + MARGIN + 0.2
     figure = Figure(figsize=(size, size))
     package.corner(
         np.stack(list(columns.values()), axis=-1),
@@ -255,4 +256,11 @@ def corner(
     )
     if len(values) == 1 and values[0] is not None:
         figure.axes[0].axvline(values[0], color=RED)
+    figure.subplots_adjust(left=MARGIN / size, bottom=MARGIN / size)
+    for axes in figure.axes:
+        axes.tick_params(labelsize=8)
+        axes.xaxis.set_label_coords(
+            0.5, 0.12 - MARGIN / INCH
+        )  # below slanted numbers, however long
+        axes.yaxis.set_label_coords(0.12 - MARGIN / INCH, 0.5)
     return figure
