@@ -108,7 +108,9 @@ def _logarithm(x: Scalars) -> Scalars:
 
 def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
     """(integers of the same size, bias of the exponent, binary digits of the mantissa)."""
-    return (jnp.int64, 1023, 52) if x.dtype == jnp.float64 else (jnp.int32, 127, 23)
+    limits = jnp.finfo(x.dtype)
+    whole = {2: jnp.int16, 4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize]
+    return whole, int(limits.maxexp) - 1, int(limits.nmant)
 
 
 def power_of_two_in(x: Scalars) -> Scalars:

@@ -253,8 +253,10 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     """
     if is_known(wavelengths):
         require_metres("blackbody: wavelengths", np.asarray(wavelengths))
-    cold = temperature <= 0
-    return jnp.where(cold, 0, _planck(wavelengths, or_one(temperature)))
+    dtype = jnp.result_type(wavelengths, temperature)
+    wide = jnp.float32 if dtype.itemsize == 2 else dtype  # half of it does not hold the constants
+    cold, kelvin = temperature <= 0, or_one(temperature).astype(wide)
+    return jnp.where(cold, 0, _planck(wavelengths.astype(wide), kelvin)).astype(dtype)
 
 
 @jax.custom_jvp

@@ -11,9 +11,10 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from jaxvision import colour_data
+from jaxvision import colour_data, srgb_encode
 from jaxvision import colour_spaces as cs
 from jaxvision.errors import InputError
+from jaxvision.point_ops import srgb_decode
 
 RNG = np.random.default_rng(12)
 GREYS = [[v, v, v] for v in (0.0, 1e-6, 0.008, 0.2, 1.0)]
@@ -208,6 +209,16 @@ NEAR = [
     for scale in (1e-9, 1e-20, 1e-25, 1e-38)
     for colour in ([1, 1, 1], [1, 0, 0], [0, 1, 0], [0.2, 0.5, 1], [0, -1, 1])
 ]
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_is_kept_and_rounds_as_it_can(dtype):
+    colour = jnp.asarray([0.1, 0.2, 0.3], dtype)
+    for function in (cs.rgb_to_hsv, cs.rgb_to_hsl, cs.xyz_to_xyy, srgb_encode, srgb_decode):
+        found, wanted = function(colour), function(colour.astype(jnp.float32))
+        assert found.dtype == dtype
+        units = 4 * float(jnp.finfo(dtype).eps)
+        np.testing.assert_allclose(found.astype(jnp.float32), wanted, rtol=units)
 
 
 @pytest.mark.parametrize("size", [1e-37, 1e-20, 1.0, 1e38])

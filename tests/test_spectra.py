@@ -263,3 +263,11 @@ def test_dtype_is_kept(dtype):
         spectra.daylight(three, jnp.asarray(5000, dtype)),
     ]
     assert all(result.dtype == dtype for result in results)
+
+
+def test_planck_in_half_precision():
+    wavelengths, kelvin = jnp.asarray([5e-6, 1e-5], jnp.bfloat16), jnp.asarray(3000.0, jnp.bfloat16)
+    found = spectra.blackbody(wavelengths, kelvin)
+    wanted = spectra.blackbody(wavelengths.astype(jnp.float32), kelvin.astype(jnp.float32))
+    assert found.dtype == jnp.bfloat16
+    np.testing.assert_allclose(found.astype(jnp.float32), wanted, rtol=4e-3)
