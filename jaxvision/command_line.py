@@ -176,6 +176,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     say_if_interrupted(interrupted)
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy: what it means is a finding
             warnings.showwarning = lambda message, *_: print(
                 f"{command}: {message}", file=sys.stderr
             )

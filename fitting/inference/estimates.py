@@ -78,7 +78,7 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Estimate with given intervals.
+    """Estimate with given intervals; without a value where these have no end.
 
     Args:
         what: the quantity.
@@ -91,6 +91,9 @@ def quantile_estimate(
     Returns:
         The estimate.
     """
+    if not np.isfinite([value, standard_error, *quantiles]).all():
+        why = "the data leave it open over more than the range of numbers"
+        return not_determined(what, why, method=method, group=group)
     low95, low68, _, high68, high95 = (float(q) for q in quantiles)
     return Estimate(
         *(what.name, what.symbol, what.unit, float(value), float(standard_error)),

@@ -111,7 +111,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     bright = measurement.bright
     expected = gain * signal[used]
     error = np.sqrt(2 / (float(bright.pixels) * (np.asarray(bright.frames)[used] - 1)))
-    error = 100 * error * np.asarray(bright.variance)[used] / expected
+    error = 100 * error * np.asarray(bright.variance)[used] / np.abs(expected)
     lower.errorbar(
         signal[used], 100 * (shot[used] / expected - 1), error, fmt=".", color=BLUE, ms=6, lw=0.8
     )

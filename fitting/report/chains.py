@@ -207,9 +207,12 @@ def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarra
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:
     """The corner plot of the posteriors of a section, those of equal parameters in one, and the
-    paths of the sampled ones."""
+    paths of the sampled ones. What the data leave open over more than the range of numbers has no
+    plot."""
     alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
+        if not np.isfinite(posterior.samples).all():  # Laplace's, of what the data leave open
+            continue
         alike.setdefault(names(posterior.space), {})[group] = posterior
     pictures = [
         _corner_picture(of_one_kind, section)

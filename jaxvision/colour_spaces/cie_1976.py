@@ -101,7 +101,8 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     x, y, z = of_unit_size(x, y, z)
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
     scale = over(13 * lightness, total * total_n)
-    u, v = 4 * (x * total_n - x_n * total), 9 * (y * total_n - y_n * total)
+    xy, xz, yz = x * y_n - x_n * y, x * z_n - x_n * z, y * z_n - y_n * z
+    u, v = 12 * (5 * xy + xz), 9 * (3 * yz - xy)  # numerators without what 15 y takes from itself
     return joined(lightness, scale * u, scale * v)
 
 

@@ -276,10 +276,10 @@ ENTRIES = [
         OF_ANY_SIZE,
         parts=("L*", "u*", "v*"),
         form="of any size",
-        bound=20,
+        bound=8,
         conditioned=True,
         gradient=0.0001,
-        note=NEAR_GREY + "; XLA's cube root of a huge number",
+        note=NEAR_GREY,
     ),
     Entry(
         "colour_spaces.cie_1976.luv_to_xyz",
