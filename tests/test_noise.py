@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import called
 from oracles.cameras import CameraTruth, expose, sweep
 from scipy.stats import norm, poisson
 from test_emva1288 import measurement_of, noise_free
 
+from fitting.cli import app
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
 from fitting.inference.left_out import negligible
@@ -489,3 +491,23 @@ def test_an_efficiency_that_no_sensor_has_is_told(efficiency, said):
     told = _efficiency(SimpleNamespace(efficiency=efficiency))  # pyright: ignore[reportArgumentType]
     assert said in " ".join(told)
     assert bool(told) == bool(said)
+
+
+@pytest.mark.slow
+def test_a_level_darker_than_its_dark_and_an_open_gain_have_a_report(tmp_path):
+    """One dark of 256 DN in the middle: the likelihood's gain has no lower end."""
+    head = "exposure_ms,photons_per_pixel,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2"
+    rows = [(50, 72.5, 12.6), (100, 85.1, 15.7), (500, 185.0, 40.7), (2000, 560.2, 134.4)]
+    rows += [(5000, 1310.1, 321.9), (10000, 2560.4, 634.1), (2000, 560.2, 134.4)]
+    lines = [f"{head},pixels"]
+    for n, (photons, mean, variance) in enumerate(rows):
+        exposure, dark = "1e-45" if n == 1 else "1", "256" if n == 2 else "60.1"
+        lines.append(f"{exposure},{photons},{mean},{variance},{dark},9.4,10000")
+    (tmp_path / "levels.csv").write_text("\n".join(lines) + "\n")
+    status, said, complained = called(
+        app, "noise", tmp_path / "levels.csv", "--out", tmp_path / "out"
+    )
+    assert status == 0, complained
+    assert "over more than the range of numbers" in " ".join(said.split())
+    assert "encountered" not in complained
+    assert (tmp_path / "out" / "report.html").exists()

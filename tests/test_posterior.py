@@ -12,6 +12,7 @@ from scipy import stats
 
 from fitting.inference import blocks
 from fitting.inference.emcee_run import SamplingOptions, for_group
+from fitting.inference.estimates import gaussian_estimate
 from fitting.inference.importance import laplace_where_it_holds
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates, laplace, sample
@@ -300,3 +301,11 @@ def test_a_posterior_without_end_is_a_sentence():
     found = laplace_where_it_holds(one_sided, space, jnp.zeros(2), np.eye(2), precision, seed=SEED)
     assert found.method == "Laplace"
     assert "on one side only" in convergence_in_words(found)
+
+
+def test_what_is_open_over_the_range_of_numbers_has_no_value():
+    gain = Parameter("gain", symbol="K", unit="DN/e-")
+    for value, error in ((1e-10, 1e-4), (np.inf, 1.0), (1.0, np.nan)):
+        found = gaussian_estimate(gain, value, error, log_scale=True)
+        assert found.value is None
+        assert "more than the range of numbers" in found.reason

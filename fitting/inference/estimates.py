@@ -91,7 +91,7 @@ def quantile_estimate(
     Returns:
         The estimate.
     """
-    if not np.isfinite([value, standard_error, *quantiles]).all():
+    if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
         why = "the data leave it open over more than the range of numbers"
         return not_determined(what, why, method=method, group=group)
     low95, low68, _, high68, high95 = (float(q) for q in quantiles)
@@ -135,7 +135,8 @@ def gaussian_estimate(
         (0.2304, 0.2696)
     """
     steps = stdtrit(freedom, QUANTILES) * standard_error
-    ends = [_shifted(value, float(step), log_scale) for step in steps]
+    with np.errstate(over="ignore"):  # what has no end is told as such
+        ends = [_shifted(value, float(step), log_scale) for step in steps]
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 
 
