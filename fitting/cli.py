@@ -23,11 +23,13 @@ from jaxvision.programs import keep_programs
 from . import folders
 from .commands import (
     CHECKPOINT,
+    INDEX_OPTION,
     Options,
     RigPath,
     app,
     command,
     failures,
+    model_option,
     refuse_mcmc,
     run,
     typed_path,
@@ -94,14 +96,12 @@ def brdf(
     ],
     model: Annotated[
         Model | None,
-        typer.Option(
-            help="Model to report in full (default: phong for a rig, the best for files); facets "
-            "of torrance-sparrow are GGX."
+        model_option(
+            "Model to report in full (default: phong for a rig, the best for files); facets of "
+            "torrance-sparrow are GGX."
         ),
     ] = None,
-    index: Annotated[
-        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
-    ] = INDEX,
+    index: Annotated[float, INDEX_OPTION] = INDEX,
     compare_all: Annotated[
         bool, typer.Option("--compare-all", help="Rig: fit all models, not only the usual ones.")
     ] = False,
@@ -166,10 +166,8 @@ def plan(
     options: Options,
     path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=typed_path)],
     target: Annotated[str, typer.Option(help="Parameter to be known better, such as exponent.")],
-    model: Annotated[Model, typer.Option(help="Model of the reflectance.")] = "phong",
-    index: Annotated[
-        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
-    ] = INDEX,
+    model: Annotated[Model, model_option("Model of the reflectance.")] = "phong",
+    index: Annotated[float, INDEX_OPTION] = INDEX,
 ) -> None:
     """What to photograph next: lights ranked by how far each would narrow a parameter of the
     reflectance."""
@@ -196,10 +194,8 @@ def plan(
 def joint(
     options: Options,
     path: RigPath,
-    model: Annotated[Model, typer.Option(help="Model of the surface.")] = "phong",
-    index: Annotated[
-        float, typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
-    ] = INDEX,
+    model: Annotated[Model, model_option("Model of the surface.")] = "phong",
+    index: Annotated[float, INDEX_OPTION] = INDEX,
     fit_gamma: Annotated[
         bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
     ] = False,

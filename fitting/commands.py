@@ -18,6 +18,7 @@ from jaxvision.command_line import command_app, failures_as_sentences, leave, su
 from jaxvision.errors import InputError
 from jaxvision.programs import compile_quickly, keep_programs
 
+from .reflectance.names import MODELS
 from .report.progress import Progress, Reporter, reporting
 
 if TYPE_CHECKING:
@@ -109,6 +110,13 @@ RigPath = Annotated[
         help="Folder with a rig.toml (or the rig file itself).", metavar="PATH", parser=typed_path
     ),
 ]
+
+INDEX_OPTION = typer.Option(help="Index of refraction of Torrance-Sparrow's clear facets.")
+
+
+def model_option(meaning: str) -> Any:
+    """`--model`, whose names stand in its help, where they wrap between words."""
+    return typer.Option(help=f"{meaning} One of {', '.join(MODELS)}.", metavar="MODEL")
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

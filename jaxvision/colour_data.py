@@ -128,6 +128,10 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
 
     Raises:
         InputError: an unknown name.
+
+    Example:
+        >>> print(jv.colour_data.illuminant("D65", jnp.array([450e-9, 560e-9])).round())
+        [117. 100.]
     """
     import colour
 
@@ -174,6 +178,12 @@ def camera_sensitivities(
 
     Raises:
         InputError: an unknown name.
+
+    Example:
+        >>> wavelengths = jnp.array([450e-9, 530e-9, 600e-9])
+        >>> camera = jv.colour_data.camera_sensitivities("Nikon 5100 (NPL)", wavelengths)
+        >>> print(camera.argmax(axis=1))  # blue, green, red
+        [2 1 0]
     """
     import colour
 

@@ -46,7 +46,7 @@ def as_pattern(pattern: Pattern | str) -> Pattern:
     """A pattern, which may be named by the phase of a Bayer mosaic.
 
     Args:
-        pattern: rows of band indices, or one of `BAYER_PHASES`.
+        pattern: rows of band indices, or one of `BAYER_PHASES`, in capitals or not.
 
     Returns:
         Rows of band indices, no unit.
@@ -54,7 +54,7 @@ def as_pattern(pattern: Pattern | str) -> Pattern:
     Raises:
         ValueError: an unknown phase.
     """
-    return bayer(pattern) if isinstance(pattern, str) else pattern
+    return bayer(pattern.upper()) if isinstance(pattern, str) else pattern
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
@@ -108,7 +108,7 @@ def mosaic(image: Picture, pattern: Pattern | str) -> Mosaic:
 
     Args:
         image: (..., h, w, bands) in any unit.
-        pattern: rows of band indices, or one of `BAYER_PHASES`.
+        pattern: rows of band indices, or one of `BAYER_PHASES`, in capitals or not.
 
     Returns:
         (..., h, w) in the unit of the image.

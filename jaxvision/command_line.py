@@ -16,7 +16,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from . import __version__
-from .errors import InputError
+from .errors import InputError, unwritable
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
@@ -188,8 +188,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
         raise typer.Exit(UNREAD) from None
     except OSError as error:
         where = error.filename or "a file"
-        sentence = f"{where}: {error.strerror or error}; choose another path or make room."
-        leave(command, sentence, 2)
+        leave(command, f"{where}: {unwritable(error)}.", 2)
     except KeyboardInterrupt as interrupt:
         is_said()
         leave(command, str(interrupt) or interrupted, INTERRUPTED)

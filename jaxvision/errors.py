@@ -1,6 +1,7 @@
 """Errors of input: the exception that users of the tools see, and hints for misspelt words."""
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 
@@ -27,3 +28,22 @@ def nearest(word: str, known: Iterable[str]) -> str:
         return "there are none"
     match = difflib.get_close_matches(word, words, n=1)
     return f"the nearest is {match[0]!r}" if match else f"use one of {', '.join(words)}"
+
+
+def unwritable(error: OSError) -> str:
+    """What the system says of a file that it does not write, and what helps.
+
+    Args:
+        error: the system's.
+
+    Returns:
+        End of a sentence, without its stop.
+
+    Example:
+        >>> jv.errors.unwritable(OSError(28, "No space left on device"))
+        'No space left on device; make room or choose another path'
+    """
+    said = error.strerror or str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{said}; make room or choose another path"
+    return f"{said}; choose another path"

@@ -89,9 +89,9 @@ def _attributes(file: Path) -> dict[str, Any]:
 def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
     sensitivity = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
     return ImageSettings(
-        exposure=_positive(said.get("ExposureTime")),
+        exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
         iso=_positive(sensitivity),
-        f_number=_positive(said.get("FNumber")),
+        f_number=_f_number(said.get("FNumber"), said.get("Exif:ApertureValue")),
         taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
         camera=_name(said.get("Make"), said.get("Model")),
     )
@@ -111,9 +111,9 @@ def _of_raw(file: Path) -> ImageSettings:
         blacks = [float(level) for level in raw.black_level_per_channel]
         saturation = float(raw.white_level)
     return ImageSettings(
-        exposure=_positive(said("ExposureTime")),
+        exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
         iso=_positive(said("ISOSpeedRatings")),
-        f_number=_positive(said("FNumber")),
+        f_number=_f_number(said("FNumber"), said("ApertureValue")),
         taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
         black_level=float(np.mean(blacks)),
@@ -165,6 +165,22 @@ def _number(said: Any) -> float | None:
 def _positive(said: Any) -> float | None:
     found = _number(said)
     return found if found is not None and found > 0 else None
+
+
+def _seconds(time: Any, speed: Any) -> float | None:
+    """The exposure, or else 2^-speed: EXIF may hold APEX's value alone."""
+    value = _number(speed)
+    if time is not None or value is None or abs(value) > 64:
+        return _positive(time)
+    return 2.0**-value
+
+
+def _f_number(stop: Any, aperture: Any) -> float | None:
+    """The f-number, or else 2^(aperture / 2); a lens without contacts has an aperture of 0."""
+    value = _positive(aperture)
+    if stop is not None or value is None or value > 64:
+        return _positive(stop)
+    return 2 ** (value / 2)
 
 
 def _time(said: Any) -> datetime.datetime | None:

@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ._png_chunks import png_fault
-from .errors import InputError
+from .errors import InputError, unwritable
 from .interrupts import removed_if_interrupted
 from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
 
@@ -70,9 +70,7 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"{path}: cannot be written ({error.strerror}); choose another path or make room."
-    )
+    return InputError(f"{path}: cannot be written: {unwritable(error)}.")
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:

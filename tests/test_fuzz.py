@@ -10,6 +10,7 @@ in memory, `--basetemp=/dev/shm/a`, halves the time. Counts are printed with `-s
 
 import os
 import resource
+import shutil
 import time
 import zlib
 from collections import Counter
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 from commands import called
 from fuzz.damage import damaged
+from fuzz.folders import FOLDERS, copied
 from fuzz.seeds import kinds
 
 import fitting.cli
@@ -94,19 +96,23 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     assert not wrong, wrong
 
 
-# the command, what it is asked, the kinds of its file, and one in how many files it is given
+# the command, what it is asked, the kinds of its file or its folders, and one in how many it gets
 COMMANDS = {
     "inspect": (jaxvision.cli.app, "inspect FILE", "png png16 tiff jpeg exr hdr npy", 20),
     "render": (
         jaxvision.cli.app,
-        "render FILE --resolution 2,2 --samples 1 --depth 2 --no-preview --out FOLDER/picture.exr",
+        "render FILE --resolution 2,2 --samples 1 --depth 2 --no-preview --out OUT/picture.exr",
         "scene",
         20,
     ),
     "effects": (jaxvision.cli.app, "effects FILE", "scene", 20),
-    "noise": (fitting.cli.app, "noise FILE --out FOLDER/out", "levels rig", 40),
-    "response": (fitting.cli.app, "response FILE --out FOLDER/out", "rig", 20),
-    "brdf": (fitting.cli.app, "brdf FILE --out FOLDER/out", "rig cornell", 40),
+    "noise": (fitting.cli.app, "noise FILE --out OUT", "levels flats", 40),
+    "response": (fitting.cli.app, "response FILE --out OUT", "stack", 20),
+    "brdf": (fitting.cli.app, "brdf FILE --out OUT", "ball cornell merl rgl", 40),
+    "joint": (fitting.cli.app, "joint FILE --out OUT", "ball", 20),
+    "plan": (fitting.cli.app, "plan FILE --target exponent", "ball", 20),
+    "init": (fitting.cli.app, "init FILE", "photographs", 10),
+    "study": (fitting.cli.app, "study noise FILE --no-reports --out OUT", "flats", 20),
 }
 
 
@@ -115,23 +121,40 @@ COMMANDS = {
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_end_with_a_sentence(command, tmp_path):
+    """After the sound files and folders, which none refuses."""
     app, asked, names, share = COMMANDS[command]
-    every = kinds(tmp_path)
     counts, wrong = Counter(), {}
     for name in names.split():
-        folder = tmp_path / name
-        folder.mkdir()
-        file = folder / ("rig.toml" if name == "rig" else f"damaged{every[name].suffix}")
-        given = folder if name == "rig" else file
-        for number in range(FIRST, FIRST + max(COUNT // share, 1)):
-            file.write_bytes(content(name, every[name], number))
-            words = asked.replace("FILE", str(given)).replace("FOLDER", str(folder)).split()
+        sound = sound_input(name, tmp_path / name)
+        for number in (-1, *range(FIRST, FIRST + max(COUNT // share, 1))):
+            given, out = damaged_input(name, sound, number), tmp_path / "out"
+            shutil.rmtree(out, ignore_errors=True)
+            words = asked.replace("FILE", str(given)).replace("OUT", str(out)).split()
             found = ended(app, words)
             counts[found if found in ("done", "refused") else "wrong"] += 1
-            if found not in ("done", "refused"):
+            if found not in (("done",) if number < 0 else ("done", "refused")):
                 wrong[name, number] = found
-    print(f"{command}: {sum(counts.values())} files, {dict(counts)}")
+    print(f"{command}: {sum(counts.values())} inputs, {dict(counts)}")
     assert not wrong, wrong
+
+
+def sound_input(name, folder):
+    """A folder, or a kind of file and the folder that holds what its files name."""
+    if name in FOLDERS:
+        FOLDERS[name](folder)
+        return folder
+    folder.mkdir()
+    return kinds(folder)[name], folder
+
+
+def damaged_input(name, sound, number):
+    """Sound for -1: of a kind, the last of its seeds."""
+    if name in FOLDERS:
+        return copied(sound, sound.with_name(f"damaged_{name}"), number)
+    kind, folder = sound
+    file = folder / f"damaged{kind.suffix}"
+    file.write_bytes(kind.seeds[-1] if number < 0 else content(name, kind, number))
+    return file
 
 
 def ended(app, words):
@@ -143,7 +166,7 @@ def ended(app, words):
     if status == 0:
         return "done"
     sentence = error.strip().split("\n")[-1]
-    good = status == 2 and sentence.endswith(".") and "Traceback" not in error
+    good = status in (2, 3) and sentence.endswith(".") and "Traceback" not in error
     return "refused" if good else f"status {status}: {error[-WORDS:]!r}"
 
 

@@ -4,13 +4,13 @@ import datetime
 import logging
 import re
 import tomllib
-from fractions import Fraction
 from functools import partial
 
 import jax
 import numpy as np
 import pytest
 from commands import called
+from photographs import photograph
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -19,24 +19,10 @@ from fitting.rig import load_rig
 from fitting.rig_from_folder import _Image, _warmth, rig_of, write_rig
 from jaxvision.command_line import say_what_is_done
 from jaxvision.errors import InputError
-from jaxvision.image_settings import ImageSettings
+from jaxvision.image_settings import ImageSettings, read_settings
 from jaxvision.io import write_image
 
 run = partial(called, app)
-
-
-def photograph(path, *, seconds, iso=100, f_number=4.0, taken="2026:05:04 12:30:00", code=90):
-    """A JPEG whose EXIF Pillow writes."""
-    exif = Image.Exif()
-    exif[0x010F], exif[0x0110] = "Maker", "Maker Model 3"
-    time = IFDRational(Fraction(seconds).limit_denominator(1000))
-    exif[0x8769] = {
-        0x829A: time,
-        0x829D: IFDRational(10 * f_number, 10),
-        0x8827: iso,
-        0x9003: taken,
-    }
-    Image.fromarray(np.full((8, 10, 3), code, np.uint8)).save(path, exif=exif)
 
 
 def test_exif_makes_an_exposure_stack(tmp_path):
@@ -58,6 +44,22 @@ def test_exif_makes_an_exposure_stack(tmp_path):
     status, _, stderr = run("init", tmp_path)
     assert status == 2
     assert "is there already" in stderr
+
+
+@pytest.mark.parametrize(
+    ("tags", "exposure", "f_number"),
+    [
+        ({0x9201: 6.0, 0x9202: 4.0}, 1 / 64, 4.0),
+        ({0x9201: -1.0, 0x9202: 0.0}, 2.0, None),
+        ({0x829A: 0.5, 0x9201: 6.0, 0x829D: 0.0, 0x9202: 4.0}, 0.5, None),
+    ],
+)
+def test_apex_values_count_where_they_stand_alone(tags, exposure, f_number, tmp_path):
+    head = Image.Exif()
+    head[0x8769] = {tag: IFDRational(int(10 * value), 10) for tag, value in tags.items()}
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=head)
+    found = read_settings(tmp_path / "a.jpg")
+    assert (found.exposure, found.f_number) == (exposure, f_number)
 
 
 def test_verbose_says_what_is_compiled_in_a_line_a_program(capfd):

@@ -18,9 +18,9 @@ VALUES = (
 BYTES = (0x00, 0xFF, 0x7F, 0x80, 0x0A, 0x20, 0x22, 0x5B)
 
 
-def damaged(content: bytes, rng: np.random.Generator, *, text: bool) -> bytes:
-    """`content` after one to four changes."""
-    for _ in range(rng.integers(1, 5)):
+def damaged(content: bytes, rng: np.random.Generator, *, text: bool, most: int = 4) -> bytes:
+    """`content` after one to `most` changes."""
+    for _ in range(rng.integers(1, most + 1)):
         change = rng.choice(TEXT_CHANGES if text and rng.uniform() < 0.8 else BYTE_CHANGES)
         content = change(content, rng)
     return content

@@ -4,6 +4,7 @@ import io
 import json
 import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -143,6 +144,15 @@ def astronomical(folder: Path) -> bytes:
     return written(folder, "seed.fits", unit.writeto)
 
 
+def glossy(theta_i: np.ndarray, theta_o: np.ndarray) -> BRDFSamples:
+    """In the plane of incidence, opposite the light, at two wavelengths."""
+    lobe = 0.1 + 0.4 * np.exp(-(((theta_i - theta_o) / 0.2) ** 2))
+    values = np.stack([lobe, 0.7 * lobe], axis=-1)
+    return BRDFSamples(
+        theta_i, 0 * theta_i, theta_o, 0 * theta_o + np.pi, values, np.array([5e-7, 6e-7])
+    )
+
+
 def pixels(file: Path) -> object:
     """What a picture holds, its head read too."""
     read_settings(file)
@@ -165,11 +175,12 @@ def kinds(folder: Path) -> dict[str, Kind]:
         lambda h, d, p: np.full((*h.shape, 3), 0.2) + h[..., None], (6, 4, 6)
     )
     rgl = measured.tensor_bytes(measured.rgl_fields(np.random.default_rng(2)))
-    angles = np.array([0.1, 0.3, 0.5, 0.7])
-    samples = BRDFSamples(
-        angles, 0 * angles, angles[::-1], angles, np.full((4, 2), 0.3), np.array([5e-7, 6e-7])
+    four = np.array([0.1, 0.3, 0.5, 0.7])
+    grid = np.meshgrid(np.linspace(0.1, 1.3, 6), np.linspace(0.1, 1.3, 7))
+    cornell = tuple(
+        written(folder, "seed.brdf", partial(measured_files.write_cornell, samples=glossy(*angles)))
+        for angles in ((four, four[::-1]), [angle.ravel() for angle in grid])
     )
-    cornell = written(folder, "seed.brdf", lambda file: measured_files.write_cornell(file, samples))
     material = written(
         folder,
         "seed_material.toml",
@@ -185,7 +196,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "levels": Kind(".csv", (TABLE.encode(),), lambda file: read_table(file, None)),
         "merl": Kind(".binary", (merl[0],), measured_files.read_merl),
         "rgl": Kind(".bsdf", (rgl,), measured_files.read_rgl),
-        "cornell": Kind(".brdf", (cornell,), measured_files.read_cornell),
+        "cornell": Kind(".brdf", cornell, measured_files.read_cornell),
         "obj": Kind(".obj", (TETRAHEDRON.encode(),), read_mesh, finite=False),
         "ply": Kind(".ply", (PLY.encode(),), read_mesh, finite=False),
         "png": Kind(".png", (picture(folder, ".png", np.uint8),), pixels),
