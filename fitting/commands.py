@@ -88,7 +88,9 @@ class Options:
 
 Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
 
-app = command_app("Calibrate camera noise, camera response and surface reflectance from images.")
+app = command_app(
+    COMMAND, "Calibrate camera noise, camera response and surface reflectance from images."
+)
 
 
 def refuse_mcmc(options: Options, why: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxvision.errors import InputError
+from jaxvision.errors import InputError, check_utf8
 from jaxvision.image_settings import ImageSettings, read_settings
 from jaxvision.io import (
     FLOAT_FORMATS,
@@ -115,7 +115,7 @@ def rig_of(folder: Path) -> FoundRig:
         The rig and what it could not know.
 
     Raises:
-        InputError: for a folder without images.
+        InputError: for a folder without images, or with a name that no rig can hold.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")
@@ -127,6 +127,8 @@ def rig_of(folder: Path) -> FoundRig:
     if not files:
         raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
     names = sorted((path.relative_to(folder).as_posix() for path in files), key=_natural)
+    for file in files:
+        check_utf8(file)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
     images = [_image(folder, name, counted=counted) for name in names if name not in shape]

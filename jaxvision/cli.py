@@ -38,7 +38,9 @@ SceneArgument = Annotated[
     typer.Argument(help="Scene in TOML, Mitsuba's XML or glTF, or a shipped one.", metavar="SCENE"),
 ]
 
-app = command_app("Photometric image formation: inspect images as numbers, render scenes.")
+app = command_app(
+    "jaxvision", "Photometric image formation: inspect images as numbers, render scenes."
+)
 
 
 @sub_command(

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from . import __version__
-from .errors import InputError, unwritable
+from .errors import InputError, check_utf8, unwritable
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
@@ -42,17 +43,37 @@ Scheduler = Annotated[
 ]
 
 
-def command_app(about: str) -> typer.Typer:
+class _Group(TyperGroup):
+    """Sub-commands whose words, paths among them, and whose working folder are text."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            for word in (os.getcwd(), *args):
+                check_utf8(word)
+        except InputError as error:
+            leave(str(self.name), str(error), 2)
+        except FileNotFoundError:
+            leave(str(self.name), "the working folder was removed; change to another.", 2)
+        return super().parse_args(ctx, args)
+
+
+def command_app(name: str, about: str) -> typer.Typer:
     """A command to which sub-commands are added.
 
     Args:
+        name: as it is typed.
         about: one sentence, the head of its help.
 
     Returns:
         The command; it knows `--help`, `--version` and `--verbose`.
     """
     app = typer.Typer(
-        help=about, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False
+        name=name,
+        cls=_Group,
+        help=about,
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
     )
     flag = typer.Option(
         "--version",

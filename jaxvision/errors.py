@@ -3,6 +3,7 @@
 import difflib
 import errno
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class InputError(ValueError):
@@ -28,6 +29,21 @@ def nearest(word: str, known: Iterable[str]) -> str:
         return "there are none"
     match = difflib.get_close_matches(word, words, n=1)
     return f"the nearest is {match[0]!r}" if match else f"use one of {', '.join(words)}"
+
+
+def check_utf8(path: str | Path) -> None:
+    """Checks a path: libraries of images, reports and rigs take text.
+
+    Args:
+        path: of a file, there or not.
+
+    Raises:
+        InputError: for bytes that are no UTF-8.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{str(path)!a}: the path is not UTF-8; rename that.") from None
 
 
 def unwritable(error: OSError) -> str:

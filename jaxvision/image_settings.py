@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
@@ -59,6 +59,7 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
         InputError: for a raw or FITS file that cannot be read, or without its extra.
     """
     file = Path(path)
+    check_utf8(file)
     suffix = file.suffix.lower()
     if suffix in RAW_FORMATS:
         return _of_raw(file)
@@ -197,8 +198,9 @@ def _time(said: Any) -> datetime.datetime | None:
 
 
 def _name(*parts: Any) -> str | None:
-    """Maker and model, the maker once."""
-    words = [str(part).strip() for part in parts if part]
+    """Maker and model, the maker once; `?` for what is no letter, as where the head is damaged."""
+    texts = ("".join(c if c.isprintable() else "?" for c in str(part)) for part in parts if part)
+    words = [text.strip("? ") for text in texts]
     if len(words) > 1 and words[-1].startswith(words[0]):
         words = words[1:]
     return " ".join(words) or None

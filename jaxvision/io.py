@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ._png_chunks import png_fault
-from .errors import InputError, unwritable
+from .errors import InputError, check_utf8, unwritable
 from .interrupts import removed_if_interrupted
 from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
 
@@ -111,6 +111,7 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
         InputError: for a missing, unreadable or truncated file, and for samples of another type.
     """
     file = Path(path)
+    check_utf8(file)
     if not file.is_file():
         raise InputError(f"{file}: no such image file; check the name and the folder.")
     special = {
@@ -236,6 +237,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 def _check_format(file: Path, dtype: np.dtype) -> None:
     """`InputError` unless the file's format holds samples of this type."""
+    check_utf8(file)
     suffix, kept = file.suffix.lower(), (np.uint8, np.uint16)
     fits = {
         **dict.fromkeys(FLOAT_FORMATS, np.issubdtype(dtype, np.floating)),
@@ -280,7 +282,9 @@ def write_exr(
         InputError: if the file cannot be written.
         ValueError: unless the blocks make up the shape.
     """
-    with replaced_on_success(Path(path)) as partial:
+    file = Path(path)
+    check_utf8(file)
+    with replaced_on_success(file) as partial:
         _write(partial, blocks, shape, np.dtype(np.float32), attributes or {}, channels)
 
 
@@ -303,7 +307,8 @@ def _write(
     if names:
         spec.channelnames = tuple(names)
     for name, value in attributes.items():
-        spec.attribute(name, value)
+        text = value.encode(errors="replace").decode() if isinstance(value, str) else value
+        spec.attribute(name, text)
     if sink is None or not sink.open(str(file), spec):
         raise InputError(f"{file}: cannot be written ({_reason(oiio)}).")
     written, row = True, 0

@@ -2,6 +2,7 @@
 nothing left behind."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -58,6 +59,18 @@ def test_a_rig_without_the_section_a_command_needs(command, section, tmp_path):
     status, _, stderr = run(command, broken_rig(tmp_path / "rig"))
     assert status == 2
     assert section in one_sentence(stderr)
+
+
+def test_words_and_the_working_folder_are_text(tmp_path, monkeypatch):
+    foreign = tmp_path / os.fsdecode(b"\xcf")
+    status, _, stderr = run("noise", foreign)
+    assert status == 2
+    assert r"\udccf': the path is not UTF-8; rename that." in one_sentence(stderr)
+    foreign.mkdir()
+    monkeypatch.chdir(foreign)
+    assert r"\udccf': the path is not UTF-8" in one_sentence(run("noise", ".")[2])
+    foreign.rmdir()
+    assert "the working folder was removed" in one_sentence(run("noise", ".")[2])
 
 
 def test_unknown_options_and_models_exit_with_2(tmp_path):
@@ -290,7 +303,7 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
     script = (
         "import sys\n"
         "from jaxvision.command_line import command_app, failures_as_sentences\n"
-        "app = command_app('about')\n"
+        "app = command_app('jaxvision', 'about')\n"
         "@app.command()\n"
         "@failures_as_sentences('jaxvision')\n"
         "def say() -> None:\n"

@@ -78,7 +78,7 @@ def test_plans_and_budgets_show_what_they_print(record, row):
     assert len(head) == len(shown)
     assert shown == row
     html = record._repr_html_()
-    assert f"<b>{ESCAPED} = 2 ± 0.12" in html
+    assert f"<b>{ESCAPED} = 2.00 ± 0.12" in html
     assert "<script>" not in html
     assert all(cell in str(record) for cell in row)
 

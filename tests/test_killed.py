@@ -47,7 +47,9 @@ def test_a_full_disk_is_a_sentence_that_names_the_file(tmp_path):
         with pytest.raises(InputError, match=said):
             write_image(file, pixels)
     material = jaxvision.Lambert(np.linspace(0.1, 0.2, 500))
-    with pytest.raises(InputError, match=r"matte\.toml: cannot be written: .*; choose another path"):
+    with pytest.raises(
+        InputError, match=r"matte\.toml: cannot be written: .*; choose another path"
+    ):
         jaxvision.write_material(material, tmp_path / "matte.toml")
     assert not list(tmp_path.iterdir())
 

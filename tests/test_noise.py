@@ -214,6 +214,11 @@ def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, 
         np.testing.assert_allclose(value, true, atol=1e-6 * max(scale, 0.05) ** power)
 
 
+def test_scatter_that_no_memory_holds_is_a_sentence():
+    with pytest.raises(InputError, match=r"scatters by 4e\+11 DN rms where the darks scatter by 3"):
+        window_for((0,), np.array([3.9]), deviation=4e11, read_noise=3.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera", "top"),

@@ -2,6 +2,7 @@
 
 import datetime
 import logging
+import os
 import re
 import tomllib
 from functools import partial
@@ -245,3 +246,15 @@ def test_folders_that_hold_nothing(tmp_path):
         write_rig(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         write_rig(tmp_path / "none")
+
+
+def test_names_and_cameras_that_are_no_text(tmp_path):
+    head = Image.Exif()
+    head[0x010F] = b"Ma\xcfker\x01"
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=head)
+    write_rig(tmp_path)
+    assert tomllib.loads((tmp_path / "rig.toml").read_text())["camera"]["bits"] == 8
+    (tmp_path / "a.jpg").rename(tmp_path / os.fsdecode(b"\xcf.jpg"))
+    (tmp_path / "rig.toml").unlink()
+    with pytest.raises(InputError, match=r"\\udccf\.jpg': the path is not UTF-8; rename that"):
+        write_rig(tmp_path)

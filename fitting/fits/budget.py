@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError, nearest
 from jaxvision.in_notebooks import record_html
 
+from ..inference.formatting import format_with_error
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
 from ..inference.problem import Problem
@@ -92,7 +93,7 @@ class Budget:
         return "\n".join([self._heading(), *rows])
 
     def _heading(self) -> str:
-        return f"{self.target} = {self.value:.5g} ± {self.sd:.2g}, from"
+        return f"{self.target} = {format_with_error(self.value, self.sd)}, from"
 
     def _rows(self) -> list[tuple[str, str, str]]:
         return [(s.source, f"{100 * s.share:.1f} %", f"± {s.sd:.3g}") for s in self.shares]

@@ -18,6 +18,8 @@ from jaxtyping import Float
 
 from jaxvision.in_notebooks import record_html
 
+from .formatting import format_with_error
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -67,7 +69,7 @@ class Plan:
         return "\n".join([self._heading(), head, *rows])
 
     def _heading(self) -> str:
-        return f"{self.target} = {self.value:.5g} ± {self.sd:.2g}; next:"
+        return f"{self.target} = {format_with_error(self.value, self.sd)}; next:"
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         return [

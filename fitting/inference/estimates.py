@@ -167,16 +167,15 @@ def not_determined(what: Named, reason: str, *, method: str = "", group: str = "
 
     Args:
         what: the quantity.
-        reason: why, as a clause.
+        reason: why, as a clause or a sentence.
         method: of the estimate.
         group: it belongs to.
 
     Returns:
         The estimate, without a value.
     """
-    return Estimate(
-        what.name, what.symbol, what.unit, None, method=method, group=group, reason=reason
-    )
+    why = reason.rstrip(".")
+    return Estimate(what.name, what.symbol, what.unit, None, method=method, group=group, reason=why)
 
 
 def find(

@@ -78,18 +78,20 @@ def format_number(value: float, decimals: int | None, *, beside: float | None = 
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def format_with_error(value: float, error: float) -> str:
+def format_with_error(value: float, error: float, *, signed: bool = False) -> str:
     """`value ± error`, both to two digits of the error.
 
     Args:
         value: to print.
         error: its standard error, in the same unit.
+        signed: whether a value above 0 has a plus.
 
     Returns:
         The text.
     """
     places = decimals_for(error)
-    return f"{format_number(value, places)} ± {format_number(error, places, beside=value)}"
+    sign = "+" if signed and value > 0 else ""
+    return f"{sign}{format_number(value, places)} ± {format_number(error, places, beside=value)}"
 
 
 def format_value(estimate: "Estimate") -> str:

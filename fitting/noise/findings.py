@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..inference.diagnostics import identifiability
-from ..inference.formatting import format_p
+from ..inference.formatting import format_p, format_with_error
 from ..inference.trust import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
@@ -91,9 +91,9 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
         own, own_error = own_area_change(chosen)
         told.append(
             "The variance flattens with light more than the mean does: at the brightest level used "
-            f"charges that repel each other (the brighter-fatter effect) take {100 * share:.2g} ± "
-            f"{100 * error:.1g} % of it, a₀₀ = ({own * 1e6:.3g} ± {own_error * 1e6:.1g}) · 10⁻⁶ "
-            "per electron."
+            f"charges that repel each other (the brighter-fatter effect) take "
+            f"{format_with_error(100 * share, 100 * error)} % of it, "
+            f"a₀₀ = ({format_with_error(own * 1e6, own_error * 1e6)}) · 10⁻⁶ per electron."
         )
         told.append(
             "The covariances of its neighbours, which a compression does not raise, were fitted "
@@ -106,9 +106,10 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
     if "pixel_mixing" in chosen.values:
         share, error = float(chosen.values["pixel_mixing"]), chosen.errors["pixel_mixing"]
         told.append(
-            f"Neighbouring pixels share {100 * share:.2g} ± {100 * error:.1g} % of the signal's "
-            "variance in proportion to light, as capacitance between pixels or interpolation does "
-            "behind the counting: the variance alone would give a gain too small by that share."
+            f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
+            "signal's variance in proportion to light, as capacitance between pixels or "
+            "interpolation does behind the counting: the variance alone would give a gain too "
+            "small by that share."
         )
     return told
 
@@ -125,9 +126,10 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     return [
         f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
         f"the brightest level used{significance}.",
-        f"So the two gains answer different questions: K = {gain:.5f} ± {error:.5f} DN/e⁻ holds at "
-        f"zero signal, the standard's {float(standard.values['system_gain']):.5f} is a mean slope "
-        "up to 70 % of saturation, weighted towards its upper end; put through the standard's own "
+        "So the two gains answer different questions: "
+        f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal, the "
+        f"standard's {float(standard.values['system_gain']):.5f} is a mean slope up to 70 % of "
+        "saturation, weighted towards its upper end; put through the standard's own "
         f"regression, the fitted curves give {calibration.standard_of_chosen:.5f}.",
     ]
 
@@ -139,15 +141,15 @@ def _light_offset(calibration: NoiseCalibration) -> str:
     data = chosen.data
     if not data.photons_known:
         return (
-            f"Every exposure lasts {abs(offset) * 1e6:.3g} ± {error * 1e6:.2g} µs {way} than "
-            f"recorded ({abs(offset) / error:.0f} standard errors)."
+            f"Every exposure lasts {format_with_error(abs(offset) * 1e6, error * 1e6)} µs {way} "
+            f"than recorded ({abs(offset) / error:.0f} standard errors)."
         )
     bright = np.asarray(data.lit) > 0
     exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
     rate = np.median(light / exposure)
     late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
     return (
-        f"Every exposure gets {abs(offset):.3g} ± {error:.2g} photons {way} than recorded "
+        f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "
         f"({abs(offset) / error:.0f} standard errors){late} or light leaked."
     )
 
@@ -276,16 +278,18 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
             rest = float(np.sqrt(max(np.mean(variance) - found.variance, 0)))
             error = found.error / (2 * found.deviation)
             told.append(
-                f"The {name} of a dark frame share noise of {found.deviation / gain:.3g} ± "
-                f"{error / gain:.2g} e⁻ rms, new in every frame: it is part of the temporal noise "
+                f"The {name} of a dark frame share noise of "
+                f"{format_with_error(found.deviation / gain, error / gain)} e⁻ rms, new in every "
+                "frame: it is part of the temporal noise "
                 f"({read / gain:.3g} e⁻), of which the pixels' own is {rest / gain:.3g} e⁻."
             )
         stays = fixed_lines(dark.shared, spatial, axis)
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
             told.append(
-                f"The {name} of the darks are unequal by {stays.deviation / gain:.3g} ± "
-                f"{error / gain:.2g} e⁻ rms, the same in every frame: banding, part of DSNU."
+                f"The {name} of the darks are unequal by "
+                f"{format_with_error(stays.deviation / gain, error / gain)} e⁻ rms, the same in "
+                "every frame: banding, part of DSNU."
             )
     wander = drift(dark.shared, variance, frames)
     if wander.believed:

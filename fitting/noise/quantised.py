@@ -28,12 +28,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxvision.errors import InputError
+
 SPREAD = 8.0  # standard deviations on either side that a window holds
 DECAY = 6.5  # phi is negligible where K sigma_d u exceeds this
 PADDED = 4  # levels of a window come in multiples of it, the last repeated
 FINER = 2  # sizes of a sum over frequencies in an octave: few, as each is compiled by itself
 FINEST_READ_NOISE = 0.1  # DN; below, phi hardly decays and the data hardly tell
 ORDERS = (1, 2, 3, 4)
+LARGEST = 2**27  # numbers of a transform: 2 GB
 
 
 class Window(eqx.Module):
@@ -72,13 +75,22 @@ def window_for(
 
     Returns:
         The window.
+
+    Raises:
+        InputError: for a window that memory does not hold.
     """
     again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
     levels, mean = np.asarray(levels)[again], mean[again]
     size = 2 ** int(np.ceil(np.log2(2 * SPREAD * max(deviation, 0.5) + 2)))
     finest = max(read_noise / 2, FINEST_READ_NOISE)
     octaves = np.log2(size * DECAY / (2 * np.pi * finest))
-    k = np.arange(int(2 ** (np.ceil(FINER * octaves) / FINER)) + 1)
+    frequencies = int(2 ** (np.ceil(FINER * octaves) / FINER)) + 1
+    if frequencies * size > LARGEST:
+        raise InputError(
+            f"a level near black scatters by {deviation:.3g} DN rms where the darks scatter by "
+            f"{read_noise:.3g} DN; no camera does, so check the variances (DN^2)."
+        )
+    k = np.arange(frequencies)
     centre = np.round(mean)
     away = np.arange(size) - size // 2
     read = np.maximum(centre[:, None] + away, 0) - centre[:, None]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..inference.formatting import format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
@@ -160,8 +161,7 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
     told = [
-        f"{float(f'{c.curve.held_out.mean:.2g}'):g} ± "
-        f"{float(f'{c.curve.held_out.standard_error:.1g}'):g} DN"
+        f"{format_with_error(c.curve.held_out.mean, c.curve.held_out.standard_error)} DN"
         f"{f' ({c.plane.label})' if c.plane.label else ''}"
         for c in channels
         if c.curve.held_out is not None and np.isfinite(c.curve.held_out.standard_error)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
+from ..inference.formatting import format_with_error
 from ..report.left_out import left_out_tables
 from ..report.section import Columns, Picture, Section, Table
 from . import figures
@@ -142,7 +143,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
 
 def _held_out(channel: ChannelResponse) -> str:
     found = channel.curve.held_out
-    return "" if found is None else f"{found.mean:.2g} ± {found.standard_error:.1g}"
+    return "" if found is None else format_with_error(found.mean, found.standard_error)
 
 
 def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
@@ -157,7 +158,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
             value = np.exp(channel.curve.log_exposure[place])
             error = value * channel.curve.standard_error[place]
             seen = channel.curve.seen[place]
-            cells.append(f"{value:.4g} ± {error:.1g}" if seen else "(extrapolated)")
+            cells.append(format_with_error(value, error) if seen else "(extrapolated)")
         rows.append(tuple(cells))
     return Table(
         "Response curve",

@@ -61,6 +61,16 @@ def _number(content, rng):
     return content[: one.start()] + NUMBERS[rng.integers(len(NUMBERS))] + content[one.end() :]
 
 
+def _scaled(content, rng):
+    """A number of another size, in the range that files hold."""
+    found = list(NUMBER.finditer(content))
+    if not found:
+        return content
+    one = found[rng.integers(len(found))]
+    new = b"%.6g" % (float(one.group()) * 10 ** rng.uniform(-2, 2) * rng.choice((1, 1, 1, -1)))
+    return content[: one.start()] + new + content[one.end() :]
+
+
 def _value(content, rng):
     """Another value, or that of another key."""
     found = list(VALUE.finditer(content))
@@ -89,4 +99,4 @@ def _line(content, rng):
 
 
 BYTE_CHANGES = (_byte, _byte, _cut, _slice, _doubled, _noise)
-TEXT_CHANGES = (_number, _number, _value, _value, _line, _byte)
+TEXT_CHANGES = (_number, _scaled, _value, _value, _line, _byte)

@@ -11,7 +11,7 @@ from oracles import sphere_photographs, stacks
 from photographs import photograph
 from studies import write_camera
 
-from jaxvision.io import write_image
+from jaxvision.io import read_image, write_image
 
 from .damage import damaged
 
@@ -70,7 +70,7 @@ FOLDERS: dict[str, Callable[[Path], None]] = {
 
 
 def copied(sound: Path, to: Path, number: int) -> Path:
-    """The folder after damage to its rig, mostly, or to one of its images; sound for -1."""
+    """The folder after a change to its rig, mostly, or to one of its images; sound for -1."""
     shutil.rmtree(to, ignore_errors=True)
     shutil.copytree(sound, to)
     if number < 0:
@@ -78,6 +78,30 @@ def copied(sound: Path, to: Path, number: int) -> Path:
     rng = np.random.default_rng([zlib.crc32(sound.name.encode()), number])
     rig = to / "rig.toml"
     images = sorted(file for file in to.iterdir() if file != rig)
-    file = rig if rig.exists() and rng.uniform() < 0.7 else images[rng.integers(len(images))]
-    file.write_bytes(damaged(file.read_bytes(), rng, text=file == rig, most=2))
+    if rig.exists() and rng.uniform() < 0.6:
+        rig.write_bytes(damaged(rig.read_bytes(), rng, text=True, most=2))
+        return to
+    file, other = rng.choice(images, 2, replace=False)
+    if rng.uniform() < 0.3:
+        file.write_bytes(damaged(file.read_bytes(), rng, text=False))
+    elif file.suffix != ".jpg" and rng.uniform() < 0.7:
+        write_image(file, odd(read_image(file), rng))
+    else:
+        shutil.copy(other, file)
     return to
+
+
+def odd(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Pixels that no camera takes, of the same type."""
+    most = np.iinfo(pixels.dtype).max
+    brighter = np.clip(pixels * 10 ** rng.uniform(-2, 2), 0, most).astype(pixels.dtype)
+    changes = (
+        np.full_like(pixels, rng.choice((0, 1, 255, most))),
+        rng.integers(0, int(pixels.max()) + 1, pixels.shape, pixels.dtype),
+        brighter,
+        pixels[::-1].copy(),
+        np.where(rng.uniform(size=pixels.shape) < 0.3, pixels.max(), pixels),
+        np.where(rng.uniform(size=pixels.shape) < 0.3, pixels.min(), pixels),
+        pixels[: rng.integers(1, len(pixels))],
+    )
+    return changes[rng.integers(len(changes))]

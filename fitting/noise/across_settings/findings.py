@@ -3,13 +3,13 @@
 import numpy as np
 
 from ...inference.diagnostics import identifiability
-from ...inference.formatting import format_p
+from ...inference.formatting import format_p, format_with_error
 from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
 from ..levels import Levels
 from ..misfit import MISFIT
 from .calibration import CameraCalibration
-from .fit import Axis, Claim, Quantity
+from .fit import Axis, Claim, OwnDeviation, Quantity
 from .proportional import proportional_gain
 from .sensor import is_impossible
 
@@ -91,10 +91,14 @@ def _own(claim: Claim) -> str:
     """The deviations beyond chance, the largest first."""
     most = sorted(claim.own, key=lambda one: -abs(one.value) / one.error)[:3]
     if (claim.quantity, claim.axis) == ("dark_current", "temperature"):
-        return ", ".join(f"{one.label}: {one.value:+.3g} ± {one.error:.2g} e⁻/s" for one in most)
-    return ", ".join(
-        f"{one.label}: {100 * one.value:+.3g} ± {100 * one.error:.2g} %" for one in most
-    )
+        scale, unit = 1, "e⁻/s"
+    else:
+        scale, unit = 100, "%"
+    return ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in most)
+
+
+def _signed(one: OwnDeviation, scale: float = 100) -> str:
+    return format_with_error(scale * one.value, scale * one.error, signed=True)
 
 
 def _misfit(calibration: CameraCalibration) -> list[str]:
@@ -126,7 +130,7 @@ def _stated_gain(calibration: CameraCalibration) -> list[str]:
     worst = max(own, key=lambda one: abs(one.value) / one.error)
     return [
         "The conversion gain is not proportional to the stated one: at "
-        f"{worst.label} it is {100 * worst.value:+.3g} ± {100 * worst.error:.2g} % off the others "
+        f"{worst.label} it is {_signed(worst)} % off the others "
         f"({format_p(p_value)}), so the stated gain is a label there; use the measured K."
     ]
 
@@ -153,9 +157,10 @@ def _dark_current(calibration: CameraCalibration) -> list[str]:
     below, above = (HALF_GAP - energy) / error, (energy - GAP) / error
     if max(below, above) > FAR:
         return [
-            f"The activation energy of {energy:.3g} ± {error:.2g} eV is outside of {HALF_GAP} to "
-            f"{GAP} eV, between generation in silicon's depletion region and diffusion: the stated "
-            "temperatures are not the sensor's, or stray light or glow adds to the dark current."
+            f"The activation energy of {format_with_error(energy, error)} eV is outside of "
+            f"{HALF_GAP} to {GAP} eV, between generation in silicon's depletion region and "
+            "diffusion: the stated temperatures are not the sensor's, or stray light or glow adds "
+            "to the dark current."
         ]
     return []
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
-from ...inference.formatting import decimals_for, format_number, format_unit
+from ...inference.formatting import format_unit, format_with_error
 from ...inference.posterior import estimates
 from ...report.section import Picture, Section, Table
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
@@ -174,8 +174,7 @@ def amplitude_table(calibration: BRDFCalibration) -> Table:
 
 
 def _with_error(value: float, error: float) -> str:
-    places = decimals_for(error)
-    return f"{format_number(value, places)} ± {format_number(error, places)}" if error else "0"
+    return format_with_error(value, error) if error else "0"
 
 
 def _shape_in_words(calibration: BRDFCalibration, model: Model) -> str | None:
