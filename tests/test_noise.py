@@ -36,6 +36,7 @@ from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
 from fitting.noise.window import needed_window, usual_moments_error
+from jaxvision.errors import InputError
 
 LIGHT, EXPOSURE = np.linspace(250, 6000, 16), np.linspace(1e-3, 2e-2, 16)
 
