@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._point_names import name_points
 from .records import Curve
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
     none = "no error was found" if exact else _UNKNOWN
     _scaled(axes, [t.error for t in shown], curve.error_axis, none)
-    label(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
+    name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     order = ""
     if curve.order is not None:
@@ -98,42 +99,6 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False)
     return axes
-
-
-def label(
-    axes: "Axes",
-    points: Sequence[tuple[str, float, float]],
-    *,
-    below: bool = False,
-    color: str | None = None,
-) -> None:
-    """Writes names beside points, left of those in the right third, but where two would overlap.
-
-    Args:
-        axes: logarithmic, with the points drawn.
-        points: (name, s, error) of each.
-        below: whether under the points.
-        color: of matplotlib.
-    """
-    if not points:
-        return
-    places = np.log([[seconds, error] for _, seconds, error in points]).reshape(-1, 2)
-    first, last = np.log([axes.get_xlim(), axes.get_ylim()]).T
-    within = (places - first) / np.maximum(last - first, 1e-9)
-    taken: list[np.ndarray] = []
-    for (name, seconds, error), place in zip(points, within, strict=True):
-        if any((np.abs(place - other) < (0.08, 0.06)).all() for other in taken):
-            continue
-        taken.append(place)
-        late = place[0] > 0.7
-        axes.annotate(
-            name,
-            (seconds, error),
-            (-5 if late else 5, -9 if below else 5),
-            textcoords="offset points",
-            ha="right" if late else "left",
-            color=color,
-        )
 
 
 def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:

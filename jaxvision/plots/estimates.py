@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from .._point_names import name_points
 from ..errors import InputError
 from ._axes import BLUE, RED, new_axes, sparse_ticks, tidy
 
@@ -162,12 +163,14 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
         raise InputError("no trial has a finite error above 0, which a logarithm could show.")
     axes = new_axes(axes)
     by_method = all(_names_method(t.setting) for t in shown)
+    named = []
     if by_method:
         for i, method in enumerate(dict.fromkeys(t.setting[0] for t in shown)):
             own = [t for t in shown if t.setting[0] == method]
             colour, mark = SEVERAL[i % len(SEVERAL)], MARKS[i % len(MARKS)]
             of_own = ([t.seconds for t in own], [t.error for t in own])
             axes.loglog(*of_own, color=colour, marker=mark, lw=1, label=str(method))
+            named.append(([(str(t.setting[1]), t.seconds, t.error) for t in own], colour))
         axes.legend(fontsize=8)
     else:
         axes.loglog([t.seconds for t in shown], [t.error for t in shown], "o", color=BLUE)
@@ -177,10 +180,9 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
             if not any(o.seconds <= t.seconds and o.error < t.error for o in shown)
         ]
         axes.plot([t.seconds for t in front], [t.error for t in front], color=BLUE, lw=1)
-    for t in shown:
-        words = str(t.setting[1] if by_method else t.setting)
-        place = (t.seconds, t.error)
-        axes.annotate(words, place, (5, 5), textcoords="offset points", fontsize=8)
+        named.append(([(str(t.setting), t.seconds, t.error) for t in shown], None))
+    for i, (points, colour) in enumerate(named):  # the limits are known now
+        name_points(axes, points, below=i % 2 == 0 and by_method, color=colour, size=8)
     axes.set(xlabel="time [s]", ylabel="relative error")
     sparse_ticks(axes.xaxis)
     sparse_ticks(axes.yaxis)
