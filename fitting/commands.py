@@ -166,7 +166,7 @@ def run(
         from .report.page import as_json, write_report
         from .report.short_chains import refuse_short_chains
 
-        refuse_short_chains(sections, kept=options.out is not None)
+        refuse_short_chains(sections, asked=options.mcmc, kept=options.out is not None)
         settings = {"input": path.name, **asdict(options), **options.chain}
         if options.out is not None:
             with reporter.step("writing the report"):

@@ -185,6 +185,14 @@ def test_a_short_chain_is_kept_and_says_what_it_lacks():
     assert "missing" not in convergence_in_words(whole)
 
 
+def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
+    for gives_up, steps in ((True, 20), (False, 80)):
+        options = SamplingOptions(walkers=32, block=20, steps=80, gives_up=gives_up)
+        given_up = chain_of(options)
+        assert given_up.steps == steps
+        assert given_up.missing_steps > 80
+
+
 @pytest.mark.parametrize("kept", ["memory", "checkpoint"])
 def test_a_chain_that_goes_on_is_one_that_never_stopped(tmp_path, sampled, kept):
     """Also where it stopped within a block: 150 is no multiple of 100."""

@@ -58,6 +58,8 @@ class SamplingOptions:
         block: steps between two checkpoints, at most `steps`.
         checkpoint: folder of the blocks, None to keep them in memory.
         progress: called with (steps done, ceiling) after each block.
+        gives_up: whether to stop at a quarter of the ceiling where a chain that is long enough
+            would pass it by far.
 
     Raises:
         InputError: for unusable numbers.
@@ -68,6 +70,7 @@ class SamplingOptions:
     block: int = 100
     checkpoint: Path | str | None = None
     progress: Progress | None = None
+    gives_up: bool = False
 
     def __post_init__(self) -> None:
         for name in ("walkers", "steps", "block"):
@@ -260,7 +263,8 @@ def _judged(blocks: list[Block], options: SamplingOptions) -> Chain | None:
     start = int(min(np.ceil(BURN_IN_TAU * slowest), steps // 2))
     tau = autocorrelation_times(vectors[start:])
     missing = _missing(steps, steps - start, float(np.max(tau)))
-    if missing and not last:
+    hopeless = options.gives_up and steps >= options.steps / 4 and missing > options.steps
+    if missing and not (last or hopeless):
         return None
     return Chain(
         vectors=vectors[start:],

@@ -8,11 +8,12 @@ from ..inference.trust import convergence_in_words
 from .section import Section
 
 
-def refuse_short_chains(sections: Sequence[Section], *, kept: bool) -> None:
+def refuse_short_chains(sections: Sequence[Section], *, asked: bool, kept: bool) -> None:
     """No report is written from chains that cannot be trusted.
 
     Args:
         sections: whose posteriors are to be reported.
+        asked: whether the chains were, by `--mcmc`; else Laplace's approximation did not hold.
         kept: whether the chains are, so that the same command goes on from them.
 
     Raises:
@@ -23,9 +24,11 @@ def refuse_short_chains(sections: Sequence[Section], *, kept: bool) -> None:
     if not short:
         return
     group, worst = max(short, key=lambda pair: pair[1].missing_steps)
-    remedy = f"allow --steps {worst.steps + worst.missing_steps}" + (
-        " and run again: it goes on from here."
-        if kept
-        else "; with --out it would go on from here."
-    )
+    steps = f"--steps {worst.steps + worst.missing_steps}"
+    if not asked:
+        remedy = f"Laplace's approximation does not hold here, so add --mcmc {steps}."
+    elif kept:
+        remedy = f"allow {steps} and run again: it goes on from here."
+    else:
+        remedy = f"allow {steps}; with --out it would go on from here."
     raise InputError(f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}")
