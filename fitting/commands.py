@@ -78,7 +78,8 @@ class Options:
             return {"sampling": None, "seed": self.seed}
         chain = self.chain
         sampling = SamplingOptions(
-            **chain,
+            walkers=chain["walkers"],
+            steps=chain["steps"],
             block=min(100, chain["steps"]),
             checkpoint=None if self.out is None else self.out / CHECKPOINT / kind,
             progress=progress,
