@@ -63,6 +63,19 @@ def test_sampling_agrees_with_the_exact_integral():
     np.testing.assert_allclose(sampled.gamma.interval_95, exact.interval_95, atol=0.1 * width)
 
 
+@pytest.mark.parametrize("shutter_error", [0.0, 0.02])
+def test_draws_have_the_intervals_that_are_printed(shutter_error):
+    found = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=shutter_error)
+    for estimate, draws in zip(
+        (found.gamma, found.shutter_error), found.posterior.samples.T, strict=True
+    ):
+        for (low, high), outside in ((estimate.interval_68, 0.32), (estimate.interval_95, 0.05)):
+            for share in (np.mean(draws < low), np.mean(draws > high)):
+                assert share == pytest.approx(
+                    outside / 2, abs=4 * np.sqrt(outside / 2 / len(draws))
+                )
+
+
 def test_srgb_is_recognised():
     found = fitted(srgb, TIMES, 3, full_well=40_000.0)
     central = slice(20, 236)

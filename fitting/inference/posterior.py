@@ -39,7 +39,8 @@ class Posterior:
 
     Attributes:
         space: the P parameters.
-        method: "Laplace", "importance sampling", "emcee" or "NUTS".
+        method: "Laplace", "marginal" (independent draws of integrals on a grid), "importance
+            sampling", "emcee" or "NUTS".
         draws: (chains, draws, P) in natural units.
         mode: (P,) in natural units.
         unconstrained_mode: (P,).
@@ -62,7 +63,7 @@ class Posterior:
     """
 
     space: ParameterSpace
-    method: Literal["Laplace", "importance sampling", "emcee", "NUTS"]
+    method: Literal["Laplace", "marginal", "importance sampling", "emcee", "NUTS"]
     draws: Float[np.ndarray, "chains draws parameters"]
     mode: Float[np.ndarray, " parameters"]
     unconstrained_mode: Float[np.ndarray, " parameters"]

@@ -39,6 +39,8 @@ def convergence_in_words(posterior: Posterior) -> str:
             f"quantiles of draws by importance sampling, worth {posterior.effective:.0f} "
             "independent ones."
         )
+    if posterior.method == "marginal":
+        return "Intervals are exact integrals; draws are independent."
     if posterior.tau is None:
         shape = "Gaussian" if posterior.freedom is None else "Student's t"
         return f"Intervals are Laplace's: {shape} about the best fit on the scale of the transform."

@@ -106,7 +106,7 @@ def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
     """Whether each parameter is drawn in per cent: several posteriors, in none of which it may be
     0, nor a small part of itself, as a size that is known from above alone."""
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
-    clear = [(low * high > 0) & (high - low < np.abs(low + high)) for low, high in ends]
+    clear = [(low * high > 0) & (high - low < np.abs(low + high) / 2) for low, high in ends]
     return np.all(clear, axis=0) & (len(posteriors) > 1)
 
 
@@ -230,7 +230,8 @@ def chain_pictures(section: Section) -> tuple[Picture, ...]:
 
 def _corner_picture(posteriors: dict[str, Posterior], section: Section) -> Picture:
     channels = ", ".join(filter(None, posteriors))
-    methods = " and ".join(dict.fromkeys(p.method for p in posteriors.values()))
+    each = ("exact integrals" if p.method == "marginal" else p.method for p in posteriors.values())
+    methods = " and ".join(dict.fromkeys(each))
     about = (
         f"Each in per cent of its median ({channels}) where that is clear of 0, to lie over each "
         "other. "

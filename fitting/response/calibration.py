@@ -47,7 +47,7 @@ class ResponseCalibration(ShownInNotebooks):
         stack: what was calibrated.
         channels: the planes that could be.
         skipped: (plane, reason) of those that could not.
-        sampling: how gamma was drawn; None for Laplace.
+        sampling: how gamma was drawn; None for exact integrals.
         seed: of every draw.
     """
 
@@ -68,7 +68,7 @@ def calibrate(
 
     Args:
         stack: exposures of still scenes.
-        sampling: how to draw gamma by emcee; None for exact integrals and Laplace's draws.
+        sampling: how to draw gamma by emcee; None for exact integrals.
         seed: of every draw.
 
     Returns:

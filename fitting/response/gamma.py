@@ -145,8 +145,7 @@ def fit_gamma(
         label: of the channel in the results.
         black_sd: DN, standard deviation of the black level.
         exposure_sd: relative error of the exposures that is known beforehand.
-        sampling: draw (gamma, tau) by emcee; None to integrate over tau exactly, the posterior
-            being Laplace's.
+        sampling: draw (gamma, tau) by emcee; None to integrate over tau exactly.
         seed: of every draw.
 
     Returns:
@@ -179,6 +178,8 @@ def fit_gamma(
         )
         gamma, tau = estimates(found, group=label)
     else:
+        drawn = _drawn(log_tau, weights, given, found.samples.shape, seed)
+        found = replace(found, method="marginal", draws=drawn[None])
         gamma = _mixture(np.asarray(given.mean), np.asarray(given.variance), weights, label)
         tau = _weighted(np.exp(log_tau), weights, label)
     assert gamma.value is not None
@@ -382,6 +383,19 @@ def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
     ends = np.interp(QUANTILES, np.cumsum(weights), values)
     spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
     return quantile_estimate(SHUTTER_ERROR, ends[2], spread, ends, method="marginal", group=label)
+
+
+def _drawn(
+    log_tau: np.ndarray, weights: np.ndarray, given: GivenShutter, shape: tuple[int, ...], seed: int
+) -> np.ndarray:
+    """(draws, 2) of (gamma, tau): tau from its weights, even between the grid's points, then
+    gamma given tau."""
+    rng = np.random.default_rng(seed)
+    which = rng.choice(len(log_tau), size=shape[0], p=weights)
+    step = (log_tau[1] - log_tau[0]) * rng.uniform(-0.5, 0.5, shape[0])
+    mean, deviation = np.asarray(given.mean), np.sqrt(given.variance)
+    gamma = mean[which] + deviation[which] * rng.standard_normal(shape[0])
+    return np.stack([gamma, np.exp(log_tau[which] + step)], axis=1)
 
 
 def _srgb(curve: ResponseCurve) -> np.ndarray:
