@@ -339,3 +339,13 @@ def test_a_long_tail_does_not_flatten_a_corner_plot():
     low, high = np.quantile(samples[:, 1], [0.025, 0.975])
     assert figure.axes[-1].get_xlim()[1] == pytest.approx(high + 0.75 * (high - low))
     assert figure.axes[0].get_xlim() == pytest.approx(np.quantile(samples[:, 0], [0.0005, 0.9995]))
+
+
+def test_a_size_that_is_known_from_above_alone_is_drawn_in_its_unit():
+    """Beside channels' other parameters, in per cent of their medians."""
+    rng = np.random.default_rng(0)
+    space = (Parameter("gamma", symbol="γ"), Parameter("shutter_error", symbol="τ"))
+    drawn = (rng.normal(2.2, 0.01, 4000), 1e-4 * np.exp(2 * rng.standard_normal(4000)))
+    one = SimpleNamespace(space=space, samples=np.stack(drawn, axis=1))
+    figure = corner_figure({"red": one, "green": one}, {})
+    assert [axis.get_xlabel() for axis in figure.axes[2:]] == ["Δ$γ$\n[%]", "$τ$"]
