@@ -333,9 +333,9 @@ def _reads_back(file: Path, written: np.ndarray) -> bool:
     return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)
 
 
-_NOT_NUMPY = (ValueError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
-# A lone array has no names; sums do not agree; compression or encryption is of another kind.
-_NOT_ARCHIVE = (TypeError, BadZipFile, zlib.error, NotImplementedError, RuntimeError)
+_NOT_NUMPY = (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
+# Sums do not agree; compression or encryption is of another kind.
+_NOT_ARCHIVE = (BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
 def _read_npy(file: Path) -> np.ndarray:

@@ -226,7 +226,7 @@ def test_every_damage_of_a_header_is_a_sentence(tmp_path):
     assert len(words) < LONGEST_REASON + len(str(tmp_path)) + 120
     np.save(tmp_path / "a.npy", np.ones((2, 2)))
     sound = (tmp_path / "a.npy").read_bytes()
-    for damage in ((b"(2, 2)", b"(2, 2 "), (b"<f8", b",f8")):
+    for damage in ((b"(2, 2)", b"(2, 2 "), (b"<f8", b",f8"), (b" 'fortran", b"b'fortran")):
         (tmp_path / "a.npy").write_bytes(sound.replace(*damage))
         with pytest.raises(InputError, match=r"a\.npy: not a NumPy array file"):
             read_image(tmp_path / "a.npy")

@@ -10,7 +10,7 @@ from scipy.stats import t
 from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success
+from jaxvision.io import read_image, replaced_on_success
 from jaxvision.tasks import PROGRAMS, in_order
 
 from ..inference.parameters import names, to_unconstrained
@@ -61,11 +61,11 @@ def _kept(file: Path, parameters: int) -> Float[np.ndarray, "simulations paramet
     """What an earlier run has written; nothing where the file is damaged or of another fit."""
     nothing = np.empty((0, parameters))
     try:
-        rows = np.load(file)
-    except (OSError, ValueError, EOFError):
+        rows = read_image(file)
+    except InputError:
         return nothing
-    sound = isinstance(rows, np.ndarray) and rows.ndim == 2 and rows.dtype == nothing.dtype
-    return rows if sound and rows.shape[1] == parameters else nothing
+    sound = rows.ndim == 2 and rows.dtype == nothing.dtype and rows.shape[1] == parameters
+    return rows if sound else nothing
 
 
 def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " parameters"]:
