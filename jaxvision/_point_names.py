@@ -1,6 +1,6 @@
-"""Names of points in a figure."""
+"""Names of points in a figure of two logarithmic axes, and numbers on these."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +8,11 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TOGETHER = 0.08, 0.06  # of the axes' width and height, within which names would overlap
+TOGETHER = 0.08, 0.06  # of the axes' width and height, within which points share a name
+WIDE, HIGH = 0.62, 1.2  # of a letter and a line, in font sizes
+APART = 5.0  # pt, of a name from its point, and of a number from the next
+LAID_OUT = 0.9  # of the axes' size now, where a layout may yet shrink them
+MOST = 4  # numbers on an axis
 
 
 def name_points(
@@ -19,19 +23,23 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Writes names beside points, left of those in the right third; points that lie together have
-    one label, of all their names.
+    """Writes names beside points, where no other name is; points that lie together have one label,
+    of all their names. The axes grow, so that there is room above the highest.
 
     Args:
         axes: logarithmic, with the points drawn.
         points: (name, s, error) of each.
-        below: whether under the points.
+        below: whether rather under the points than above.
         color: of matplotlib.
         size: of the letters, pt.
     """
+    from matplotlib import rcParams
+
     if not points:
         return
+    letters = size or rcParams["font.size"]
     places = np.log([[seconds, error] for _, seconds, error in points]).reshape(-1, 2)
+    _make_room(axes, places[:, 1], APART + HIGH * letters, below)
     first, last = np.log([axes.get_xlim(), axes.get_ylim()]).T
     within = (places - first) / np.maximum(last - first, 1e-9)
     together: list[tuple[np.ndarray, list[str]]] = []
@@ -42,16 +50,123 @@ def name_points(
             together.append((place, [name]))
         elif name and name not in known:
             known.append(name)
+    whole = _size(axes)
+    taken = [_box_of(text, whole, first, last) for text in axes.texts if hasattr(text, "xyann")]
     for place, known in together:
         if not any(known):
             continue
-        late = place[0] > 0.7
+        label = ", ".join(known)
+        extent = np.array([WIDE * len(label), HIGH]) * letters
+        boxes = list(_around(place * whole, extent, below=below))
+        x, y, box = min(boxes, key=lambda one: _in_the_way(one[2], taken, whole))
+        taken.append(box)
         axes.annotate(
-            ", ".join(known),
+            label,
             np.exp(first + place * (last - first)),
-            (-5 if late else 5, -11 if below else 5),
+            (x, y),
             textcoords="offset points",
-            ha="right" if late else "left",
+            ha="right" if x < 0 else "left",
+            va="top" if y < 0 else "bottom",
             color=color,
             fontsize=size,
         )
+
+
+def few_ticks(axes: "Axes") -> None:
+    """At most `MOST` numbers on either axis, which do not touch: powers of ten, or 1, 2 and 5 of
+    each, or equal steps, whichever are more.
+
+    Args:
+        axes: logarithmic, of final limits.
+    """
+    from matplotlib import rcParams
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
+
+    for axis, length in zip((axes.xaxis, axes.yaxis), _size(axes), strict=True):
+        word = rcParams[f"{axis.axis_name}tick.labelsize"]
+        letters = FontProperties(size=word).get_size_in_points()
+        low, high = sorted(axis.get_view_interval())
+        best = max(
+            (ticks for ticks in _candidates(low, high) if len(ticks) <= MOST),
+            key=lambda ticks: len(ticks) * _fits(ticks, low, high, length, letters, axis.axis_name),
+        )
+        axis.set_major_locator(FixedLocator(best))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+        if high < 3 * low:
+            axis.set_minor_locator(NullLocator())
+
+
+def _candidates(low: float, high: float) -> Iterator[list[float]]:
+    """Numbers between the ends of an axis, the rounder ones first."""
+    from matplotlib.ticker import MaxNLocator
+
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    sets = [[10.0**p for p in powers if p % step == 0] for step in range(1, len(powers) + 1)]
+    sets += [
+        [n * 10.0**p for p in powers for n in round_ones] for round_ones in ((1, 2, 5), (1, 3))
+    ]
+    if high < 10 * low:
+        equal = (MaxNLocator(n, steps=[1, 2, 2.5, 5, 10]) for n in (4, 3, 2, 1))
+        sets += [list(locator.tick_values(low, high)) for locator in equal]
+    for ticks in sets:
+        yield [float(tick) for tick in ticks if low <= tick <= high]
+    yield []
+
+
+def _fits(
+    ticks: list[float], low: float, high: float, length: float, letters: float, name: str
+) -> bool:
+    """Whether the numbers of an axis of some length, pt, keep apart."""
+    at = length * np.log(np.array(ticks) / low) / np.log(high / low)
+    wide = [WIDE * len(f"{tick:g}") if name == "x" else HIGH for tick in ticks]
+    room = letters * np.convolve(wide, [0.5, 0.5], "valid") if len(ticks) > 1 else np.zeros(0)
+    return bool((np.diff(at) >= room + APART).all())
+
+
+def _size(axes: "Axes") -> np.ndarray:
+    """Width and height, pt, as far as is known before they are laid out."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    share = LAID_OUT if figure.get_layout_engine() else 1.0
+    return np.array([axes.bbox.width, axes.bbox.height]) * share * 72 / figure.dpi
+
+
+def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> None:
+    """Above the highest point, or below the lowest, for a name."""
+    bottom, top = np.log(axes.get_ylim())
+    share = min(needed / _size(axes)[1], 0.4)
+    if below:
+        bottom = min(bottom, (logs.min() - share * top) / (1 - share))
+    else:
+        top = max(top, (logs.max() - share * bottom) / (1 - share))
+    axes.set_ylim(np.exp(bottom), np.exp(top))
+
+
+def _around(
+    point: np.ndarray, extent: np.ndarray, *, below: bool
+) -> Iterator[tuple[float, float, np.ndarray]]:
+    """Offsets of a name, pt, with the box that it takes: its lower left and upper right corner."""
+    for up in (-1, 1) if below else (1, -1):
+        for right in (1, -1):
+            offset = APART * np.array([right, 0.6 * up])
+            start = point + offset + np.minimum([right, up], 0) * extent
+            yield offset[0], offset[1], np.array([start, start + extent])
+
+
+def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Of a name that was written before."""
+    place = (np.log(text.xy) - first) / np.maximum(last - first, 1e-9) * whole
+    extent = np.array([WIDE * len(text.get_text()), HIGH]) * text.get_fontsize()
+    sides = np.sign(text.xyann)
+    start = place + text.xyann + np.minimum(sides, 0) * extent
+    return np.array([start, start + extent])
+
+
+def _in_the_way(box: np.ndarray, taken: Sequence[np.ndarray], whole: np.ndarray) -> float:
+    """pt^2 of a name over others, and beyond the axes."""
+    overlaps = (np.minimum(box[1], one[1]) - np.maximum(box[0], one[0]) for one in taken)
+    inside = np.clip(np.minimum(box[1], whole) - np.maximum(box[0], 0), 0, None)
+    beyond = float(np.prod(box[1] - box[0]) - np.prod(inside))
+    return beyond + sum(float(np.prod(np.clip(one, 0, None))) for one in overlaps)

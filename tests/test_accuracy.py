@@ -372,6 +372,21 @@ def test_settings_between_and_beyond_are_inferred_where_the_order_holds():
         choose(shallow, tolerance=0.01)
 
 
+@pytest.mark.parametrize(
+    ("order", "text"),
+    [
+        (Order(-0.5, -0.6, -0.4, "power", 5), "-0.50 ± 0.10"),
+        (Order(-7.86, -14.35, -1.37, "power", 4), "unknown"),
+        (Order(-0.52, -3.77, 2.73, "power", 3), "unknown"),
+        (Order(-0.57, -np.inf, np.inf, "power", 2), "unknown"),
+        (Order(-4.2, -5.1, -3.3, "geometric", 4), "× 0.015 (0.0061 to 0.037) a unit"),
+        (Order(-4.2, -9.0, 0.6, "geometric", 3), "unknown"),
+    ],
+)
+def test_an_order_that_is_not_known_is_no_number(order, text):
+    assert str(order) == text
+
+
 def test_of_settings_whose_times_cannot_be_told_apart_the_most_accurate_is_chosen():
     """None of them inferred; a declared order is no measurement."""
     clock = Clock()

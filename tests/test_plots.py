@@ -1,11 +1,15 @@
 """Plots of results show the numbers that they were given."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import jaxvision as jv
 from jaxvision import plots
-from jaxvision.accuracy import Trial
+from jaxvision.accuracy import Curve, Knob, Trial, plot
+from jaxvision.accuracy.records import Order, Reference
 from jaxvision.errors import InputError
 
 RNG = np.random.default_rng(4)
@@ -119,6 +123,31 @@ def test_the_line_of_settings_leaves_out_what_another_beats():
     np.testing.assert_array_equal(points.get_xdata(), [1, 2, 4])
     np.testing.assert_array_equal(line.get_xdata(), [1, 4])
     assert [text.get_text() for text in axes.texts] == ["fast", "beaten", "good"]
+
+
+@pytest.mark.parametrize(
+    "seconds", [(1.5e-4, 1.7e-4, 2e-4, 2.1e-4), (0.22, 0.24, 0.26, 0.28), (1e-3, 1e-2, 0.1, 9.0)]
+)
+def test_numbers_and_names_of_a_curve_do_not_overlap(seconds):
+    """By the boxes that matplotlib draws them in."""
+    trials = [trial(10.0**-i, s, 0.3 / 20**i) for i, s in enumerate(seconds)]
+    knob = Knob("tolerance", "", "", tuple(t.setting for t in trials), ())
+    floor = Reference(None, 0.0, "closed form")
+    wide = Order(-7.86, -14.35, -1.37, "power", 4)
+    figure = Figure(figsize=(3.6, 2.8), layout="constrained")
+    axes = plot(Curve("", knob, tuple(trials), floor, wide, ()), axes=figure.add_subplot())
+    assert axes.get_title() == "tolerance\norder unknown"
+    figure.draw_without_rendering()
+    for axis in (axes.xaxis, axes.yaxis):
+        assert 2 <= len(axis.get_ticklabels()) <= 4
+        boxes = [label.get_window_extent() for label in axis.get_ticklabels()]
+        assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == 4
+    assert not any(
+        a.overlaps(b) for a, b in combinations([*boxes, axes.title.get_window_extent()], 2)
+    )
+    assert max(box.y1 for box in boxes[:-1]) <= axes.bbox.y1 + 1
 
 
 def test_settings_of_several_methods_have_a_line_each():

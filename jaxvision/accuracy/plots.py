@@ -1,16 +1,15 @@
 """Error against time, drawn: one axes a knob, and all of them on a page's figure."""
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._point_names import name_points
+from .._point_names import few_ticks, name_points
 from .records import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
 
 MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
 LEAST_RANGE = 2.0  # of an axis, of which less has labels that all read the same
@@ -60,10 +59,13 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     none = "no error was found" if exact else _UNKNOWN
     _scaled(axes, [t.error for t in shown], curve.error_axis, none)
     name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
+    if shown:
+        few_ticks(axes)  # the names took their room above
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     order = ""
     if curve.order is not None:
-        falls = "error" if curve.order.law == "geometric" else "order"
+        by_factor = curve.order.law == "geometric" and curve.order.is_known
+        falls = "error" if by_factor else "order"
         order = f"\n{falls} {curve.order}"
     axes.set_title(f"{curve.knob.name}{unit}{order}", fontsize=10)
     axes.grid(alpha=0.25)
@@ -93,6 +95,8 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
             drawn += places[1]
             axes.plot(*places, "o-", ms=4, lw=1, label=curve.knob.name)
     _scaled(axes, drawn, curves[0].error_axis if curves else "error")
+    if drawn:
+        few_ticks(axes)
     axes.set_title("Pareto fronts of all knobs", fontsize=10)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
@@ -103,8 +107,6 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
 def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
     """Logarithmic axes with their labels, and what to say where there is nothing to draw."""
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-
     axes.set(xlabel="time [s]", ylabel=of)
     if errors:
         axes.set(xscale="log", yscale="log")
@@ -114,23 +116,6 @@ def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN
         ):
             wide = max((LEAST_RANGE * limits[0] / limits[1]) ** 0.5, 1.0)
             set_limits(limits[0] / wide, limits[1] * wide)
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = axis.get_view_interval()
-            axis.set_major_locator(MaxNLocator(4) if high < 3 * low else LogLocator(numticks=6))
-            if high < 3 * low:
-                axis.set_minor_locator(NullLocator())
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(_between_decades(axis))
     else:
         axes.set(xticks=[], yticks=[])
         axes.text(0.5, 0.5, none, ha="center", va="center", transform=axes.transAxes)
-
-
-def _between_decades(axis: "Axis") -> Callable[[float, Any], str]:
-    """Labels where decades alone say too little: 2 and 5."""
-
-    def text(value: float, _: Any) -> str:
-        low, high = axis.get_view_interval()
-        return f"{value:.4g}" if high <= 50 * low and f"{value:e}"[0] in "25" else ""
-
-    return text

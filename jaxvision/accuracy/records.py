@@ -159,14 +159,20 @@ class Order:
     law: Law
     points: int
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the interval reaches no farther than 0.5, or a quarter of the exponent, from its
+        middle. Two points have no interval, so that theirs is not."""
+        return self.high - self.low <= max(1.0, abs(self.exponent) / 2)
+
     def __str__(self) -> str:
         """As in a table."""
-        width = (self.high - self.low) / 2
+        if not self.is_known:
+            return "unknown"
         if self.law == "geometric":
             middle, low, high = (f"{np.exp(x):.2g}" for x in (self.exponent, self.low, self.high))
-            return f"× {middle}{f' ({low} to {high})' if np.isfinite(width) else ''} a unit"
-        spread = f" ± {width:.2f}" if np.isfinite(width) else ""
-        return f"{self.exponent:.2f}{spread}"
+            return f"× {middle} ({low} to {high}) a unit"
+        return f"{self.exponent:.2f} ± {(self.high - self.low) / 2:.2f}"
 
 
 @dataclass(frozen=True)

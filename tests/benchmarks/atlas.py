@@ -35,9 +35,9 @@ from fitting.accuracy.examples import EXAMPLES as FIT_EXAMPLES
 from fitting.accuracy.examples import example as fit_example
 from fitting.demo.lab import simulate_lab
 from fitting.rig import load_rig
+from jaxvision._point_names import few_ticks, name_points
 from jaxvision.accuracy import KNOBS, Curve, Problem, curve, knobs_of, measured, plot
 from jaxvision.accuracy.examples import cameras, example, examples, light, pictures
-from jaxvision.accuracy.plots import label
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.accuracy.tables import rows
 from jaxvision.errors import InputError
@@ -204,7 +204,10 @@ def drawn(sheet: Sheet) -> str:
         for peer in sheet.peers:
             axes.plot(peer.seconds, 100 * peer.error, "^", color=PEER, ms=5)
         points = [(peer.name, peer.seconds, 100 * peer.error) for peer in sheet.peers]
-        label(axes, points, below=True, color=PEER)
+        if points:
+            _reach(axes, sheet.peers)
+            name_points(axes, points, below=True, color=PEER)
+            few_ticks(axes)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
@@ -213,6 +216,15 @@ def drawn(sheet: Sheet) -> str:
     head, rest = svg.split(">", 1)
     shorter = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\.\d\d)\d+", r"\1", d[0]), rest)
     return head + ">" + STYLE + shorter
+
+
+def _reach(axes, peers: Sequence[Peer]) -> None:
+    """Limits that hold the points of peers, with some room."""
+    for limits, set_limits, values in (
+        (axes.get_xlim(), axes.set_xlim, [peer.seconds for peer in peers]),
+        (axes.get_ylim(), axes.set_ylim, [100 * peer.error for peer in peers]),
+    ):
+        set_limits(min(limits[0], 0.8 * min(values)), max(limits[1], 1.25 * max(values)))
 
 
 def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None:
@@ -237,7 +249,10 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         "",
     ]
     for page, names in pages.items():
-        lines += [f"## {page}", "", "| problem | knob | order | 10 % | 1 % | 0.1 % |"]
+        lines += [f"## {page}", ""]
+        if page == "Pictures":
+            lines += [f"Pictures of {pictures.SIDE} x {pictures.SIDE} pixels.", ""]
+        lines += ["| problem | knob | order | 10 % | 1 % | 0.1 % |"]
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for name in names:
             sheet = sheets[name]
@@ -248,7 +263,9 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
             if told:
                 lines.append(f"| | peers of {sheet.curve.knob.name} | {told} | | | |")
         lines.append("")
-        lines += [f'<img src="atlas/{slug(n)}.svg" width="32%" alt="{n}">' for n in names]
+        lines += [
+            f'<img src="atlas/{slug(n)}.svg" width="300" class="curve" alt="{n}">' for n in names
+        ]
         lines.append("")
     lines += defaults(sheet.curve for sheet in sheets.values())
     if missing:
