@@ -4,9 +4,16 @@ import sys
 import urllib.request
 from pathlib import Path
 
+import jax
+import numpy.typing
+
 sys.path.insert(0, str(Path(__file__).parent))
 
-import jaxvision
+# Types print by the names of aliases, not as the unions that these stand for.
+for typed in (numpy.typing, jax.typing):
+    typed.ArrayLike = type("ArrayLike", (), {"__module__": typed.__name__})
+
+import jaxvision  # noqa: E402  (after the names that its annotations use)
 
 project = "jaxvision"
 author = "The jaxvision developers"
@@ -24,7 +31,7 @@ extensions = [
 exclude_patterns = ["_build", "jupyter_execute"]
 myst_enable_extensions = ["colon_fence", "html_image"]
 myst_heading_anchors = 3
-suppress_warnings = ["ref.python"]  # a name quoted in an annotation, of two rooms
+suppress_warnings = ["ref.python"]  # a name quoted in an annotation, of two modules
 nb_execution_mode = "off"  # CI executes the notebooks; their stored results are shown
 
 default_role = "py:obj"

@@ -1,4 +1,4 @@
-"""Pages that are made from the packages: the reference, by room, and the gallery.
+"""Pages that are made from the packages: the reference, by module, and the gallery.
 
 Every public name has one entry, under the shortest name by which it is imported. Other names of the
 same thing, and names without their package, lead to that entry.
@@ -12,6 +12,7 @@ import re
 from collections import defaultdict
 from pathlib import Path
 
+from docutils import nodes
 from sphinx.domains.python import PyXRefRole
 from sphinx.util.docstrings import prepare_docstring
 
@@ -20,6 +21,18 @@ import jaxvision
 
 HERE = Path(__file__).parent
 BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
+GROUPS = {  # of the reference's front page; what no group names is machinery
+    "Scenes and surfaces": "scene geometry brdf lifted_scene rendering transport shading shadows "
+    "hemisphere hemisphere_integral effects scene_checks",
+    "Light": "lights spectra colour_data",
+    "Cameras and sensors": "shot cameras optics sensor colour_filters development",
+    "Pictures": "filters padding point_ops colour_spaces histogram compositing matting plots",
+    "Files and commands": "io image_settings raw_files scene_files scenes camera_files "
+    "material_files mesh_files gltf_files measured_files render_command",
+    "Accuracy": "accuracy",
+    "Fitting": "fitting",
+    "Machinery": "",
+}
 
 
 def public_modules(package):
@@ -57,7 +70,7 @@ def is_data(name, value, exported):
     return name in exported and not inspect.ismodule(value) and not name.startswith("_")
 
 
-def room(name, value):
+def page_of(name, value):
     """The page of a thing: the package or module, just below the root, that defines it."""
     parts = (home(value) or name).split(".")
     below = parts[1] if len(parts) > 1 else BASICS
@@ -66,7 +79,8 @@ def room(name, value):
 
 def summary(thing):
     """The first sentence of a docstring, for a page's head."""
-    return re.split(r"(?<=\.)\s|\n\n", inspect.getdoc(thing) or "", maxsplit=1)[0]
+    first = re.split(r"(?<=\.)\s|\n\n", inspect.getdoc(thing) or "", maxsplit=1)[0]
+    return " ".join(first.split())
 
 
 def exported(names):
@@ -87,12 +101,12 @@ def directive(name, value):
 
 
 def reference_pages(folder):
-    """One page a room: what it exports first, then the parts of its modules."""
+    """One page a module: what it exports first, then what its submodules define."""
     folder.mkdir(exist_ok=True)
     pages = defaultdict(dict)
     for package in (jaxvision, fitting):
         for name, value in entries(package).items():
-            pages[room(name, value)][name] = value
+            pages[page_of(name, value)][name] = value
     offered = exported([name for page in pages.values() for name in page])
     for page, found in pages.items():
         is_basics = page.endswith(f".{BASICS}")
@@ -103,12 +117,40 @@ def reference_pages(folder):
         text += [directive(name, value) for name, value in found.items() if name in offered]
         inner = [directive(name, value) for name, value in found.items() if name not in offered]
         if inner:
-            text += ["Parts of this room", "-" * 18, "", *inner]
+            text += ["Submodules", "-" * 10, "", *inner]
         write(folder / f"{page}.rst", "\n".join(text))
     for page in folder.glob("*.rst"):
         if page.stem not in pages:
-            page.unlink()  # of a room that is no more
+            page.unlink()  # of a module that is no more
+    write(folder / "modules.txt", grouped(pages))
     return pages
+
+
+def grouped(pages):
+    """Lists of modules by `GROUPS`, each with the first sentence of its docstring."""
+    of = {name: group for group, names in GROUPS.items() for name in names.split()}
+    lists = {group: [] for group in GROUPS}
+    for page in sorted(pages, key=lambda page: page.endswith(f".{BASICS}")):
+        package, _, name = page.partition(".")
+        if name == BASICS:
+            lists["Machinery"].append((page, "Arrays and vectors: types, norms and conversions."))
+            continue
+        group = "Fitting" if package == "fitting" else of.get(name, "Machinery")
+        lists[group].append((page, summary(importlib.import_module(page))))
+    for name in GROUPS["Pictures"].split(), GROUPS["Light"].split():
+        assert all(f"jaxvision.{module}" in pages for module in name)
+    text = []
+    for group, found in lists.items():
+        order = {f"jaxvision.{name}": i for i, name in enumerate(GROUPS[group].split())}
+        found.sort(key=lambda one: order.get(one[0], len(order)))
+        text += [group, "-" * len(group), ""]
+        text += [
+            f"* :doc:`{page} </reference/{page}>`{': ' if line else ''}{escaped(line)}"
+            for page, line in found
+        ]
+        text += ["", ".. toctree::", "   :hidden:", ""]
+        text += [*(f"   /reference/{page}" for page, _ in found), ""]
+    return "\n".join(text)
 
 
 def notebook_pages(folder):
@@ -179,6 +221,52 @@ def escape_docstring(app, what, name, thing, options, lines):
             lines[i] = escaped(line)
 
 
+def short_types(app, domain, kind, content):
+    """Types without what pydantic checks: `float` for `Annotated[float, FieldInfo(...)]`."""
+    for types in app.env.current_document.autodoc_annotations.values():
+        types.update({name: without_checks(text) for name, text in types.items()})
+
+
+def without_checks(text):
+    """`Annotated[X, ...]` as X, wherever it stands in a type."""
+    while found := re.search(r"(?:~?typing\.|~)?\bAnnotated\[", text):
+        depth, parts = 0, [found.end()]
+        for at, letter in enumerate(text[found.end() :], found.end()):
+            depth += (letter in "[(") - (letter in "])")
+            if depth < 0:
+                break
+            if letter == "," and not depth:
+                parts.append(at)
+        first = text[parts[0] : parts[1] if len(parts) > 1 else at]
+        text = text[: found.start()] + first + text[at + 1 :]
+    return text
+
+
+def read_doctree(app, doctree):
+    """Names in tables may break after a dot or an underscore; curves that follow each other are one
+    grid."""
+    for cell in doctree.findall(nodes.entry):
+        for code in [*cell.findall(nodes.literal)]:
+            for text in [*code.findall(nodes.Text)]:
+                pieces = re.split(r"(?<=[._/])(?=\w)", text.astext())
+                parts = [nodes.Text(pieces[0])]
+                for piece in pieces[1:]:
+                    parts += [nodes.raw("", "<wbr>", format="html"), nodes.Text(piece)]
+                text.parent.replace(text, parts)
+    for image in [*doctree.findall(nodes.image)]:
+        if "curve" not in image["classes"] or "curves" in image.parent.get("classes", ()):
+            continue
+        around, at = image.parent, image.parent.index(image)
+        row = nodes.container(classes=["curves"])
+        while at < len(around) and is_curve(around[at]):
+            row += around.pop(at)
+        around.insert(at, row)
+
+
+def is_curve(node):
+    return isinstance(node, nodes.image) and "curve" in node["classes"]
+
+
 class Entry(PyXRefRole):
     """{api}`name` leads to the entry of a public name; a name without one fails the build."""
 
@@ -226,5 +314,7 @@ def setup(app):
     app.connect("autodoc-process-docstring", escape_docstring, priority=100)
     app.connect("autodoc-process-docstring", escape_types, priority=900)
     app.connect("autodoc-skip-member", skip_member)
+    app.connect("object-description-transform", short_types, priority=100)
+    app.connect("doctree-read", read_doctree)
     app.connect("missing-reference", find_entry)
     return {"parallel_read_safe": True}
