@@ -83,8 +83,8 @@ def few_ticks(axes: "Axes") -> None:
     from matplotlib.font_manager import FontProperties
     from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
-    for axis, length in zip((axes.xaxis, axes.yaxis), _size(axes), strict=True):
-        word = rcParams[f"{axis.axis_name}tick.labelsize"]
+    words = rcParams["xtick.labelsize"], rcParams["ytick.labelsize"]
+    for axis, length, word in zip((axes.xaxis, axes.yaxis), _size(axes), words, strict=True):
         letters = FontProperties(size=word).get_size_in_points()
         low, high = sorted(axis.get_view_interval())
         best = max(
