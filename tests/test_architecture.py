@@ -37,7 +37,7 @@ FLOORS = [
     {"matting", "transport", "development"},
     {"effects"},
     {"shot", "scene_checks", "interrupts"},
-    {"_shipped", "_png_chunks", "_point_names", "_local_workers", "raw_files"},
+    {"_shipped", "_png_chunks", "_legible_axes", "_local_workers", "raw_files"},
     {"image_settings"},
     {"io", "toml_files", "gltf_files", "command_line", "tasks"},
     {"record_files"},

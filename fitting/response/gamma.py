@@ -23,13 +23,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import ndtr
 
 from jaxvision.point_ops import srgb_decode
 
 from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import SamplingOptions
-from ..inference.estimates import QUANTILES, Estimate, quantile_estimate
+from ..inference.estimates import Estimate
 from ..inference.left_out import LeftOut
 from ..inference.parameters import (
     Parameter,
@@ -41,13 +40,13 @@ from ..inference.parameters import (
 from ..inference.posterior import Posterior, estimates, laplace, sample
 from .curve import ResponseCurve, slope_error
 from .left_out import without_effect
+from .mixture import Mixture
 from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
 from .solve import shutter_basis, spread_of_times
 
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
-REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought, by bisection
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="", transform="log", prior=SHUTTER_PRIOR
@@ -178,10 +177,10 @@ def fit_gamma(
         )
         gamma, tau = estimates(found, group=label)
     else:
-        drawn = _drawn(log_tau, weights, given, found.samples.shape, seed)
+        mixture = Mixture(log_tau, weights, np.asarray(given.mean), np.asarray(given.variance))
+        drawn = mixture.draws(len(found.samples), seed)
         found = replace(found, method="marginal", draws=drawn[None])
-        gamma = _mixture(np.asarray(given.mean), np.asarray(given.variance), weights, label)
-        tau = _weighted(np.exp(log_tau), weights, label)
+        gamma, tau = mixture.of_mean(GAMMA, label), mixture.of_tau(SHUTTER_ERROR, label)
     assert gamma.value is not None
     information = np.linalg.inv(found.covariance)
     return GammaFit(
@@ -364,38 +363,6 @@ def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter
     log_weight = np.asarray(given.log_evidence) + prior
     weights = np.exp(log_weight - log_weight.max())
     return log_tau, weights / weights.sum(), given
-
-
-def _mixture(mean: np.ndarray, variance: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
-    """Mean, standard deviation and quantiles of a mixture of Gaussians."""
-    centre = float(weights @ mean)
-    spread = float(np.sqrt(weights @ (variance + (mean - centre) ** 2)))
-    low, high = (centre + side * spread * np.full(len(QUANTILES), REACH) for side in (-1, 1))
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        below = ndtr((middle[:, None] - mean) / np.sqrt(variance)) @ weights < QUANTILES
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    ends = (low + high) / 2
-    return quantile_estimate(GAMMA, centre, spread, ends, method="marginal", group=label)
-
-
-def _weighted(values: np.ndarray, weights: np.ndarray, label: str) -> Estimate:
-    ends = np.interp(QUANTILES, np.cumsum(weights), values)
-    spread = float(np.sqrt(weights @ (values - weights @ values) ** 2))
-    return quantile_estimate(SHUTTER_ERROR, ends[2], spread, ends, method="marginal", group=label)
-
-
-def _drawn(
-    log_tau: np.ndarray, weights: np.ndarray, given: GivenShutter, shape: tuple[int, ...], seed: int
-) -> np.ndarray:
-    """(draws, 2) of (gamma, tau): tau from its weights, even between the grid's points, then
-    gamma given tau."""
-    rng = np.random.default_rng(seed)
-    which = rng.choice(len(log_tau), size=shape[0], p=weights)
-    step = (log_tau[1] - log_tau[0]) * rng.uniform(-0.5, 0.5, shape[0])
-    mean, deviation = np.asarray(given.mean), np.sqrt(given.variance)
-    gamma = mean[which] + deviation[which] * rng.standard_normal(shape[0])
-    return np.stack([gamma, np.exp(log_tau[which] + step)], axis=1)
 
 
 def _srgb(curve: ResponseCurve) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._point_names import few_ticks, name_points
+from .._legible_axes import few_ticks, name_points
 from .records import Curve
 
 if TYPE_CHECKING:

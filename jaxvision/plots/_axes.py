@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
 
 BLUE, RED = "#0b72c4", "#c2410c"  # legible on white and on near black: what is found, what is true
 
@@ -23,15 +22,3 @@ def tidy(axes: "Axes") -> None:
     """A quiet grid, and no frame above and to the right."""
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def sparse_ticks(axis: "Axis") -> None:
-    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis of less than two decades, where
-    matplotlib's would run together."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    if high < 100 * low:
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())

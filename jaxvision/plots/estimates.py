@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .._point_names import name_points
+from .._legible_axes import few_ticks, name_points
 from ..errors import InputError
-from ._axes import BLUE, RED, new_axes, sparse_ticks, tidy
+from ._axes import BLUE, RED, new_axes, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -184,8 +184,7 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     for i, (points, colour) in enumerate(named):  # the limits are known now
         name_points(axes, points, below=i % 2 == 0 and by_method, color=colour, size=8)
     axes.set(xlabel="time [s]", ylabel="relative error")
-    sparse_ticks(axes.xaxis)
-    sparse_ticks(axes.yaxis)
+    few_ticks(axes)
     tidy(axes)
     return axes
 

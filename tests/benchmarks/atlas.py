@@ -35,7 +35,7 @@ from fitting.accuracy.examples import EXAMPLES as FIT_EXAMPLES
 from fitting.accuracy.examples import example as fit_example
 from fitting.demo.lab import simulate_lab
 from fitting.rig import load_rig
-from jaxvision._point_names import few_ticks, name_points
+from jaxvision._legible_axes import few_ticks, name_points
 from jaxvision.accuracy import KNOBS, Curve, Problem, curve, knobs_of, measured, plot
 from jaxvision.accuracy.examples import cameras, example, examples, light, pictures
 from jaxvision.accuracy.scene_settings import machine

@@ -1,4 +1,4 @@
-"""Names of points in a figure of two logarithmic axes, and numbers on these."""
+"""Two logarithmic axes that can be read: names of points, and numbers, that keep apart."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
