@@ -226,6 +226,22 @@ def test_inputs_are_listed_with_small_pictures(tmp_path):
     np.testing.assert_allclose(shown[66, 23, 0], scaled[198:, 69:].mean(), atol=1 / 255)
 
 
+def test_images_removed_before_the_report_is_written_cost_no_result(section, tmp_path):
+    write_image(tmp_path / "0.tif", np.zeros((8, 8), np.uint16))
+    exposure = {"file": "0.tif", "exposure": 0.1}
+    rig = Rig.model_validate({"folder": tmp_path, "camera": {"bits": 8}, "exposure": [exposure]})
+    removed_after = inputs_of(rig, "a response calibration")
+    (tmp_path / "0.tif").unlink()
+    removed_before = inputs_of(rig, "a response calibration")
+    assert removed_before[0].bytes is None
+    for found, size in ((removed_after, "bytes"), (removed_before, "removed since")):
+        assert found[0].picture() is None
+        html = as_html([replace(section, inputs=found)], title="")
+        assert size in html
+        assert "0.tif" in html
+        assert "<img" not in html
+
+
 def test_json_holds_units_intervals_versions_and_no_nan(section):
     content = json.loads(as_json([section], seed=7, settings={"mcmc": False}))
     gain, dsnu = content["sections"][0]["estimates"]

@@ -4,10 +4,12 @@ import base64
 import io
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 from ..inference.formatting import format_unit
@@ -74,9 +76,16 @@ def _input(rig: Rig, entry: Flat | Dark | Exposure | Light, shown: bool) -> Inpu
         files=files,
         kind=type(entry).__name__.lower(),
         settings=settings,
-        bytes=sum(rig.path(name).stat().st_size for name in files),
+        bytes=_bytes([rig.path(name) for name in files]),
         picture=(lambda: small_picture(rig, files[0])) if shown else None,
     )
+
+
+def _bytes(paths: list[Path]) -> int | None:
+    try:
+        return sum(path.stat().st_size for path in paths)
+    except OSError:
+        return None
 
 
 def _setting(name: str, value: Any) -> str:
@@ -88,7 +97,7 @@ def _setting(name: str, value: Any) -> str:
     return f"{name.replace('_', ' ')} {text} {format_unit(UNITS.get(name, '1'))}".rstrip()
 
 
-def small_picture(rig: Rig, name: str) -> str:
+def small_picture(rig: Rig, name: str) -> str | None:
     """An image of a rig at the size of a thumbnail.
 
     Args:
@@ -96,11 +105,14 @@ def small_picture(rig: Rig, name: str) -> str:
         name: of the image.
 
     Returns:
-        A PNG, base64-encoded.
+        A PNG, base64-encoded; None if the image cannot be read any more.
     """
     import matplotlib.image
 
-    image = np.atleast_3d(np.asarray(read_image(rig.path(name)), float))
+    try:
+        image = np.atleast_3d(np.asarray(read_image(rig.path(name)), float))
+    except InputError:
+        return None
     step = -(-max(image.shape[:2]) // SIDE)
     means = _block_means(_block_means(image, step, axis=0), step, axis=1)
     camera, black = rig.camera, rig.camera.black_level or 0.0

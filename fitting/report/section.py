@@ -58,15 +58,16 @@ class Input:
         files: names.
         kind: what they are: flat, dark, exposure or light.
         settings: of the rig, in words.
-        bytes: of all files.
-        picture: makes a small PNG of the first one, base64-encoded; None where it is not shown.
+        bytes: of all files; None if one was removed since.
+        picture: makes a small PNG of the first one, base64-encoded, or None if that was removed
+            since; None where it is not shown.
     """
 
     files: tuple[str, ...]
     kind: str
     settings: str
-    bytes: int
-    picture: Callable[[], str] | None = None
+    bytes: int | None
+    picture: Callable[[], str | None] | None = None
 
 
 @dataclass(frozen=True)
