@@ -53,7 +53,7 @@ KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "programs"}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},
-    {"observation", "report", "rig_from_folder"},
+    {"copies", "observation", "report", "rig_from_folder"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"accuracy", "demo", "joint"},

@@ -13,6 +13,7 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
+from ..copies import Copies
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Dark, Flat, Rig, load_rig, require
@@ -156,7 +157,8 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 def _reduced(
     rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
 ) -> Levels:
-    rows = [_level(rig, entry.files, channel, load) for entry in entries]
+    copies = Copies()
+    rows = [_level(rig, entry, channel, load, copies) for entry in entries]
     if len({row.shape for row in rows}) > 1:
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
     shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
@@ -189,13 +191,16 @@ class _Level(NamedTuple):
     shape: tuple[int, ...]
 
 
-def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> _Level:
+def _level(rig: Rig, entry: Flat | Dark, channel: str, load: Load, copies: Copies) -> _Level:
+    files = entry.files
     # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
     first = _plane(rig, files[0], channel, load)
     total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
     lines, neighbours = Moments(first), Neighbours(first.shape)
+    copies.add(files[0], first)
     for name in files[1:]:
         frame = _plane(rig, name, channel, load)
+        copies.add(name, frame)
         if frame.shape != first.shape:
             raise InputError(
                 f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {first.shape}; all frames "
@@ -207,6 +212,8 @@ def _level(rig: Rig, files: Sequence[str], channel: str, load: Load) -> _Level:
         lines.add(deviation)
         neighbours.add(deviation)
         shifts.append(float(deviation.mean()))
+    if isinstance(entry, Flat):  # darks of little noise may be equal
+        copies.refuse(rig.folder)
     count, pixels = len(files), first.size
     if pixels < FEWEST_PIXELS:
         raise InputError(

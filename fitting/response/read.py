@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, UInt16
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
+from ..copies import Copies
 from ..observation import Load, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, require
 
@@ -124,12 +125,15 @@ def _planes(
             f"{where} all last {times[0]:g} s; give at least two different exposure times."
         )
     frames = [_codes(rig, entry.file, load) for entry in entries]
+    copies = Copies()
     for entry, frame in zip(entries, frames, strict=True):
+        copies.add(entry.file, frame)
         if frame.shape != frames[0].shape:
             raise InputError(
                 f"{rig.path(entry.file)}: is {frame.shape}, but {entries[0].file} is "
                 f"{frames[0].shape}; all images of one stack need the same size."
             )
+    copies.refuse(rig.folder)
     darker = float(np.mean(frames[-1] < frames[0]))
     if darker > MOSTLY and np.mean(frames[-1] > frames[0]) < 1 - MOSTLY:
         raise InputError(

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
+from ...copies import Copies
 from .read import ReflectanceObservation
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
@@ -94,15 +95,14 @@ def contradictions(observation: ReflectanceObservation, *, gamma: float | None =
 
 def _of_copies(observation: ReflectanceObservation) -> list[str]:
     """Images of equal numbers, which noise rules out for two exposures."""
-    alike: dict[bytes, list[str]] = {}
+    copies = Copies()
     for light, file in enumerate(observation.files):
-        shown = observation.dn[:, light]
-        if np.ptp(shown):  # all black or all white says nothing
-            alike.setdefault(shown.tobytes(), []).append(file)
-    copies = [files for files in alike.values() if len(files) > 1]
-    if not copies:
+        copies.add(file, observation.dn[:, light])
+    if not copies.found:
         return []
-    named = "; ".join(", ".join(files[:5]) + (" ..." if len(files) > 5 else "") for files in copies)
+    named = "; ".join(
+        ", ".join(files[:5]) + (" ..." if len(files) > 5 else "") for files in copies.found
+    )
     return [
         f"Images of equal numbers are copies of one exposure: {named}. Every copy counts as "
         "another measurement, so the intervals are too narrow; keep one of them, under its light."

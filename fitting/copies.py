@@ -1,0 +1,50 @@
+"""Images that are copies of one exposure, which noise tells from two exposures of one scene."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from jaxvision.errors import InputError
+
+LEAST_BETWEEN = 0.01  # share of the pixels that must be neither black nor white
+
+
+class Copies:
+    """Names of images by their numbers. Images that are black or white almost everywhere say
+    nothing: those of two exposures may be equal."""
+
+    def __init__(self) -> None:
+        self._names: dict[bytes, list[str]] = {}
+
+    def add(self, name: str, image: np.ndarray) -> None:
+        """Compares an image with those that were added before.
+
+        Args:
+            name: of the image.
+            image: DN, of any shape.
+        """
+        between = (image > image.min()) & (image < image.max())
+        if between.mean() > LEAST_BETWEEN:
+            digest = hashlib.blake2b(np.ascontiguousarray(image)).digest()
+            self._names.setdefault(digest, []).append(name)
+
+    @property
+    def found(self) -> list[list[str]]:
+        """Names of images of equal numbers."""
+        return [names for names in self._names.values() if len(names) > 1]
+
+    def refuse(self, folder: Path) -> None:
+        """Refuses images of equal numbers.
+
+        Args:
+            folder: of the images.
+
+        Raises:
+            InputError: naming two of them.
+        """
+        for first, second, *_ in self.found:
+            raise InputError(
+                f"{folder / second}: is {first} in every pixel, so one is a copy of the other; "
+                "give each exposure its own image."
+            )

@@ -1,0 +1,52 @@
+"""Copies of an image are refused by name; images that may be equal are not."""
+
+import numpy as np
+import pytest
+
+from fitting.copies import Copies
+from fitting.noise import from_frames
+from fitting.response import from_stack
+from fitting.rig import Camera
+from jaxvision.errors import InputError
+
+
+def flats(levels=(200, 900, 1800, 2900, 5000)):
+    """Two frames a level, photons, and darks, of 12 bits and 1 DN an electron."""
+    rng = np.random.default_rng(0)
+    lit = [np.clip(64 + rng.poisson(level, (2, 24, 24)), 0, 4095) for level in levels]
+    return lit, [np.round(rng.normal(64, 2, (2, 24, 24)))], levels
+
+
+def photon_transfer(lit, dark, levels):
+    return from_frames(lit, dark, [0.1] * 5, levels, dark_exposures=[0.1], camera=Camera(bits=12))
+
+
+def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
+    lit, dark, levels = flats()
+    assert np.ptp(lit[-1]) == 0  # saturated: equal frames, which are read
+    photon_transfer(lit, dark, levels)
+    lit[2][1] = lit[2][0]
+    with pytest.raises(InputError, match=r"flat.*2.*: is flat.*2.* in every pixel.*copy"):
+        photon_transfer(lit, dark, levels)
+
+
+def test_a_copied_exposure_is_refused_by_name():
+    rng = np.random.default_rng(0)
+    scene = rng.uniform(0, 60, (32, 32))
+    times = [1.0, 2.0, 4.0]
+    stack = [np.clip(scene * t + rng.normal(0, 1, scene.shape), 0, 255).round() for t in times]
+    from_stack(stack, times, camera=Camera(bits=8))
+    with pytest.raises(InputError, match=r"is .* in every pixel.*copy"):
+        from_stack([stack[0], stack[1], stack[1]], times, camera=Camera(bits=8))
+
+
+def test_white_frames_with_dead_pixels_say_nothing():
+    rng, copies = np.random.default_rng(0), Copies()
+    white = np.full((40, 40), 255.0)
+    white[3, 4], white[7, 2] = 0, 31
+    for name in ("a", "b"):
+        copies.add(name, white)
+    grey = rng.uniform(0, 255, (40, 40))
+    for name in ("c", "d", "e"):
+        copies.add(name, grey)
+    assert copies.found == [["c", "d", "e"]]
