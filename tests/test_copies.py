@@ -10,7 +10,7 @@ from fitting.rig import Camera
 from jaxvision.errors import InputError
 
 
-def flats(levels=(200, 900, 1800, 2900, 5000)):
+def flats(levels=(200, 900, 1600, 2200, 2900, 5000)):
     """Two frames a level, photons, and darks, of 12 bits and 1 DN an electron."""
     rng = np.random.default_rng(0)
     lit = [np.clip(64 + rng.poisson(level, (2, 24, 24)), 0, 4095) for level in levels]
@@ -18,7 +18,7 @@ def flats(levels=(200, 900, 1800, 2900, 5000)):
 
 
 def photon_transfer(lit, dark, levels):
-    return from_frames(lit, dark, [0.1] * 5, levels, dark_exposures=[0.1], camera=Camera(bits=12))
+    return from_frames(lit, dark, [0.1] * 6, levels, dark_exposures=[0.1], camera=Camera(bits=12))
 
 
 def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
