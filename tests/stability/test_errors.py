@@ -12,7 +12,6 @@ from measure import HARD, SLOW, measured
 from public_names import functions
 from registry.composed import COMPOSED
 from registry.elsewhere import ELSEWHERE, covered_names
-from test_api import LONG
 from widened import calls, widened
 
 import fitting
@@ -101,7 +100,7 @@ OTHERWISE_COMPILED = 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in sorted(COMPOSED) if name not in LONG])
+@pytest.mark.parametrize("name", sorted(COMPOSED))
 def test_compositions_in_float32(name):
     of_largest, _, kept = widened(name, calls()[name])
     assert kept, "float32 does not stay float32"

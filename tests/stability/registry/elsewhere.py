@@ -200,6 +200,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         DRAWS,
+        "test_shading",
+        """
+            hemisphere_integral: sampled_radiance
+        """,
+    ),
+    Elsewhere(
+        DRAWS,
         "test_random test_lights",
         """
             lights._nodes: shifted_lattice
