@@ -1,6 +1,7 @@
 """Two logarithmic axes that can be read: names of points, and numbers, that keep apart."""
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,8 @@ TOGETHER = 0.08, 0.06  # of the axes' width and height, within which points shar
 WIDE, HIGH = 0.62, 1.2  # of a letter and a line, in font sizes
 APART = 5.0  # pt, of a name from its point, and of a number from the next
 LAID_OUT = 0.9  # of the axes' size now, where a layout may yet shrink them
+MARGIN = 2.0  # pt, of a name from what is drawn
+OF_MARK, OF_LINE = 60.0, 5.0  # pt^2, that a name covers of a mark, and at a place on a line
 MOST = 4  # numbers on an axis
 
 
@@ -23,8 +26,8 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Writes names beside points, where no other name is; points that lie together have one label,
-    of all their names. The axes grow, so that there is room above the highest.
+    """Writes names beside points, where no other name and little else is; points that lie together
+    have one label, of all their names. The axes grow, so that there is room above the highest.
 
     Args:
         axes: logarithmic, with the points drawn.
@@ -52,13 +55,14 @@ def name_points(
             known.append(name)
     whole = _size(axes)
     taken = [_box_of(text, whole, first, last) for text in axes.texts if hasattr(text, "xyann")]
+    drawn = _drawn(axes, whole, first, last)
     for place, known in together:
         if not any(known):
             continue
         label = ", ".join(known)
         extent = np.array([WIDE * len(label), HIGH]) * letters
         boxes = list(_around(place * whole, extent, below=below))
-        x, y, box = min(boxes, key=lambda one: _in_the_way(one[2], taken, whole))
+        x, y, box = min(boxes, key=lambda one: _in_the_way(one[2], taken, drawn, whole))
         taken.append(box)
         axes.annotate(
             label,
@@ -148,11 +152,12 @@ def _around(
     point: np.ndarray, extent: np.ndarray, *, below: bool
 ) -> Iterator[tuple[float, float, np.ndarray]]:
     """Offsets of a name, pt, with the box that it takes: its lower left and upper right corner."""
-    for up in (-1, 1) if below else (1, -1):
-        for right in (1, -1):
-            offset = APART * np.array([right, 0.6 * up])
-            start = point + offset + np.minimum([right, up], 0) * extent
-            yield offset[0], offset[1], np.array([start, start + extent])
+    for lines in (0.0, 0.8):
+        for up in (-1, 1) if below else (1, -1):
+            for right in (1, -1):
+                offset = np.array([right, up]) * (APART, 0.6 * APART + lines * extent[1])
+                start = point + offset + np.minimum([right, up], 0) * extent
+                yield offset[0], offset[1], np.array([start, start + extent])
 
 
 def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -164,9 +169,36 @@ def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
     return np.array([start, start + extent])
 
 
-def _in_the_way(box: np.ndarray, taken: Sequence[np.ndarray], whole: np.ndarray) -> float:
-    """pt^2 of a name over others, and beyond the axes."""
+def _drawn(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """(n, 3) places on marks, lines and bars, about `APART` from each other: pt from the lower left
+    corner, and what it costs to cover them."""
+    paths = [
+        (line.get_xydata(), line.get_marker() not in ("", " ", "None", None))
+        for line in axes.lines
+        if line.get_transform() == axes.transData
+    ]
+    for bars in axes.collections:
+        paths += [(path, False) for path in getattr(bars, "get_segments", list)()]
+    found = [np.zeros((0, 3))]
+    for path, marked in paths:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = (np.log(np.asarray(path, float)) - first) / np.maximum(last - first, 1e-9) * whole
+        at = at[np.isfinite(at).all(1)]
+        if marked:
+            found.append(np.insert(at, 2, OF_MARK, 1))
+        for start, end in pairwise(at):
+            steps = int(np.clip(np.abs(end - start).max() / APART, 1, 1000))
+            found.append(np.insert(np.linspace(start, end, steps), 2, OF_LINE, 1))
+    return np.concatenate(found)
+
+
+def _in_the_way(
+    box: np.ndarray, taken: Sequence[np.ndarray], drawn: np.ndarray, whole: np.ndarray
+) -> float:
+    """pt^2 of a name over others, over what is drawn, and beyond the axes."""
     overlaps = (np.minimum(box[1], one[1]) - np.maximum(box[0], one[0]) for one in taken)
     inside = np.clip(np.minimum(box[1], whole) - np.maximum(box[0], 0), 0, None)
     beyond = float(np.prod(box[1] - box[0]) - np.prod(inside))
-    return beyond + sum(float(np.prod(np.clip(one, 0, None))) for one in overlaps)
+    at, cost = drawn[:, :2], drawn[:, 2]
+    covered = float(cost[((at > box[0] - MARGIN) & (at < box[1] + MARGIN)).all(1)].sum())
+    return 2 * beyond + sum(float(np.prod(np.clip(one, 0, None))) for one in overlaps) + covered

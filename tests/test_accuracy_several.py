@@ -281,6 +281,20 @@ def test_the_page_stands_alone_and_follows_the_reader():
     assert faces.get_markerfacecolor() == "none"
 
 
+def test_a_setting_that_equals_the_reference_stands_on_the_lower_axis():
+    """Beside other programs, and within the axis of times though it is the slowest."""
+    _, curves = measured()
+    first, last = curves[0].trials[0], curves[0].trials[-1]
+    exact = replace(last, setting="all", error=0.0, seconds=9 * last.seconds)
+    axes = plot(
+        replace(curves[0], trials=(first, exact), pareto=(0,)), others=[("peer", 1e-3, 1e-9)]
+    )
+    assert {label.get_text() for label in axes.texts} == {str(first.setting), "all: 0", "peer"}
+    (mark,) = [line for line in axes.lines if line.get_xdata()[0] == exact.seconds]
+    assert mark.get_ydata()[0] == axes.get_ylim()[0] < 1e-7
+    assert axes.get_xlim()[1] > exact.seconds
+
+
 def test_an_axis_of_one_point_has_labels_that_differ():
     _, curves = measured()
     one = replace(curves[1].trials[0], seconds=0.0321, seconds_low=0.032, seconds_high=0.0322,

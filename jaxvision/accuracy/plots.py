@@ -6,23 +6,32 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._legible_axes import few_ticks, name_points
-from .records import Curve
+from .records import Curve, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MARK, FLOOR = "#0b72c4", "#c2410c"  # legible on white and on near black
+MARK, FLOOR, OTHER = "#0b72c4", "#c2410c", "#8250df"  # legible on white and on near black
 LEAST_RANGE = 2.0  # of an axis, of which less has labels that all read the same
+ROOM = 0.15  # of the height, for points without an error
+BESIDE = 0.15  # of the width, for names of other programs
 BELOW = 0.03  # of the least error, as far as is drawn
 _UNKNOWN = "no error is known: allow more time"
 
 
-def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
+def plot(
+    curve: Curve,
+    *,
+    others: Sequence[tuple[str, float, float]] = (),
+    axes: "Axes | None" = None,
+) -> "Axes":
     """Draws a curve: filled points with their spread, hollow ones near the reference's own error
-    (dashed, unless it is far below), the Pareto front as a line.
+    (dashed, unless it is far below), on the lower axis those that are equal to the reference, and
+    the Pareto front as a line.
 
     Args:
         curve: from `curve`.
+        others: of other programs (name, s, relative error), as triangles.
         axes: of matplotlib to draw on; None: new ones.
 
     Returns:
@@ -55,11 +64,22 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
     if shown and np.isfinite(floor) and floor > bottom:
         axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
-    exact = any(t.error == 0 and np.isfinite(floor) for t in curve.trials)
+    exact = [t for t in curve.trials if t.error == 0 and np.isfinite(floor)]
+    rivals = [(name, seconds, 100 * error) for name, seconds, error in others]
+    for _, seconds, error in rivals:
+        axes.plot(seconds, error, "^", color=OTHER, ms=5)
+    if rivals:
+        axes.margins(x=BESIDE)
     none = "no error was found" if exact else _UNKNOWN
+    if shown and exact:
+        axes.update_datalim([(t.seconds, 100 * shown[0].error) for t in exact])
     _scaled(axes, [t.error for t in shown], curve.error_axis, none)
-    name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
     if shown:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low * (low / high) ** (ROOM if exact else 0), high)
+        name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
+        name_points(axes, rivals, below=True, color=OTHER)
+        _without_error(axes, exact)
         few_ticks(axes)  # the names took their room above
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     order = ""
@@ -71,6 +91,14 @@ def plot(curve: Curve, *, axes: "Axes | None" = None) -> "Axes":
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     return axes
+
+
+def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
+    """Trials that equal the reference, which a logarithm cannot show: on the lower axis."""
+    low, _ = axes.get_ylim()
+    for trial in trials:
+        axes.plot(trial.seconds, low, "o", color=MARK, mfc="none", ms=6, clip_on=False)
+    name_points(axes, [(f"{t.setting}: 0", t.seconds, low) for t in trials])
 
 
 def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":

@@ -35,7 +35,6 @@ from fitting.accuracy.examples import EXAMPLES as FIT_EXAMPLES
 from fitting.accuracy.examples import example as fit_example
 from fitting.demo.lab import simulate_lab
 from fitting.rig import load_rig
-from jaxvision._legible_axes import few_ticks, name_points
 from jaxvision.accuracy import KNOBS, Curve, Problem, curve, knobs_of, measured, plot
 from jaxvision.accuracy.examples import cameras, example, examples, light, pictures
 from jaxvision.accuracy.scene_settings import machine
@@ -49,7 +48,7 @@ STYLE = (
     "<style>svg{color:#1b1f24;background:#fff}@media (prefers-color-scheme:dark)"
     "{svg{color:#e6edf3;background:#0d1117}}</style>"
 )
-INK, PEER = "#010203", "#8250df"
+INK = "#010203"
 SCENES = (  # name, pixels a side, `[render]`, knobs or all
     ("cornell_box", 128, {"integrator": "path"}, ()),
     ("cornell_box", 256, {"integrator": "direct"}, ()),
@@ -200,14 +199,8 @@ def drawn(sheet: Sheet) -> str:
         axes = figure.add_subplot()
         axes.patch.set_alpha(0)
         figure.patch.set_alpha(0)
-        plot(sheet.curve, axes=axes)
-        for peer in sheet.peers:
-            axes.plot(peer.seconds, 100 * peer.error, "^", color=PEER, ms=5)
-        points = [(peer.name, peer.seconds, 100 * peer.error) for peer in sheet.peers]
-        if points:
-            _reach(axes, sheet.peers)
-            name_points(axes, points, below=True, color=PEER)
-            few_ticks(axes)
+        others = [(peer.name, peer.seconds, peer.error) for peer in sheet.peers]
+        plot(sheet.curve, others=others, axes=axes)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
@@ -216,15 +209,6 @@ def drawn(sheet: Sheet) -> str:
     head, rest = svg.split(">", 1)
     shorter = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\.\d\d)\d+", r"\1", d[0]), rest)
     return head + ">" + STYLE + shorter
-
-
-def _reach(axes, peers: Sequence[Peer]) -> None:
-    """Limits that hold the points of peers, with some room."""
-    for limits, set_limits, values in (
-        (axes.get_xlim(), axes.set_xlim, [peer.seconds for peer in peers]),
-        (axes.get_ylim(), axes.set_ylim, [100 * peer.error for peer in peers]),
-    ):
-        set_limits(min(limits[0], 0.8 * min(values)), max(limits[1], 1.25 * max(values)))
 
 
 def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None:
@@ -244,8 +228,9 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         "vary from knob to knob; within a knob they were measured in turns and compare.",
         "Times are warm, those of scenes of the whole picture. Errors are relative root mean",
         "squares, of fits in standard errors. Labels are settings; hollow points lie within three",
-        "times the error of the reference (dashed); triangles are peers. `not reached` also stands",
-        "where the time of a knob was too short for finer settings.",
+        "times the error of the reference (dashed), those on the lower axis (`: 0`) equal it;",
+        "triangles are peers. `not reached` also stands where the time of a knob was too short for",
+        "finer settings.",
         "",
     ]
     for page, names in pages.items():
