@@ -1,7 +1,8 @@
 """A photon transfer curve
 
 Pairs of frames of an even field at 24 levels: the variance grows with the mean by the gain, 0.25
-DN per electron, until the well is full.
+DN per electron. In the dark read noise and rounding remain; where the well is full, all pixels
+read alike and only read noise is left.
 """
 
 import jax
@@ -24,8 +25,19 @@ take = jax.jit(lambda key: jv.raw_image(key, sensor, photons))
 one, other = take(jax.random.key(0)), take(jax.random.key(1))
 mean = one.mean((1, 2, 3)) - 64
 variance = ((one - other) ** 2 / 2).mean((1, 2, 3))
-plt.loglog(mean, variance, "o", label="measured")
-plt.loglog(mean, 0.25 * mean, label="0.25 DN per electron")
+floor = (0.25 * 6.0) ** 2 + 1 / 12
+plt.loglog(mean, variance, "o", label="measured, one point a level")
+plt.loglog(mean, 0.25 * mean, label="photon noise alone: 0.25 DN per electron")
+plt.axhline(floor, color="grey", ls="--", lw=1)
+plt.text(14, 0.9 * floor, "read noise and rounding alone", color="grey", va="top")
+plt.annotate(
+    "well full: no photon noise\nis left",
+    (mean[-1], variance[-1]),
+    (450, 9),
+    ha="center",
+    arrowprops={"arrowstyle": "->", "relpos": (1, 0)},
+)
+plt.ylim(0.5, 3000)
 plt.xlabel("mean above black [DN]")
 plt.ylabel("variance [DN²]")
 plt.legend()
