@@ -94,6 +94,12 @@ def check_picture(picture: ArrayLike) -> None:
         ValueError: for fewer than two axes, for no pixels, and for complex numbers.
     """
     shape = jnp.shape(picture)
+    if len(shape) == 1 and shape[0]:
+        raise ValueError(
+            f"a picture must be (h, w) or (..., h, w, bands), got shape {shape}: a signal (n,) is "
+            "taken by filters.correlate and convolve, with a kernel (k,) such as "
+            "filters.gaussian_kernel(sigma, size=9), or as a picture of one row, signal[None]."
+        )
     if len(shape) < 2 or 0 in shape:
         raise ValueError(
             "a picture must be (h, w) or (..., h, w, bands) with at least one pixel, got shape "

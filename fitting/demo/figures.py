@@ -30,16 +30,16 @@ def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
             row,
             f"{format_value(estimate)}   ({comparison.truth:g})",
             va="center",
-            fontsize=8,
+            fontsize=9,
         )
         name = format_name(estimate.name)
         detail = estimate.group or estimate.method
         labels.append(f"{name}, {detail}" if detail else name)
-    axis.set_yticks(range(len(labels)), labels, fontsize=8)
+    axis.set_yticks(range(len(labels)), labels, fontsize=9)
     axis.set_ylim(len(labels) - 0.4, -0.6)
     axis.set_xlim(-LIMIT, LIMIT)
     axis.set_xlabel("(estimate − truth) / standard error")
-    axis.set_title("estimate ± standard error (truth)", loc="right", fontsize=8)
+    axis.set_title("estimate ± standard error (truth)", loc="right", fontsize=9)
     for side in ("top", "right", "left"):
         axis.spines[side].set_visible(False)
     axis.tick_params(left=False)

@@ -94,6 +94,19 @@ def format_with_error(value: float, error: float, *, signed: bool = False) -> st
     return f"{sign}{format_number(value, places)} ± {format_number(error, places, beside=value)}"
 
 
+def format_within(value: float, width: float) -> str:
+    """A number that is known to a width, to two digits of it.
+
+    Args:
+        value: to print.
+        width: of the range that holds it, in the same unit.
+
+    Returns:
+        The text.
+    """
+    return format_number(value, decimals_for(width))
+
+
 def format_value(estimate: "Estimate") -> str:
     """`value ± standard error` without the unit, or a dash where it is not determined."""
     if estimate.value is None:

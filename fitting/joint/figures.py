@@ -34,7 +34,7 @@ def images_figure(calibration: JointCalibration) -> Figure:
             axes[row, column].imshow(plane, vmin=low, vmax=high, cmap=colours)
             axes[row, column].set(xticks=[], yticks=[])
         kind = "held out" if observation.held_out[light] else "fitted"
-        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=8)
+        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=9)
     for row, label in enumerate(("measured", "predicted", "difference")):
         axes[row, 0].set_ylabel(label)
     scale = axes[2, 0].images[0]
@@ -75,7 +75,7 @@ def noise_figure(calibration: JointCalibration) -> Figure:
         axis.errorbar(level, measured, error, fmt="o", color=colour, label=fit.channel, ms=4)
         axis.plot(level, expected, color=colour)
     axis.set(xlabel="digital number [DN]", ylabel="variance of a pixel [DN²]", ylim=(0, None))
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=9)
     return figure
 
 
@@ -94,6 +94,6 @@ def lights_figure(calibration: JointCalibration) -> Figure:
         axis.errorbar(places, mean, spread, fmt="o", ms=4, color=OF_CHANNEL[fit.channel])
     axis.axhline(0, color="0.7", lw=0.8)
     files = np.array(calibration.measurement.observation.files)[calibration.fits[0].grid.lights]
-    axis.set_xticks(np.arange(len(files)), files, rotation=90, fontsize=6)
+    axis.set_xticks(np.arange(len(files)), files, rotation=90, fontsize=8)
     axis.set_ylabel("light, less what the rig says [%]")
     return figure

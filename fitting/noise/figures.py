@@ -17,7 +17,7 @@ from .model import Moments, NoiseData, predicted_moments
 from .neighbours import NeighbourData
 from .regressions import line
 
-SIZE = (6.4, 5.2)
+SIZE = (5.4, 4.6)
 ORANGE, GREY = "tab:orange", "0.45"
 POINTS = 300  # of a drawn curve
 
@@ -106,7 +106,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     _mark_saturation(calibration, (upper,), signal)
     upper.set_ylabel("variance above dark [DN²]")
     upper.set_ylim(floor, 2 * np.nanmax(shot))
-    upper.legend(fontsize=8)
+    upper.legend(fontsize=9)
 
     bright = measurement.bright
     expected = gain * signal[used]
@@ -137,7 +137,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> Figure:
     upper.plot(x, moments.mean - unlit.mean, color=ORANGE, lw=1.5, label="fitted camera")
     _mark_saturation(calibration, (upper,), light)
     upper.set_ylabel("mean signal above dark [DN]")
-    upper.legend(fontsize=8)
+    upper.legend(fontsize=9)
 
     deviation = np.asarray(
         linearity_deviation(jnp.asarray(light), jnp.asarray(signal), calibration.within.linearity)
@@ -156,7 +156,7 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     light = np.asarray(measurement.bright.light)
     signal, _ = _above_dark(calibration)
     noise = np.sqrt(np.asarray(measurement.bright.variance))
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    figure = Figure(figsize=(SIZE[0], 3.8), layout="constrained")
     axis = figure.subplots()
     shown = (signal > 0) & (noise > 0)
     if calibration.within.saturation is not None:
@@ -172,19 +172,20 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     for name, label in marks.items():
         if name in values:
             place = float(values[name])
+            known = format_number(place, decimals_for(float(calibration.standard.errors[name])))
             axis.axvline(place, color="k", lw=0.8, ls="--")
             axis.annotate(
-                f" {label}\n {place:.5g} photons",
+                f" {label}\n {known} photons",
                 (place, axis.get_ylim()[0]),
                 xytext=(2 if name == "threshold_photons" else -2, 6),
                 textcoords="offset points",
                 ha="left" if name == "threshold_photons" else "right",
-                fontsize=8,
+                fontsize=9,
             )
     axis.axhline(1, color="k", lw=0.5, ls=":")
     axis.set_xlabel(_light_label(calibration))
     axis.set_ylabel("signal to noise ratio")
-    axis.legend(fontsize=8, loc="upper left")
+    axis.legend(fontsize=9, loc="upper left")
     return figure
 
 
@@ -214,7 +215,7 @@ def dark_signal_figure(calibration: NoiseCalibration) -> Figure:
             value, error = (format_number(float(x), places) for x in (values[name], errors[name]))
             current = f"{value} ± {error} e⁻/s"
             axis.plot(ends, float(intercept) + float(slope) * ends, color=ORANGE, label=current)
-            axis.legend(fontsize=8)
+            axis.legend(fontsize=9)
     lower.set_xlabel("exposure [ms]")
     return figure
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..inference.diagnostics import identifiability
-from ..inference.formatting import format_p, format_with_error
+from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
@@ -229,10 +229,11 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
             "the ranges of the standard end at the brightest level; add brighter flats."
         ]
     unit = "photons" if calibration.measurement.photons_known else "s"
+    level, width = float(within.saturation), float(within.saturation_width)
     return [
-        f"Saturation is the level of largest variance, {float(within.saturation):.6g} {unit}; the "
-        f"true point lies between its neighbours, {float(within.saturation_width):.4g} {unit} "
-        "apart, which is most of the error of every capacity."
+        f"Saturation is the level of largest variance, {format_within(level, width)} {unit}; the "
+        f"true point lies between its neighbours, {format_within(width, width)} {unit} apart, "
+        "which is most of the error of every capacity."
     ]
 
 

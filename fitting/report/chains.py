@@ -87,7 +87,7 @@ def corner_figure(
         curves = [np.asarray(line.get_ydata(), float) for line in own.lines]
         own.set_ylim(0, 1.1 * max((y.max() for y in curves if y.size > 2), default=1.0))
     for axis in figure.axes:
-        axis.tick_params(labelsize=8, rotation=30)
+        axis.tick_params(labelsize=9, rotation=30)
         for direction in (axis.xaxis, axis.yaxis):
             formatter = direction.get_major_formatter()
             if isinstance(formatter, ScalarFormatter):
@@ -124,8 +124,8 @@ def trace_figure(posterior: Posterior) -> Figure:
         axis.plot(
             posterior.draws[:MOST_PATHS, :, i].T, color=BLUE, alpha=0.3, lw=0.5, rasterized=True
         )
-        axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=8)
-        axis.tick_params(labelsize=8)
+        axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
+        axis.tick_params(labelsize=9)
     axes[-1].set_xlabel("step after burn-in")
     return figure
 

@@ -1,6 +1,7 @@
 """What a likelihood left out, as its reader sees it."""
 
 from collections.abc import Iterable
+from itertools import compress
 
 from ..inference.left_out import TOLERANCE, LeftOut
 from .section import Table
@@ -15,7 +16,7 @@ def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tupl
         channels: by name, what was left out of each.
 
     Returns:
-        One table, or none where nothing was.
+        One table, without the columns that no row fills, or none where nothing was left out.
     """
     rows = tuple(
         (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
@@ -24,10 +25,12 @@ def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tupl
     )
     if not rows:
         return ()
+    columns = ("channel", "error", "as the rig states it", "moves the data by at most [s.d.]")
+    named = [any(row[i] not in ("", None) for row in rows) for i in range(len(columns))]
     table = Table(
         title="Left out",
-        columns=("channel", "error", "as the rig states it", "moves the data by at most [s.d.]"),
-        rows=rows,
+        columns=tuple(compress(columns, named)),
+        rows=tuple(tuple(compress(row, named)) for row in rows),
         caption="Too small for any fit to tell: the law of all data moves by no more than this, in "
         f"standard deviations of their noise; all together at most {TOLERANCE:g}.",
     )

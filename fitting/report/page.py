@@ -5,7 +5,7 @@ leaves nothing half-written."""
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -19,10 +19,11 @@ from jaxvision.plots.inline import figure_svg
 from ..inference.estimates import Estimate
 from ..inference.formatting import format_cell, format_unit, size_in_words
 from .chains import chain_pictures, write_chains
-from .section import Input, Section, Table
+from .section import Input, Picture, Section, Table
 from .sentences import said_once
 from .sheet import sheet
 
+WIDE = 520  # px of a figure that needs the width of the page
 PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 
 
@@ -64,7 +65,6 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
         The page.
     """
     import jinja2
-    from markupsafe import Markup
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("fitting.report"),
@@ -75,7 +75,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
     environment.filters |= {
         function.__name__: function
         for function in (chain_pictures, format_cell, format_unit, said_once, sheet, size_in_words)
-    } | {"svg": lambda picture: Markup(figure_svg(picture.draw))}
+    } | {"drawn": _drawn}
     return environment.get_template("report.html.j2").render(
         title=title, created=_now(), versions=versions(), sections=sections
     )
@@ -121,6 +121,38 @@ def write_report(
             write(folder / f"{name}.toml")
             written.append(folder / f"{name}.toml")
     return written
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """A picture as it stands in the page.
+
+    Attributes:
+        title, caption: of it.
+        svg: the element.
+        width: px at which its letters are as large as they were drawn.
+    """
+
+    title: str
+    caption: str
+    svg: str
+    width: int
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether half a page is too narrow for its letters."""
+        return self.width > WIDE
+
+
+def _drawn(pictures: Sequence[Picture]) -> list[_Drawn]:
+    from markupsafe import Markup
+
+    found = []
+    for picture in pictures:
+        svg = figure_svg(picture.draw)
+        width = round(float(svg.partition('viewBox="0 0 ')[2].split()[0]))
+        found.append(_Drawn(picture.title, picture.caption, Markup(svg), width))
+    return found
 
 
 def _now() -> str:

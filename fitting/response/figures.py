@@ -21,7 +21,7 @@ DOTS = 1500  # pixels drawn per channel
 
 def curve_figure(calibration: ResponseCalibration) -> Figure:
     """Log exposure against code, one panel per group, with data, band and gamma."""
-    figure, panels = _panels(calibration, height=4.0)
+    figure, panels = _panels(calibration, height=3.4)
     for axis, (_, channels) in panels:
         for i, channel in enumerate(channels):
             # The widest line lies lowest, so that curves that agree are all seen.
@@ -29,7 +29,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
         axis.set(xscale="log", yscale="log")
         axis.set_xlabel("code above black (DN)")
         axis.set_ylabel("exposure (mid-scale = 1)")
-        axis.legend(fontsize=8, loc="upper left")
+        axis.legend(fontsize=9, loc="upper left")
         axis.grid(alpha=0.3)
     return figure
 
@@ -88,13 +88,13 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
         axis.grid(alpha=0.3)
     left.set_ylabel("departure in ln exposure (%)")
     if len(shown) <= 4 and any(channel.plane.label for channel in shown):
-        left.legend(fontsize=8)
+        left.legend(fontsize=9)
     return figure
 
 
 def offsets_figure(calibration: ResponseCalibration) -> Figure:
     """Offset of every image's exposure from its nominal time, one panel per group."""
-    figure, panels = _panels(calibration, height=3.0)
+    figure, panels = _panels(calibration, height=2.8)
     for axis, (_, channels) in panels:
         for i, channel in enumerate(channels):
             curve = channel.curve
@@ -112,7 +112,7 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
         axis.axhline(0, color="0.4", lw=0.8)
         axis.set_xscale("log")
         axis.set(xlabel="nominal exposure time (s)", ylabel="offset in ln t (%)")
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=9)
         axis.grid(alpha=0.3)
     return figure
 
@@ -206,7 +206,7 @@ def _panels(
     groups = _groups(calibration)[:MOST_GROUPS]
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
-    width = 6.4 if columns == 1 else 4.4 * columns
+    width = 5.4 if columns == 1 else 4.4 * columns
     figure = Figure(figsize=(width, height * rows + 0.4), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes[len(groups) :]:

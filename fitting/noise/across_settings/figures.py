@@ -83,7 +83,7 @@ def gain_figure(calibration: CameraCalibration) -> Figure:
     upper.loglog(ends, scale * ends, color="k", lw=0.8, ls="--", label="proportional")
     upper.set_ylabel("K [DN/e⁻]")
     _plain_ticks(upper.yaxis)
-    upper.legend(fontsize=8)
+    upper.legend(fontsize=9)
     aside = _aside(factor[alone])
     off = 100 * (np.exp(log_gain) / (scale * factor[alone]) - 1)
     lower.errorbar(factor[alone] * aside, off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
@@ -132,7 +132,7 @@ def read_noise_figure(calibration: CameraCalibration) -> Figure:
     axis.set_ylabel("read noise [e⁻]")
     _plain_ticks(axis.xaxis)
     _plain_ticks(axis.yaxis)
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=9)
     return figure
 
 
@@ -181,7 +181,7 @@ def dark_current_figure(calibration: CameraCalibration) -> Figure:
     )
     above.set_ticks(np.unique(kelvin))
     above.set_xlabel("temperature [K]")
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=9)
     return figure
 
 

@@ -142,7 +142,7 @@ def errors_figure(calibration: BRDFCalibration) -> Figure:
                 (4, 0),
                 textcoords="offset points",
                 va="center",
-                fontsize=8,
+                fontsize=9,
             )
         axis.margins(x=0.13)
     cosine.set_yticks(places, [LABELS[m] for m in order])

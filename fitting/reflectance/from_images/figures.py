@@ -45,7 +45,7 @@ def images_figure(calibration: ReflectanceCalibration) -> Figure:
         left = 100 * (measured - predicted).mean(axis=0) / white
         differences.append(_plane(observation, np.where(clipped, np.nan, left)))
         kind = "held out" if observation.held_out[light] else "fitted"
-        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=8)
+        axes[0, column].set_title(f"{observation.files[light]}\n({kind})", fontsize=9)
     largest = max(float(np.nanquantile(np.abs(differences), 0.99)), 0.1)
     scale = TwoSlopeNorm(0, -largest, largest)
     for axis, difference in zip(axes[2], differences, strict=True):
@@ -83,7 +83,7 @@ def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
         ylabel="signal less diffuse term, per unit light [DN]",
         title="highlight",
     )
-    diffuse.legend(fontsize=8, loc="upper left")
+    diffuse.legend(fontsize=9, loc="upper left")
     specular.axhline(0, color="0.7", lw=0.8)
     return figure
 
@@ -92,7 +92,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     """Relative RMS per model and channel, on a logarithmic axis."""
     scores, channels = calibration.scores, calibration.observation.channels
     models = tuple(calibration.fits)
-    figure = Figure(figsize=(6.4, 1.6 + 0.42 * len(models)), layout="constrained")
+    figure = Figure(figsize=(6, 1.6 + 0.42 * len(models)), layout="constrained")
     axis = figure.subplots()
     tested = any(score.predicted_error is not None for score in scores)
     for i, channel in enumerate(channels):
@@ -108,7 +108,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
         for value, row in zip(shown, rows, strict=True):
             place, offset = (value, row), (7, 0)
             axis.annotate(
-                f"{value:.3g}", place, offset, fontsize=7, va="center", textcoords="offset points"
+                f"{value:.3g}", place, offset, fontsize=8.5, va="center", textcoords="offset points"
             )
     if tested:
         axis.plot([], [], "k|", ms=9, mew=1.2, label="on the fitted lights")
@@ -122,7 +122,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     axis.set_xlabel("relative RMS [%]")
     axis.grid(axis="x", alpha=0.3)
     figure.legend(
-        *axis.get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=4
+        *axis.get_legend_handles_labels(), fontsize=9, loc="outside upper center", ncols=4
     )
     return figure
 
