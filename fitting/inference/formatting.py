@@ -165,7 +165,11 @@ def size_in_words(bytes: int) -> str:
 
 
 def format_cell(cell: object) -> str:
-    """A table cell: floats to four significant digits, None as a dash, anything else as is."""
+    """A table cell: floats to four significant digits, those below 10 million without an exponent;
+    None as a dash, anything else as is."""
     if cell is None:
         return "–"
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+    if not isinstance(cell, float):
+        return str(cell)
+    rounded = float(f"{cell:.4g}")
+    return f"{rounded:.0f}" if 1e4 <= abs(rounded) < 1e7 else f"{cell:.4g}"

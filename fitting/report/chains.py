@@ -17,7 +17,7 @@ from ..inference.posterior import Posterior
 from .colours import BLUE, OF_CHANNEL, RED
 from .section import Columns, Picture, Section
 
-MARGIN = 1.0  # inches left of and below a corner plot, for turned numbers and names
+MARGIN = 1.15  # inches left of and below a corner plot, for turned numbers and names
 LONGEST_TAIL = 0.75  # drawn beyond the 95 % interval, in its widths: more than a Gaussian has
 MOST_PATHS = 16  # drawn; more only blacken the panel
 
@@ -56,7 +56,7 @@ def corner_figure(
     )
     beyond = LONGEST_TAIL * (high - low)
     ends = np.stack([np.maximum(lowest, low - beyond), np.minimum(highest, high + beyond)], axis=1)
-    size = 1.2 + 1.4 * len(space)
+    size = 1.35 + 1.4 * len(space)
     figure = Figure(figsize=(size, size))
     for channel, samples in draws.items():
         colour = OF_CHANNEL.get(channel, BLUE)
@@ -80,7 +80,7 @@ def corner_figure(
             weights=np.full(len(samples), 1 / len(samples)),
             label_kwargs={"fontsize": 10},
             max_n_ticks=3,
-            labelpad=0.14,
+            labelpad=0.26,
             fig=figure,
         )
     for own in figure.axes[:: len(space) + 1]:  # on the diagonal: as high as the highest channel

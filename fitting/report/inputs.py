@@ -12,7 +12,7 @@ import numpy as np
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
-from ..inference.formatting import format_unit
+from ..inference.formatting import format_cell, format_unit
 from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig
 from .section import Input, Section
 from .unused_keys import unused_keys
@@ -92,7 +92,7 @@ def _setting(name: str, value: Any) -> str:
     if value is True:
         return name.replace("_", " ")
     numbers = value if isinstance(value, tuple) else (value,)
-    text = ", ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in numbers)
+    text = ", ".join(map(format_cell, numbers))
     text = f"({text})" if len(numbers) > 1 else text
     return f"{name.replace('_', ' ')} {text} {format_unit(UNITS.get(name, '1'))}".rstrip()
 

@@ -17,6 +17,7 @@ from .findings import DRAWN
 
 MOST_GROUPS = 9
 DOTS = 1500  # pixels drawn per channel
+LEGEND = 0.2  # of the height of an axis, that its legend takes
 
 
 def curve_figure(calibration: ResponseCalibration) -> Figure:
@@ -112,7 +113,9 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
         axis.axhline(0, color="0.4", lw=0.8)
         axis.set_xscale("log")
         axis.set(xlabel="nominal exposure time (s)", ylabel="offset in ln t (%)")
-        axis.legend(fontsize=9)
+        low, high = axis.get_ylim()
+        axis.set_ylim(low, high + LEGEND * (high - low))
+        axis.legend(fontsize=9, ncols=len(channels), loc="upper center")
         axis.grid(alpha=0.3)
     return figure
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 INCH = 1.7  # of a corner plot, a parameter
 MARGIN = 0.9  # inch, for its numbers and names
-SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#0e7490", "#be185d", "#4b5563")
+SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#000000", "#be185d", "#8b95a1")
 MARKS = "osD^vX*P"
 
 
