@@ -24,7 +24,14 @@ from fitting.inference.estimates import (
     not_determined,
     sampled_estimate,
 )
-from fitting.inference.formatting import format_interval, format_number, format_p, format_value
+from fitting.inference.formatting import (
+    format_cell,
+    format_interval,
+    format_number,
+    format_p,
+    format_value,
+    format_within,
+)
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
 from fitting.report.chains import corner_figure
@@ -116,6 +123,10 @@ def test_numbers_without_uncertainty_and_missing_ones():
     assert format_value(not_determined(X, "why")) == "–"
     assert format_interval(not_determined(X, "why"), 68) == ""
     assert format_number(0.0, 9) == "0.000000000e+00"
+    assert format_within(25847.9, 2404.0) == "25800"
+    assert [format_cell(x) for x in (12624.2, 9999.96, 2e7, 0.12344)] == [
+        "12620", "10000", "2e+07", "0.1234"
+    ]  # fmt: skip
 
 
 def test_gaussian_estimates_against_scipy_quantiles():

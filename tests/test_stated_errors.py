@@ -122,6 +122,8 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
     assert not len(found.stated.common)
     (table,) = left_out_tables([("grey", found.stated.left_out)])
     assert {row[1] for row in table.rows} == bounds.keys()
+    (unnamed,) = left_out_tables([("", found.stated.left_out)])
+    assert unnamed.columns == table.columns[1:]
     assert not fit(uncertain=sizes, black_sd=2.0).stated.left_out[1:]
 
 

@@ -105,7 +105,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
     )
     _mark_saturation(calibration, (upper,), signal)
     upper.set_ylabel("variance above dark [DN²]")
-    upper.set_ylim(floor, 2 * np.nanmax(shot))
+    upper.set_ylim(floor, 6 * np.nanmax(shot))  # with room for the legend
     upper.legend(fontsize=9, loc="upper left")
 
     bright = measurement.bright
