@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from jaxvision import filters
 from jaxvision.padding import BORDERS, ghosts, pad
 
 RNG = np.random.default_rng(4)
@@ -123,10 +124,20 @@ def test_unknown_border_names_all_of_them_in_three_languages():
     assert 'numpy "reflect", scipy "mirror"' in words
 
 
-@pytest.mark.parametrize("shape", [(3,), (0, 4), (2, 3, 0), ()])
+@pytest.mark.parametrize("shape", [(0,), (0, 4), (2, 3, 0), ()])
 def test_no_picture(shape):
     with pytest.raises(ValueError, match="at least one pixel"):
         pad(np.ones(shape), ((1, 1), (1, 1)))
+
+
+def test_a_signal_is_told_where_signals_go():
+    """What the sentence names works, and both ways agree."""
+    signal = np.arange(20.0) ** 2
+    with pytest.raises(ValueError, match=r"signal \(n,\).*correlate.*gaussian_kernel.*\[None\]"):
+        filters.gaussian(signal, 2.0)
+    own = filters.correlate(signal, filters.gaussian_kernel(2.0, size=9), border="mirror")
+    row = filters.gaussian(signal[None], 2.0, size=9)[0]
+    np.testing.assert_allclose(own, row, rtol=1e-5)
 
 
 @pytest.mark.parametrize("widths", [((1, -1), (0, 0)), ((1, 1),), ((1, 1), (1, 1), (1, 1))])
