@@ -220,13 +220,13 @@ def demo(options: Options) -> None:
     def calibrate_demo(reporter: Reporter) -> folders.Found:
         from .demo.compare import calibrate_lab, with_truth
         from .demo.lab import simulate_lab
-        from .demo.section import section
+        from .demo.section import against_truth
 
         with reporter.step("simulating the lab") as progress:
             truth = simulate_lab(out / "lab", seed=options.seed, progress=progress)
         sections = calibrate_lab(out / "lab", reporter.step, options.draws)
         marked = (with_truth(found, truth) for found in sections)
-        return [section(sections, truth), *marked], {}
+        return [against_truth(sections, truth), *marked], {}
 
     run("A simulated lab afternoon", out, options, calibrate_demo)
 

@@ -329,6 +329,21 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     return checked(file, {"folder": file.parent, **content}, Rig, "rig")
 
 
+def as_rig(given: Rig | str | os.PathLike[str]) -> Rig:
+    """A rig, read from its folder or file where it is not read yet.
+
+    Args:
+        given: a rig, or where `load_rig` finds it.
+
+    Returns:
+        The rig.
+
+    Raises:
+        InputError: as `load_rig` does.
+    """
+    return given if isinstance(given, Rig) else load_rig(given)
+
+
 def require(rig: Rig, purpose: Purpose) -> None:
     """Refuses a rig that lacks a section that a calibration needs.
 

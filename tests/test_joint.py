@@ -30,7 +30,7 @@ from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
 from fitting.joint.start import parameters, scatter_scales
 from fitting.joint.unequal_pixels import unequal_pixels
-from fitting.rig import Camera, SphereGeometry, load_rig
+from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
@@ -291,7 +291,7 @@ def test_images_in_memory_are_those_of_files(tmp_path):
         flats=[flat],
         darks=[dark],
     )
-    theirs = read_joint_measurement(load_rig(rig_folder(tmp_path, images, lights, flat, dark)))
+    theirs = read_joint_measurement(rig_folder(tmp_path, images, lights, flat, dark))
     np.testing.assert_array_equal(ours.observation.dn, theirs.observation.dn)
     np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
     for name, sizes in theirs.observation.uncertain.items():

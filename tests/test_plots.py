@@ -168,6 +168,14 @@ def test_a_corner_shows_truths_where_they_are():
     assert [line.get_xdata()[0] for line in diagonal.lines][-1] == 5.0
 
 
+def test_a_trace_has_a_row_a_number_and_a_path_a_chain():
+    draws = {"gain": RNG.normal(2, 0.1, 50), "place": RNG.normal(0, 1, (20, 50, 2))}
+    rows = plots.trace(draws).axes
+    assert [axes.get_ylabel() for axes in rows] == ["gain", "place[0]", "place[1]"]
+    assert [len(axes.lines) for axes in rows] == [1, 16, 16]
+    np.testing.assert_array_equal(rows[2].lines[3].get_ydata(), draws["place"][3, :, 1])
+
+
 @pytest.mark.parametrize(
     ("draw", "words"),
     [
@@ -185,6 +193,7 @@ def test_a_corner_shows_truths_where_they_are():
         (lambda: plots.error_against_time([trial("exact", 1, 0.0)]), "no trial"),
         (lambda: plots.corner({}), "at least one"),
         (lambda: plots.corner({"a": np.ones(9)}), "all the same"),
+        (lambda: plots.trace({}), "at least one"),
         (lambda: plots.corner({"a": RNG.normal(size=9)}, truth={"b": 1.0}), "'b'"),
     ],
 )

@@ -37,7 +37,6 @@ from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.samples import gather, select
 from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.report.page import as_json
-from fitting.rig import load_rig
 from jaxvision.errors import InputError
 
 SIZE, RADIUS, LIGHTS, WHITE = 28, 13.0, 16, 3000.0
@@ -58,7 +57,7 @@ def photographs(rng, *, model="phong", truth=PHONG, white=WHITE, clip=4095.0, li
 
 def observe(folder, frames, *, white=WHITE, camera=CAMERA, **options):
     write_rig(folder, frames, DIRECTIONS, [white], radius=RADIUS, camera=camera, **options)
-    return read_reflectance_observation(load_rig(folder))
+    return read_reflectance_observation(folder)
 
 
 def with_frames(observation, frames):

@@ -43,6 +43,7 @@ from fitting.report.section import Picture, Section, Table
 from fitting.report.sentences import said_once
 from fitting.report.sheet import sheet
 from fitting.rig import Rig
+from jaxvision.errors import InputError
 from jaxvision.io import write_image
 
 X = Parameter("x", symbol="x", unit="1")
@@ -355,6 +356,22 @@ def test_a_calibration_is_printed_by_its_estimates(section):
         assert finding in text
     assert not any(line.endswith(" ") for line in text.splitlines())
     assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())
+
+
+def test_a_section_finds_estimates_and_draws_pictures_by_name(section):
+    assert section.estimate("gain") is section.estimates[0]
+    assert section.estimate("dsnu", method="EMVA 1288").value is None
+    with pytest.raises(KeyError, match="likelihood"):
+        section.estimate("gain", method="likelihood")
+    assert isinstance(section.figure("ptc"), Figure)
+    with pytest.raises(InputError, match="'pct' of noise; the nearest is 'ptc'"):
+        section.figure("pct")
+
+
+def test_draws_of_a_posterior_by_name(section):
+    found = section.posteriors[""]
+    assert [*found.by_name] == ["gain", "read_noise"]
+    np.testing.assert_array_equal(found.by_name["read_noise"], found.draws[:, :, 1])
 
 
 def test_a_long_tail_does_not_flatten_a_corner_plot():

@@ -1,5 +1,7 @@
 """From a rig folder to a section: planes, masks, merged map, findings, refusals."""
 
+import pickle
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,10 +11,12 @@ from oracles.stacks import exposure_stack, gamma, srgb
 from scipy import stats
 
 from fitting.inference.estimates import find
+from fitting.inference.formatting import format_with_error
 from fitting.response import from_stack
 from fitting.response.calibration import calibrate as calibrate_response
 from fitting.response.calibration import radiance_images
 from fitting.response.curve import fit_response_curve
+from fitting.response.figures import curve_figure
 from fitting.response.findings import findings
 from fitting.response.radiance_map import merge
 from fitting.response.read import read_exposure_stack
@@ -44,7 +48,7 @@ def colour_images(response=srgb, seed=0):
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory):
     folder = write_rig(tmp_path_factory.mktemp("rig"), colour_images())
-    return calibrate_response(read_exposure_stack(load_rig(folder)))
+    return calibrate_response(read_exposure_stack(folder))
 
 
 @pytest.mark.slow
@@ -105,6 +109,29 @@ def test_the_curve_leaves_whole(calibration):
         quantile = stats.t.ppf(0.975, fitted.freedom[fitted.seen])
         error = curve["standard_error"][rows] / exposure
         np.testing.assert_allclose(half, quantile * error, rtol=1e-6)
+
+
+def test_a_notebook_shows_the_section(calibration):
+    assert calibration.section is calibration.section
+    assert calibration.section.title in calibration._repr_html_()
+    assert pickle.loads(pickle.dumps(calibration)).section.findings == calibration.section.findings
+
+
+@pytest.mark.parametrize("pure", [True, False])
+def test_the_legend_gives_gamma_its_error_where_it_has_one(calibration, pure):
+    """The stack is sRGB's; what is no departure from gamma is made up."""
+    shown = calibration
+    if pure:
+        none = [
+            replace(c, gamma=replace(c.gamma, departure=0 * c.gamma.departure))
+            for c in calibration.channels
+        ]
+        shown = replace(calibration, channels=tuple(none))
+    texts = [text.get_text() for text in curve_figure(shown).axes[0].get_legend().texts]
+    for text, channel in zip(texts, calibration.channels, strict=True):
+        gamma = channel.gamma.gamma
+        error = f"γ = {format_with_error(gamma.value, gamma.standard_error)}"
+        assert text == f"{channel.plane.channel}, {error if pure else f'best γ {gamma.value:.3g}'}"
 
 
 def test_pictures_are_drawn(calibration, tmp_path):

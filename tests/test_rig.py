@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.observation import read_frame, read_mask, read_stack, split_channels
-from fitting.rig import Camera, load_rig, require
+from fitting.rig import Camera, as_rig, load_rig, require
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
 
@@ -36,6 +36,7 @@ def write_rig(folder, text):
 def test_a_rig_is_read_from_its_folder_or_its_file(tmp_path):
     rig = load_rig(write_rig(tmp_path, GOOD))
     assert rig == load_rig(tmp_path / "rig.toml")
+    assert as_rig(str(tmp_path)) == as_rig(rig) == rig
     assert rig.camera.full_scale == 4095
     assert rig.camera.clip_level == 4095
     assert rig.flat[0].files == ("a.tif", "b.tif")

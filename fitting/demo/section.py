@@ -37,10 +37,17 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     )
 
 
-def section(sections: Iterable[Section], truth: Truth) -> Section:
-    """The demo's summary: every known truth beside its estimate."""
-    comparisons = compare(sections, truth)
+def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
+    """The demo's summary: every known truth beside its estimate.
 
+    Args:
+        sections: of the calibrations of `simulate_lab`'s files.
+        truth: that it returned.
+
+    Returns:
+        A section with a table and a picture, `forest`.
+    """
+    comparisons = compare(sections, truth)
     caption = (
         "Each estimate less its truth, in standard errors: thick 68 %, thin 95 % interval. "
         "Grey: where 95 % of all truths should fall."

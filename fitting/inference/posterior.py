@@ -88,6 +88,11 @@ class Posterior:
         return self.draws.reshape(-1, len(self.space))
 
     @property
+    def by_name(self) -> dict[str, Float[np.ndarray, "chains draws"]]:
+        """(chains, draws) of every parameter by name, in natural units."""
+        return {name: self.draws[..., i] for i, name in enumerate(names(self.space))}
+
+    @property
     def sampled(self) -> bool:
         """Whether the draws are a sampler's, so that quantiles are read off them."""
         return self.method != "Laplace"

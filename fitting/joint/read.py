@@ -1,6 +1,7 @@
 """What a joint calibration measures: images of a known shape under known lights, and, in the same
 rig, flats and darks of the same camera."""
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxvision.io import read_image
 from ..noise.settings import require_one_setting
 from ..observation import Load, read_stack
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
-from ..rig import Camera, Rig
+from ..rig import Camera, Rig, as_rig
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,14 @@ class JointMeasurement:
     findings: tuple[str, ...]
 
 
-def read_joint_measurement(rig: Rig, *, load: Load = read_image) -> JointMeasurement:
+def read_joint_measurement(
+    rig: Rig | str | os.PathLike[str], *, load: Load = read_image
+) -> JointMeasurement:
     """Reads and checks the images of a rig, its flats and its darks.
 
     Args:
         rig: with `[[light]]` and `[geometry]`, and with `[[flat]]` and `[[dark]]` where there are
-            any.
+            any; or its folder or file.
         load: how an image is had by its path.
 
     Returns:
@@ -65,6 +68,7 @@ def read_joint_measurement(rig: Rig, *, load: Load = read_image) -> JointMeasure
     Raises:
         InputError: as the reflectance calibration does, and for flats and darks that do not fit.
     """
+    rig = as_rig(rig)
     observation = read_reflectance_observation(rig, load=load)
     encoded = observation.gamma is not None
     findings = []

@@ -6,6 +6,7 @@ from .from_images.from_memory import (
     SphereGeometry as SphereGeometry,
     from_photographs as from_photographs,
 )
+from .from_images.read import read_reflectance_observation as read_reflectance_observation
 from .stereo import (
     Stereo as Stereo,
     photometric_stereo as photometric_stereo,

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from jaxvision.io import replaced_on_success
+from jaxvision.plots import trace
 
 from ..inference.formatting import format_axis
 from ..inference.parameters import Parameter, names, scalars
@@ -19,7 +20,6 @@ from .section import Columns, Picture, Section
 
 MARGIN = 1.15  # inches left of and below a corner plot, for turned numbers and names
 LONGEST_TAIL = 0.75  # drawn beyond the 95 % interval, in its widths: more than a Gaussian has
-MOST_PATHS = 16  # drawn; more only blacken the panel
 
 
 def corner_figure(
@@ -117,16 +117,10 @@ def _around(low: float, high: float) -> tuple[float, float]:
 
 def trace_figure(posterior: Posterior) -> Figure:
     """Paths of some chains after burn-in: a settled chain looks like even noise."""
-    count = len(posterior.space)
-    figure = Figure(figsize=(8, 1.1 * count + 0.8), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(count, 1, sharex=True))
-    for i, (axis, parameter) in enumerate(zip(axes, posterior.space, strict=True)):
-        axis.plot(
-            posterior.draws[:MOST_PATHS, :, i].T, color=BLUE, alpha=0.3, lw=0.5, rasterized=True
-        )
-        axis.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
-        axis.tick_params(labelsize=9)
-    axes[-1].set_xlabel("step after burn-in")
+    figure = trace(posterior.by_name)
+    for axes, parameter in zip(figure.axes, posterior.space, strict=True):
+        axes.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
+        axes.tick_params(labelsize=9)
     return figure
 
 

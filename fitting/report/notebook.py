@@ -1,5 +1,6 @@
 """What notebooks and `print` show of a calibration: its estimates with intervals, its findings."""
 
+from functools import cached_property
 from html import escape
 from importlib import import_module
 
@@ -13,18 +14,25 @@ class ShownInNotebooks:
     """A calibration that a notebook and `print` show by the section of its report, which the module
     `section` beside its own makes."""
 
-    @in_double
-    def _section(self) -> Section:
-        module = import_module(type(self).__module__.rpartition(".")[0] + ".section")
-        return module.section(self)
+    @cached_property
+    def section(self) -> Section:
+        """The calibration as its reader sees it: estimates, findings in sentences, tables, and
+        pictures, which `section.figure` draws by name."""
+        return _section_of(self)
 
     def _repr_html_(self) -> str:
-        return section_html(self._section())
+        return section_html(self.section)
 
     def __repr__(self) -> str:
         from .console import section_text  # rich, which no calibration needs
 
-        return section_text(self._section())
+        return section_text(self.section)
+
+
+@in_double
+def _section_of(calibration: ShownInNotebooks) -> Section:
+    module = import_module(type(calibration).__module__.rpartition(".")[0] + ".section")
+    return module.section(calibration)
 
 
 def section_html(section: Section) -> str:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..inference.estimates import Estimate
+from jaxvision.errors import InputError, nearest
+
+from ..inference.estimates import Estimate, find
 from ..inference.posterior import Posterior
 
 if TYPE_CHECKING:
@@ -108,3 +110,38 @@ class Section:
     inputs: tuple[Input, ...] = ()
     data: dict[str, Columns] = field(default_factory=dict)
     records: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+
+    def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
+        """The first estimate of a name.
+
+        Args:
+            name: of the quantity.
+            method: of the estimate; empty for any.
+            group: of the estimate, as a colour channel; empty for any.
+
+        Returns:
+            The estimate.
+
+        Raises:
+            KeyError: if there is none.
+        """
+        return find(self.estimates, name, method=method, group=group)
+
+    def figure(self, name: str) -> "Figure":
+        """A picture, drawn.
+
+        Args:
+            name: of the picture, one of `pictures`.
+
+        Returns:
+            The figure.
+
+        Raises:
+            InputError: for a name that is none.
+        """
+        drawn = {picture.name: picture.draw for picture in self.pictures}
+        if name not in drawn:
+            raise InputError(
+                f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
+            )
+        return drawn[name]()

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from jaxvision.colour_spaces import luminance
 from jaxvision.point_ops import reinhard, scaled_to_key, srgb_encode, with_luminance
 
+from ..inference.formatting import format_value
 from ..report.colours import OF_CHANNEL
 from .calibration import ChannelResponse, ResponseCalibration
-from .findings import DRAWN
+from .findings import DRAWN, PURE, largest_departure
 
 MOST_GROUPS = 9
 DOTS = 1500  # pixels drawn per channel
@@ -60,12 +61,19 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
     axis.fill_between(
         z[seen], np.exp((g - band)[seen]), np.exp((g + band)[seen]), color=colour, alpha=0.25
     )
-    gamma = channel.gamma.gamma.value or np.nan
-    label = f"{channel.plane.channel}, best γ {gamma:.3g}"  # its error is in the table, or none
+    label = f"{channel.plane.channel}, {_gamma_in_words(channel)}"
     axis.plot(z, np.exp(np.where(seen, g, np.nan)), color=colour, lw=width, label=label)
     axis.plot(z, np.exp(g), color=colour, lw=0.8, ls=":")
+    gamma = channel.gamma.gamma.value or np.nan
     pure = gamma * np.log(z) + np.nanmedian(g[seen] - gamma * np.log(z[seen]))
     axis.plot(z, np.exp(pure), color=colour, lw=0.8, ls="--")
+
+
+def _gamma_in_words(channel: ChannelResponse) -> str:
+    """Gamma with its error; without one where the response is no pure gamma, as its table says."""
+    gamma = channel.gamma.gamma
+    size, _ = largest_departure(channel.curve, channel.gamma.departure)
+    return f"best γ {gamma.value or np.nan:.3g}" if size > PURE else f"γ = {format_value(gamma)}"
 
 
 def departure_figure(calibration: ResponseCalibration) -> Figure:

@@ -4,6 +4,7 @@ A plane is one colour channel or one site of a Bayer mosaic of one group of imag
 integers of the files (uint16), so sixteen 8-bit colour images of 768 x 512 take 38 MB.
 """
 
+import os
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -15,7 +16,7 @@ from jaxvision.io import read_image
 
 from ..copies import Copies
 from ..observation import Load, read_frame, read_stack, split_channels
-from ..rig import Camera, Exposure, Rig, require
+from ..rig import Camera, Exposure, Rig, as_rig, require
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
@@ -77,7 +78,10 @@ class ExposureStack:
 
 
 def read_exposure_stack(
-    rig: Rig, *, mask: Bool[np.ndarray, "h w"] | None = None, load: Load = read_image
+    rig: Rig | str | os.PathLike[str],
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    load: Load = read_image,
 ) -> ExposureStack:
     """A rig's `[[exposure]]` images, group by group, split into planes.
 
@@ -86,7 +90,7 @@ def read_exposure_stack(
     saturation, else read off the bright pixels that do.
 
     Args:
-        rig: with `[[exposure]]`.
+        rig: with `[[exposure]]`, or its folder or file.
         mask: (h, w) of full images, true where the scene may be used (a mosaic site keeps its own
             pixels); None for everywhere.
         load: how an image is had by its path.
@@ -99,6 +103,7 @@ def read_exposure_stack(
             they last longer, for images of different size, for values that are not integers, and
             for a mask of another size or with nothing in it.
     """
+    rig = as_rig(rig)
     require(rig, "a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
     known_black = _black_level(rig, load)

@@ -196,7 +196,7 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
     images = radiance_images(calibration) or {first.plane.group: first.radiance.radiance}
     return (
         Picture(
-            "response-curve",
+            "response_curve",
             "Response curve",
             "Exposure that gives each code, with its 95 % band; dots are pixels, at the radiance "
             "that all their exposures agree on. Dashed: the best gamma. A straight line on these "
@@ -205,14 +205,14 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
             partial(figures.curve_figure, calibration),
         ),
         Picture(
-            "gamma-departure",
+            "gamma_departure",
             "How far the response is from gamma and from sRGB",
             "Measured exposure over the one that the model gives, with the curve's 95 % band. A "
             "model that fits stays at zero within the band.",
             partial(figures.departure_figure, calibration),
         ),
         Picture(
-            "exposure-offsets",
+            "exposure_offsets",
             "Exposure times as the images see them",
             "Offset of each image's exposure from its nominal time, beyond what a factor or an "
             "exponent common to all explains; bars are 95 %. Scatter is shutter error, a smooth "
@@ -220,7 +220,7 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
             partial(figures.offsets_figure, calibration),
         ),
         Picture(
-            "radiance-map",
+            "radiance_map",
             "Merged radiance map",
             "The map merged from all exposures, its luminance tone-mapped by Reinhard's operator, "
             "beside the middle exposure alone, which lacks what clips in it.",

@@ -5,6 +5,7 @@ from .estimates import (
     curve as curve,
     curves as curves,
     error_against_time as error_against_time,
+    trace as trace,
 )
 from .images import (
     false_colour as false_colour,

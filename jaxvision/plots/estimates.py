@@ -17,6 +17,7 @@ INCH = 1.7  # of a corner plot, a parameter
 MARGIN = 0.9  # inch, for its numbers and names
 SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#000000", "#be185d", "#8b95a1")
 MARKS = "osD^vX*P"
+MOST_PATHS = 16  # of chains in a row
 
 
 @runtime_checkable
@@ -221,16 +222,13 @@ def corner(
     unknown = set(truth or ()) - set(draws)
     if unknown:
         raise InputError(f"{min(unknown)!r} is true of nothing that was drawn; correct its name.")
-    columns, values, lengths = {}, [], set()
+    columns, values = {}, []
     for name, drawn in draws.items():
-        whole = np.asarray(drawn, float)
-        flat = whole.reshape(int(np.prod(whole.shape[:2])), -1)
-        lengths.add(len(flat))
-        true = np.broadcast_to(np.ravel((truth or {}).get(name, np.nan)), flat.shape[1])
-        for i in range(flat.shape[1]):
-            columns[name if flat.shape[1] == 1 else f"{name}[{i}]"] = flat[:, i]
-            values.append(None if np.isnan(true[i]) else float(true[i]))
-    if len(lengths) != 1:
+        numbers = _numbers(name, drawn)
+        columns |= {each: chains.ravel() for each, chains in numbers.items()}
+        true = np.broadcast_to(np.ravel((truth or {}).get(name, np.nan)), len(numbers))
+        values += [None if np.isnan(value) else float(value) for value in true]
+    if len({len(column) for column in columns.values()}) != 1:
         raise InputError("a corner plot takes draws of one length, of at least one parameter.")
     for name, column in columns.items():
         if not np.isfinite(column).all() or column.min() == column.max():
@@ -265,3 +263,47 @@ def corner(
         )  # below slanted numbers, however long
         axes.yaxis.set_label_coords(0.12 - MARGIN / INCH, 0.5)
     return figure
+
+
+def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
+    """Paths of Markov chains, a row a parameter: those of a settled chain look like even noise.
+
+    Args:
+        draws: by the parameter's name (draws,), or (chains, draws, ...) as in `Fit.draws`, where
+            each of several numbers has a row.
+
+    Returns:
+        The figure, of 16 chains at most, as more would blacken it.
+
+    Raises:
+        InputError: without draws.
+
+    Example:
+        >>> draws = {"gain": np.random.default_rng(0).normal(2.0, 0.1, (4, 50))}
+        >>> (axes,) = jv.plots.trace(draws).axes
+        >>> print(len(axes.lines), axes.get_ylabel())
+        4 gain
+    """
+    from matplotlib.figure import Figure
+
+    rows = {k: v for name, drawn in draws.items() for k, v in _numbers(name, drawn).items()}
+    if not rows:
+        raise InputError("a trace plot takes draws of at least one parameter.")
+    figure = Figure(figsize=(8, 1.1 * len(rows) + 0.8), layout="constrained")
+    panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, chains) in zip(panels, rows.items(), strict=True):
+        axes.plot(chains[:MOST_PATHS].T, color=BLUE, alpha=0.3, lw=0.5, rasterized=True)
+        axes.set_ylabel(name, fontsize=8)
+        axes.tick_params(labelsize=8)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[-1].set_xlabel("step after burn-in")
+    return figure
+
+
+def _numbers(name: str, drawn: np.ndarray) -> dict[str, np.ndarray]:
+    """(chains, draws) of each number of a parameter, by its name."""
+    whole = np.atleast_1d(np.asarray(drawn, float))
+    chains = whole[None] if whole.ndim == 1 else whole
+    flat = chains.reshape(*chains.shape[:2], -1)
+    count = flat.shape[2]
+    return {name if count == 1 else f"{name}[{i}]": flat[..., i] for i in range(count)}

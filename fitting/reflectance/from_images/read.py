@@ -5,6 +5,7 @@ The view is orthographic along +z (x right, y up, z toward the camera), so that 
 direction is the same everywhere. Angles are radians, digital numbers as stored.
 """
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
 from ...observation import Load, read_mask, read_stack
-from ...rig import Geometry, Light, Purpose, Rig, SphereGeometry, require
+from ...rig import Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
 
 VIEW = (0.0, 0.0, 1.0)
 PURPOSE: Purpose = "a reflectance calibration"
@@ -93,14 +94,16 @@ class ReflectanceObservation:
         return self.dn >= self.clip
 
 
-def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> ReflectanceObservation:
+def read_reflectance_observation(
+    rig: Rig | str | os.PathLike[str], *, load: Load = read_image
+) -> ReflectanceObservation:
     """Reads and checks all that a rig's `[[light]]` and `[geometry]` entries name.
 
     Lights marked `held_out` are kept for testing; if none is and there are at least four, every
     fourth is. Normals are scaled to unit length.
 
     Args:
-        rig: with `[[light]]` and `[geometry]`.
+        rig: with `[[light]]` and `[geometry]`, or its folder or file.
         load: how an image is had by its path.
 
     Returns:
@@ -110,6 +113,7 @@ def read_reflectance_observation(rig: Rig, *, load: Load = read_image) -> Reflec
         InputError: for images that are missing, of unequal size, dark or clipped throughout, for
             shapes that do not fit and for too few pixels.
     """
+    rig = as_rig(rig)
     require(rig, PURPOSE)
     assert rig.geometry is not None
     if rig.camera.pattern is not None:
