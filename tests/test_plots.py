@@ -172,7 +172,7 @@ def test_a_trace_has_a_row_a_number_and_a_path_a_chain():
     draws = {"gain": RNG.normal(2, 0.1, 50), "place": RNG.normal(0, 1, (20, 50, 2))}
     rows = plots.trace(draws).axes
     assert [axes.get_ylabel() for axes in rows] == ["gain", "place[0]", "place[1]"]
-    assert [len(axes.lines) for axes in rows] == [1, 16, 16]
+    assert [len(axes.lines) for axes in rows] == [1, 8, 8]
     np.testing.assert_array_equal(rows[2].lines[3].get_ydata(), draws["place"][3, :, 1])
 
 

@@ -358,6 +358,13 @@ def test_a_calibration_is_printed_by_its_estimates(section):
     assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())
 
 
+def test_a_notebook_prints_nothing_while_it_asks_for_text(section, monkeypatch):
+    """Rich would show each table by itself, before the cell shows the calibration."""
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *_: pytest.fail("shown"))
+    assert section_text(section).startswith(section.title)
+
+
 def test_a_section_finds_estimates_and_draws_pictures_by_name(section):
     assert section.estimate("gain") is section.estimates[0]
     assert section.estimate("dsnu", method="EMVA 1288").value is None

@@ -39,7 +39,7 @@ def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
     axis.set_ylim(len(labels) - 0.4, -0.6)
     axis.set_xlim(-LIMIT, LIMIT)
     axis.set_xlabel("(estimate − truth) / standard error")
-    axis.set_title("estimate ± standard error (truth)", loc="right", fontsize=9)
+    axis.text(LIMIT * 1.02, -1, "estimate ± standard error   (truth)", va="center", fontsize=9)
     for side in ("top", "right", "left"):
         axis.spines[side].set_visible(False)
     axis.tick_params(left=False)

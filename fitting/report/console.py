@@ -48,7 +48,8 @@ def section_text(section: Section) -> str:
     Returns:
         Lines, without the end of the last.
     """
-    console = Console(file=io.StringIO(), width=PLAIN_WIDTH, highlight=False, color_system=None)
+    plain = {"highlight": False, "color_system": None, "force_jupyter": False}
+    console = Console(file=io.StringIO(), width=PLAIN_WIDTH, **plain)
     with console.capture() as printed:
         print_section(console, replace(section, tables=()))
     return "\n".join(line.rstrip() for line in printed.get().strip().splitlines())

@@ -66,4 +66,11 @@ def section_html(section: Section) -> str:
 
 def _cell(cell: Cell) -> str:
     note = f"<sup>{cell.note}</sup>" if cell.note else ""
-    return f"<td>{escape(cell.value)}{note} {escape(cell.interval)}</td>"
+    return f"<td>{_whole(cell.value)}{note} {_whole(cell.interval)}</td>"
+
+
+def _whole(text: str) -> str:
+    """Text that no line may end in."""
+    return (
+        f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)
+    )

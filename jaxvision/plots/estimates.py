@@ -17,7 +17,8 @@ INCH = 1.7  # of a corner plot, a parameter
 MARGIN = 0.9  # inch, for its numbers and names
 SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#000000", "#be185d", "#8b95a1")
 MARKS = "osD^vX*P"
-MOST_PATHS = 16  # of chains in a row
+MOST_PATHS = 8  # of chains in a row
+MOST_VECTORS = 8_000  # points of a row, beyond which its pixels take less room in a file
 
 
 @runtime_checkable
@@ -273,7 +274,7 @@ def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
             each of several numbers has a row.
 
     Returns:
-        The figure, of 16 chains at most, as more would blacken it.
+        The figure, of 8 chains at most, as more would blacken it.
 
     Raises:
         InputError: without draws.
@@ -292,7 +293,8 @@ def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
     figure = Figure(figsize=(8, 1.1 * len(rows) + 0.8), layout="constrained")
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (name, chains) in zip(panels, rows.items(), strict=True):
-        axes.plot(chains[:MOST_PATHS].T, color=BLUE, alpha=0.3, lw=0.5, rasterized=True)
+        paths = chains[:MOST_PATHS].T
+        axes.plot(paths, color=BLUE, alpha=0.3, lw=0.5, rasterized=paths.size > MOST_VECTORS)
         axes.set_ylabel(name, fontsize=8)
         axes.tick_params(labelsize=8)
         axes.spines[["top", "right"]].set_visible(False)
