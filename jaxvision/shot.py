@@ -45,6 +45,13 @@ class Capture(Shown):
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
         certificate: what was left out, where a tolerance was given; static.
+
+    Example:
+        >>> lamp = jv.Surface(jv.Plane([0, 0, 9], [0, 0, -1]), jv.Lambert([0.0]), [4 / np.pi])
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
+        >>> shot = jv.capture(None, jv.Scene(lamp, []), jv.Camera(view, jv.Sensor(gain=8.0)))
+        >>> [round(float(x[0, 0, 0]), 4) for x in (shot.radiance, shot.irradiance, shot.raw)]
+        [1.2732, 0.25, 2.0]
     """
 
     radiance: Image

@@ -44,6 +44,15 @@ class Fit:
         findings: what else a reader should know.
         noise: factor by which a misfit has widened the noise of the data; 1 for none.
         settings: of the fit, for its report.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> likelihood, data = Gaussian(sd=0.2), np.array([1.9, 2.0, 2.0, 2.1])
+        >>> mean = Problem({"m": Parameter(start=1.0)}, lambda m: m * jnp.ones(4), likelihood, data)
+        >>> found = fit(mean)
+        >>> one, = found.estimates
+        >>> round(one.value, 4), round(one.standard_error, 4)  # 0.2 / sqrt(4)
+        (2.0, 0.1)
     """
 
     problem: Problem

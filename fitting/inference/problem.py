@@ -70,6 +70,18 @@ class Problem(eqx.Module):
 
     Raises:
         InputError: for a path, an argument of `predict` or a shape that does not fit.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> problem = Problem(
+        ...     {"slope": Parameter(start=1.0), "offset": 1.0},
+        ...     predict=lambda slope, offset, inputs: offset + slope * inputs,
+        ...     likelihood=Gaussian(sd=0.1),
+        ...     data=np.array([1.0, 3.0, 5.0]),
+        ...     inputs=np.array([0.0, 1.0, 2.0]),
+        ... )
+        >>> round(float(fit(problem).values["slope"]), 4)
+        2.0
     """
 
     free: tuple[Parameter, ...]

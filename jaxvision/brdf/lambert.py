@@ -20,6 +20,11 @@ class Lambert(Material):
             reflects more than it receives, which is taken: fits may have another unit of light.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. The k_a
             of the same surface is rho; textbooks often use one number for k_a and k_d.
+
+    Example:
+        >>> paper = jv.Lambert([0.8 / np.pi])
+        >>> round(float(jv.brdf.albedo(paper, jnp.array([0.0, 0.0, 1.0]))[0]), 4)
+        0.8
     """
 
     spectra = ("diffuse",)

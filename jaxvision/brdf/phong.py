@@ -39,6 +39,12 @@ class Phong(PowerLobe):
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None; the
             array of k_d itself where both share one.
+
+    Example:
+        >>> gloss = jv.Phong([0.0], [0.5], 10.0)
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, aside, up)[0]), 4)  # 0.5 x 0.8^10
+        0.0537
     """
 
 
@@ -50,6 +56,12 @@ class PhongBRDF(PowerLobe):
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> gloss = jv.PhongBRDF([0.0], [0.5], 10.0)
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, aside, up)[0]), 4)  # 0.5 x 0.8^10 x 0.8
+        0.0429
     """
 
 
@@ -63,6 +75,12 @@ class NormalisedPhong(PowerLobe):
             albedo along the normal; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> lobe = jv.NormalisedPhong([0.0], [1.0], 8.0)
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.reflect(lobe, up, up, up)[0]), 4)  # (8 + 2) / (2 pi)
+        1.5915
     """
 
 

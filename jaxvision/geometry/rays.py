@@ -24,6 +24,11 @@ class Ray(Shown):
     Attributes:
         origin: (3,) m.
         direction: (3,) unit vector, the way the ray travels.
+
+    Example:
+        >>> ray = jv.Ray([0, 0, 1], [0.6, 0, 0.8])
+        >>> jv.as_array(ray.origin + 5.0 * ray.direction).round(4).tolist()
+        [3.0, 0.0, 5.0]
     """
 
     origin: Vec = eqx.field(converter=as_vec)
@@ -54,6 +59,11 @@ class Hit(Shown):
         shading_normal: unit, as `normal` or interpolated, or None where no shape has normals of its
             own.
         uv: () and (), no unit, 0 for a shape without, or None where no shape has any.
+
+    Example:
+        >>> hit = jv.intersect(jv.Ray([3, 0, 0], [-1, 0, 0]), jv.Sphere([0, 0, 0], 1))
+        >>> print(hit.distance, jv.as_array(hit.point), jv.as_array(hit.normal))
+        2.0 [1. 0. 0.] [1. 0. 0.]
     """
 
     distance: Scalar

@@ -17,6 +17,12 @@ class DirectionalLight(Light):
     Attributes:
         direction: (3,) unit vector from the scene toward the light (its length is ignored).
         irradiance: (bands,) W m^-2 on a surface that faces the light.
+
+    Example:
+        >>> sun = jv.DirectionalLight([0, 0, 1], [1000.0])
+        >>> roof = jnp.array([0.6, 0.0, 0.8])  # its normal, turned away by arccos 0.8
+        >>> round(float(jv.irradiance(sun, jnp.zeros(3), roof, rule=jv.Quadrature(1))[0]), 2)
+        800.0
     """
 
     spectra = ("irradiance",)

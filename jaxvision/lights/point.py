@@ -22,6 +22,11 @@ class PointLight(Light):
     Attributes:
         position: (3,) m.
         intensity: (bands,) W sr^-1.
+
+    Example:
+        >>> lamp = jv.PointLight([0.0, 0.0, 3.0], [18.0])
+        >>> round(float(jv.incident(lamp, jnp.zeros(3)).irradiance[0]), 4)  # 18 / 3^2
+        2.0
     """
 
     spectra = ("intensity",)

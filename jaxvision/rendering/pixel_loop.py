@@ -51,6 +51,13 @@ class PixelSamples(Shown):
 
     Raises:
         ValueError: for a count below 1.
+
+    Example:
+        >>> lamp = jv.Surface(jv.Plane([0, 0, 9], [0, 0, -1]), jv.Lambert([0.0]), [2.0])
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
+        >>> samples = jv.PixelSamples(jax.random.key(0), 4)  # through four places of the lens
+        >>> print(jv.render(jv.Scene(lamp, []), lens, samples=samples).ravel())
+        [2.]
     """
 
     key: Key
@@ -67,6 +74,17 @@ class Traced(Shown):
         radiance: (..., bands) W m^-2 sr^-1, the mean of the samples.
         error: (..., bands) W m^-2 sr^-1, its standard error as if the samples were independent: too
             low whenever a rare bright path was not met, inf for one sample.
+
+    Example:
+        No path of this room differs from another, so that their mean has no error.
+
+        >>> grey = jv.Lambert([0.5 / np.pi])
+        >>> wall = jv.Surface(jv.Sphere([0, 0, 0], 1), grey, [0.5], two_sided=True)
+        >>> method = jv.Paths(samples=2, depth=1, strategy="surfaces")
+        >>> ray, key = jv.Ray([0, 0, 0], [0, 0, 1]), jax.random.key(0)
+        >>> traced = jv.path_radiance(key, jv.Scene(wall, []), ray, method=method)
+        >>> print(traced.radiance, traced.error)
+        [0.5] [0.]
     """
 
     radiance: Spectrum

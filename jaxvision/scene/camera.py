@@ -14,6 +14,13 @@ class Camera(Shown):
         view: the projection.
         sensor: from light to raw data.
         development: from raw data to a picture, or None: raw data only.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
+        >>> camera = jv.Camera(view, jv.Sensor(gain=8.0))
+        >>> light = jv.sensor_irradiance(camera.view, jnp.full((1, 1, 1), 4 / np.pi))
+        >>> round(float(jv.raw_image(None, camera.sensor, light)[0, 0, 0]), 4)  # 8 pi L / (4 2^2)
+        2.0
     """
 
     view: View

@@ -25,6 +25,13 @@ class AmbientLight(Shown):
 
     Attributes:
         radiance: (bands,) W m^-2 sr^-1.
+
+    Example:
+        >>> up, sky = jnp.array([0.0, 0.0, 1.0]), jv.AmbientLight([5.0])
+        >>> paint = jv.Lambert([0.1], ambient=[0.3])
+        >>> seen = jv.outgoing_radiance(paint, [], jnp.zeros(3), up, up, ambient=sky)
+        >>> round(float(seen[0]), 4)  # k_a L_a
+        1.5
     """
 
     radiance: Colour = eqx.field(converter=as_float)

@@ -77,7 +77,13 @@ class HotPixels(Shown):
 
 
 class PoissonShotNoise(Shown):
-    """Electrons are counted exactly: a Poisson draw replaces the mean."""
+    """Electrons are counted exactly: a Poisson draw replaces the mean.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=2.0)
+        >>> float(jv.signal_variance(sensor, jnp.array([100.0]))[0])  # 2^2 x 100 electrons
+        400.0
+    """
 
 
 class FastPoissonShotNoise(Shown):

@@ -16,6 +16,11 @@ class Sphere(Shown):
     Attributes:
         centre: (3,) m.
         radius: () m, > 0.
+
+    Example:
+        >>> ray = jv.Ray([0, 0, 5], [0, 0, -1])
+        >>> float(jv.intersect(ray, jv.Sphere([0, 0, 0], 1)).distance)
+        4.0
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -31,6 +36,11 @@ class Plane(Shown):
     Attributes:
         point: (3,) m, any point of it.
         normal: (3,) unit vector (its length is ignored).
+
+    Example:
+        >>> ray = jv.Ray([0, 0, 3], [0.8, 0, -0.6])
+        >>> round(float(jv.intersect(ray, jv.Plane([0, 0, 0], [0, 0, 1])).distance), 4)  # 3 / 0.6
+        5.0
     """
 
     point: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -48,6 +58,12 @@ class Disc(Shown):
         centre: (3,) m.
         normal: (3,) unit vector (its length is ignored).
         radius: () m, > 0.
+
+    Example:
+        >>> table = jv.Disc([0, 0, 0], [0, 0, 1], 0.5)
+        >>> falling = (jv.Ray([x, 0, 3], [0, 0, -1]) for x in (0.4, 0.6))
+        >>> [float(jv.intersect(ray, table).distance) for ray in falling]
+        [3.0, inf]
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -66,6 +82,12 @@ class Quad(Shown):
         corner: (3,) m.
         edge_u: (3,) m, from the corner along one side.
         edge_v: (3,) m, from the corner along the other side.
+
+    Example:
+        >>> card = jv.Quad([0, 0, 0], [2, 0, 0], [0, 1, 0])
+        >>> hit = jv.intersect(jv.Ray([1.9, 0.9, 3], [0, 0, -1]), card)
+        >>> print(hit.distance, jv.as_array(hit.normal))
+        3.0 [0. 0. 1.]
     """
 
     corner: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -86,6 +108,11 @@ class Box(Shown):
         half_extents: (3,) m, > 0, half of each side.
         rotation: (3, 3) no unit, rows are the unit axes of its sides in the world; None: the
             world's axes.
+
+    Example:
+        >>> ray = jv.Ray([0, 0, 5], [0, 0, -1])
+        >>> float(jv.intersect(ray, jv.Box([0, 0, 0], [1.0, 1.0, 0.5])).distance)
+        4.5
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -119,6 +146,12 @@ class TriangleMesh(Shown):
             ignored. Where the interpolated normal vanishes the triangle is flat, and where it
             points to the back the triangle is black.
         uv: (vertices, 2) no unit, or None.
+
+    Example:
+        >>> corner = jv.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> falling = (jv.Ray([x, x, 3], [0, 0, -1]) for x in (0.4, 0.6))
+        >>> [float(jv.intersect(ray, corner).distance) for ray in falling]
+        [3.0, inf]
     """
 
     vertices: Float[Array, "vertices 3"] = eqx.field(converter=as_float)

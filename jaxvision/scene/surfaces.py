@@ -34,6 +34,14 @@ class Surface(Shown):
         emission: (bands,) W m^-2 sr^-1 emitted from its front, equally in all directions, or None.
         two_sided: both sides are fronts, with the normal turned towards the viewer; otherwise a
             surface seen from behind is black. Static.
+
+    Example:
+        A lamp shines to its front alone.
+
+        >>> lamp = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.5 / np.pi]), [2.0])
+        >>> seen = (jv.Ray([0, 0, z], [0, 0, -z]) for z in (1, -1))
+        >>> [float(jv.radiance_along(jv.Scene(lamp, []), ray)[0]) for ray in seen]
+        [2.0, 0.0]
     """
 
     shape: Shape
@@ -68,6 +76,13 @@ class Scene(Shown):
             every surface block. Static.
         rules: how each light is sampled, one `lights.Rule` or None (the rule of the call) for each
             light; None: the rule of the call for all.
+
+    Example:
+        >>> ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.5 / np.pi]))
+        >>> scene = jv.Scene(ball, jv.PointLight([0, 0, 5], [64.0]))
+        >>> down = jv.Ray([0, 0, 9], [0, 0, -1])
+        >>> round(float(jv.radiance_along(scene, down)[0]), 4)  # 64 / 4^2 x 0.5 / pi
+        0.6366
     """
 
     surfaces: tuple[Surface, ...] = eqx.field(converter=_as_tuple)

@@ -30,6 +30,12 @@ class Orthographic(Shown):
         pixel_pitch: () m between pixels, in the scene, > 0.
         resolution: (rows, columns) pixels; static.
         f_number: () image-side, no unit, > 0; None passes radiance on unchanged.
+
+    Example:
+        >>> view = jv.Orthographic([0, 0, 9], np.eye(3), 0.5, resolution=(3, 3))
+        >>> ray = jv.camera_ray(view, jnp.array(1.0), jnp.array(2.0))
+        >>> jv.as_array(ray.origin).tolist()
+        [0.5, 0.0, 9.0]
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -56,6 +62,11 @@ class Pinhole(Shown):
         f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
             unchanged.
         distortion: of the image, or None.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(480, 640))
+        >>> print(jv.camera_ray(view, jnp.array(239.5), jnp.array(319.5)).direction.z)
+        1.0
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -89,6 +100,13 @@ class ThinLens(Shown):
         rim: a second aperture that cuts off oblique light, or None.
         distortion: of the image, or None.
         diffraction: at a round aperture, or None.
+
+    Example:
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
+        >>> zero = jnp.array(0.0)  # row and column of the only pixel, on the axis
+        >>> ray = jv.lens_ray(lens, zero, zero, jnp.array([1.0, 0.5]))
+        >>> round(float(jv.norm(ray.origin)), 4)  # on the rim: 0.05 / 2 / 2
+        0.0125
     """
 
     position: Float[Array, "3"] = eqx.field(converter=as_float)
