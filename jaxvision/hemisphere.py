@@ -23,6 +23,12 @@ class Frame(Shown):
 
     Attributes:
         tangent, bitangent, normal: (3,) unit length; (..., 3) arrays are split into components.
+
+    Example:
+        >>> frame = jv.local_frame(jnp.array([0.6, 0.0, 0.8]))
+        >>> axes = frame.tangent, frame.bitangent, frame.normal
+        >>> [round(abs(float(jv.dot(axis, frame.normal))), 4) for axis in axes]
+        [0.0, 0.0, 1.0]
     """
 
     tangent: Vec = eqx.field(converter=as_vec)
@@ -54,6 +60,12 @@ def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
 
     Source:
         Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1) (2017).
+
+    Example:
+        >>> roof, south = jnp.array([0.6, 0.0, 0.8]), jnp.array([0.0, -1.0, 0.0])
+        >>> frame = jv.local_frame(roof, tangent=south)
+        >>> [round(float(x), 4) for x in jv.as_array(frame.bitangent)]  # normal x tangent
+        [0.8, 0.0, -0.6]
     """
     n = as_vec(normal)
     sign = jnp.where(n.z < 0, -jnp.ones_like(n.z), 1)
@@ -81,6 +93,12 @@ def to_local(frame: Frame, w: Vec3) -> Vec3:
 
     Returns:
         Its components along tangent, bitangent and normal, of the kind and in the unit of `w`.
+
+    Example:
+        >>> roof = jv.local_frame(jnp.array([0.6, 0.0, 0.8]))
+        >>> sun = jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.to_local(roof, sun)[2]), 4)  # cosine of incidence
+        0.8
     """
     local = Vec(dot(w, frame.tangent), dot(w, frame.bitangent), dot(w, frame.normal))
     return local if isinstance(w, Vec) else as_array(local)
@@ -96,6 +114,11 @@ def to_world(frame: Frame, w: Vec3) -> Vec3:
 
     Returns:
         The same in the world, of the kind and in the unit of `w`.
+
+    Example:
+        >>> roof = jv.local_frame(jnp.array([0.6, 0.0, 0.8]))
+        >>> [round(float(x), 4) for x in jv.to_world(roof, jnp.array([0.0, 0.0, 1.0]))]
+        [0.6, 0.0, 0.8]
     """
     v = as_vec(w)
     world = v.x * frame.tangent + v.y * frame.bitangent + v.z * frame.normal

@@ -44,6 +44,12 @@ class Leaving(Shown):
     Attributes:
         normal: (3,) unit length, of the surface itself, not interpolated.
         size: () m, as `geometry.Hit.size`; None: that of the largest shape.
+
+    Example:
+        >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
+        >>> lamp = jv.PointLight([0, 0, 3], [1.0])
+        >>> bool(jv.visibility([lamp], jnp.zeros(3), [roof], jv.Leaving(up))[0][0])
+        False
     """
 
     normal: Direction
@@ -91,6 +97,12 @@ def visibility(
     Returns:
         (samples,) for each light, no unit: one for a light at one place; None for an extended light
         under `Balanced`, the rays of which follow the material.
+
+    Example:
+        >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
+        >>> lamps = [jv.PointLight([0, 0, z], [1.0]) for z in (1, 3)]
+        >>> [bool(seen[0]) for seen in jv.visibility(lamps, jnp.zeros(3), [roof], jv.Leaving(up))]
+        [True, False]
     """
     place, dtype = Place(point, leaving, sorted_shapes(occluders)), common_dtype(lights, point)
     found: list[Bool[Array, " _"] | None] = [None] * len(lights)

@@ -104,6 +104,12 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
     Raises:
         ValueError: for what is no ray, and no shape.
+
+    Example:
+        >>> ray, ball = jv.Ray([0.6, 0, 5], [0, 0, -1]), jv.Sphere([0, 0, 0], 1)
+        >>> hit = jv.intersect(ray, ball)
+        >>> round(float(hit.distance), 4), round(float(hit.normal.z), 4)  # 5 - 0.8
+        (4.2, 0.8)
     """
     check_kind("intersect: ray", ray, Ray)
     check_kind("intersect: shape", shape, Shape)
@@ -132,6 +138,12 @@ def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
     Returns:
         The numbers of the shape and of its triangle. Distances, m, are told apart but for their
         last three bits. No gradient.
+
+    Example:
+        >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
+        >>> rays = (jv.Ray([x, 0, 5], [0, 0, -1]) for x in (0, 3))
+        >>> [int(jv.nearest_shape(ray, floors).shape) for ray in rays]  # the upper one, and none
+        [1, -1]
     """
     return stored(_nearest, *jax.lax.stop_gradient((ray, sorted_shapes(shapes))))
 
@@ -181,6 +193,12 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
     Returns:
         The hit; a miss where nothing was found.
+
+    Example:
+        >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
+        >>> ray = jv.Ray([0, 0, 5], [0, 0, -1])
+        >>> float(jv.hit_shape(ray, floors, jv.nearest_shape(ray, floors)).distance)
+        4.0
     """
     ready, zero = sorted_shapes(shapes), jnp.zeros_like(ray.origin.x)
     nowhere = Vec(zero, zero, zero)
@@ -252,6 +270,12 @@ def occluded(
 
     Returns:
         A flag, (). No gradient.
+
+    Example:
+        >>> point, up = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
+        >>> roof = jv.Disc([0, 0, 2], [0, 0, 1], 1)
+        >>> [bool(jv.occluded(point, up, up, jnp.array(far), [roof])) for far in (1.0, 3.0)]
+        [False, True]
     """
     return stored(blocked, point, normal, direction, distance, sorted_shapes(shapes), size)
 

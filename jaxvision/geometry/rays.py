@@ -41,6 +41,11 @@ class Encounter(Shown):
     Attributes:
         shape: () index, -1 for nothing.
         primitive: () the triangle where that shape is a mesh; None where no shape is one.
+
+    Example:
+        >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
+        >>> int(jv.nearest_shape(jv.Ray([0, 0, 5], [0, 0, -1]), floors).shape)  # the upper one
+        1
     """
 
     shape: Int[Array, ""]
@@ -118,6 +123,12 @@ def offset_origin(
 
     Source: after Waechter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
     Tracing Gems (2019), ch. 6, with the size of the shape in the bound.
+
+    Example:
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> start = jv.offset_origin(jnp.array([1.0, 0.0, 0.0]), up, up)
+        >>> bool(0 < start.z < 1e-5)  # to the side to which the ray goes
+        True
     """
     reach = largest_component(point) if size is None else size
     away = jax.lax.stop_gradient(

@@ -25,6 +25,13 @@ class Incident(Shown):
         irradiance: (bands,) W m^-2 on a surface that faces the light; the receiver applies its own
             cosine.
         distance: () m to the light, or None where the light is infinitely far away.
+
+    Example:
+        >>> arriving = jv.incident(jv.PointLight([3, 0, 4], [25.0]), jnp.zeros(3))
+        >>> [round(float(x), 4) for x in arriving.direction]
+        [0.6, 0.0, 0.8]
+        >>> round(float(arriving.distance), 4), round(float(arriving.irradiance[0]), 4)  # 25 / 5^2
+        (5.0, 1.0)
     """
 
     direction: Direction

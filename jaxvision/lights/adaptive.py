@@ -51,6 +51,13 @@ def adaptive_irradiance(
 
     Raises:
         ValueError: if the tolerance is not above 0.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> found = jax.jit(lambda points: jv.adaptive_irradiance(lamp, points, up, tolerance=0.01))
+        >>> round(float(found(jnp.zeros((1, 3)))[0, 0]), 2)  # 4 x 0.1385, that of a corner
+        0.55
     """
     if not tolerance > 0:
         raise ValueError(f"tolerance must be above 0, got {tolerance}.")

@@ -33,6 +33,11 @@ class EnvironmentMap(Light):
         rows: (h + 1,) cumulative probability of the rows, no unit.
         columns: (h, w + 1) cumulative probability of the columns within each row, no unit.
         density: (h, w) probability per solid angle, sr^-1.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> round(float(sky.density[0, 0]), 4)  # of the whole sphere: 1 / (4 pi)
+        0.0796
     """
 
     spectra = ("radiance",)

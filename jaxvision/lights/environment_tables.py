@@ -38,6 +38,13 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
     Raises:
         ValueError: for another shape, a picture without pixels, and values that are negative or not
             finite.
+
+    Example:
+        Rows about the poles get as much less of the samples as they span less solid angle.
+
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> print(np.asarray(sky.rows).round(3))  # (1 - cos(theta)) / 2 at 0, 45, ... degrees
+        [0.    0.146 0.5   0.854 1.   ]
     """
     picture = as_float(radiance)
     check_shape("environment_map's radiance", picture, ("h", "w", "bands"))

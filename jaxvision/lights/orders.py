@@ -34,6 +34,11 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
 
     Raises:
         InputError: if not even the largest order is enough.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 0], [0, 2, 0], [2, 0, 0], [1.0])
+        >>> [jv.order_for(lamp, jnp.array([0.0, 0.0, -below])) for below in (1.0, 20.0)]
+        [6, 2]
     """
     nearest = float(jnp.min(_distance_over_size(light, points)))
     pole = math.pi / 2 / math.asinh(0.5 / max(nearest, 1 / 64))

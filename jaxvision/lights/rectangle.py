@@ -31,6 +31,14 @@ class RectangleLight(Light):
         edge_v: (3,) m, along the other side, at a right angle to the first (any parallelogram gives
             right results; a skew one is sampled less well).
         radiance: (bands,) W m^-2 sr^-1.
+
+    Example:
+        A lamp of 1 km side, 1 m above, fills the sky.
+
+        >>> lamp = jv.RectangleLight([-500, -500, 1], [0, 1000, 0], [1000, 0, 0], [1 / np.pi])
+        >>> floor = jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.rectangle_irradiance(lamp, jnp.zeros(3), floor)[0]), 3)  # pi L
+        1.0
     """
 
     spectra = ("radiance",)

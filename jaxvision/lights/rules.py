@@ -38,6 +38,13 @@ class Quadrature(Shown):
 
     Raises:
         ValueError: for another order.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
+        >>> up, rule = jnp.array([0.0, 0.0, 1.0]), jv.Quadrature(8)
+        >>> light = jax.jit(jv.irradiance)(lamp, jnp.zeros(3), up, rule=rule)
+        >>> round(float(light[0]), 4)  # 4 x 0.1385, the form factor of a corner
+        0.5541
     """
 
     order: int = eqx.field(static=True)
@@ -56,6 +63,13 @@ class MonteCarlo(Shown):
     Attributes:
         key: random key.
         samples: how many, >= 1; static.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
+        >>> up, rule = jnp.array([0.0, 0.0, 1.0]), jv.MonteCarlo(jax.random.key(0), 4096)
+        >>> light = jax.jit(jv.irradiance)(lamp, jnp.zeros(3), up, rule=rule)
+        >>> round(float(light[0]), 2)  # 4 x 0.1385, the form factor of a corner
+        0.55
     """
 
     key: Key
@@ -76,6 +90,14 @@ class Balanced(Shown):
     Attributes:
         key: random key.
         samples: how many, >= 1; static.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1.0])
+        >>> up, white = jnp.array([0.0, 0.0, 1.0]), jv.Lambert([1 / np.pi])
+        >>> rule = jv.Balanced(jax.random.key(0), 4096)
+        >>> seen = jv.outgoing_radiance(white, [lamp], jnp.zeros(3), up, up, rule=rule)
+        >>> round(float(seen[0]), 2)  # 4 x 0.1385, the form factor of a corner
+        0.55
     """
 
     key: Key

@@ -26,6 +26,13 @@ class Window(Shown):
         corner: (3,) m.
         edge_u: (3,) m, from the corner along one side.
         edge_v: (3,) m, along the other side.
+
+    Example:
+        >>> near, far = (jv.Window([0, 0, z], [1, 0, 0], [0, 1, 0]) for z in (0, -1))
+        >>> light_field = jv.LightFieldLight(jnp.full((1, 1, 2, 2, 1), 3.0), near, far)
+        >>> ray = jv.Ray([0.5, 0.5, 2], [0, 0, -1])
+        >>> float(jv.lights.seen(light_field, ray).distance)  # to the aperture
+        2.0
     """
 
     corner: Float[Array, "3"] = eqx.field(converter=as_float)

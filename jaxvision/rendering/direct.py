@@ -42,6 +42,13 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
 
     Returns:
         (bands,) W m^-2 sr^-1.
+
+    Example:
+        >>> ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.5 / np.pi]))
+        >>> scene = jv.Scene(ball, jv.DirectionalLight([0, 0, 1], [2 * np.pi]))
+        >>> ray = jv.Ray([0.6, 0, 9], [0, 0, -1])  # to where the normal is (0.6, 0, 0.8)
+        >>> round(float(jv.radiance_along(scene, ray)[0]), 4)  # 2 pi x 0.8 x 0.5 / pi
+        0.8
     """
     return _along(scene, sorted_scene(scene), ray, rules_of(scene, rule))
 

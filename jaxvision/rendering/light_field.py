@@ -33,6 +33,14 @@ def render_light_field(
 
     Returns:
         The light field, radiance in W m^-2 sr^-1.
+
+    Example:
+        >>> lamp = jv.Surface(jv.Disc([0, 0, -9], [0, 0, 1], 99), jv.Lambert([0.0]), [2.0])
+        >>> near, far = (jv.Window([0, 0, z], [1, 0, 0], [0, 1, 0]) for z in (0, -1))
+        >>> grid = (1, 1, 2, 1)
+        >>> record = jax.jit(lambda scene: jv.render_light_field(scene, near, far, resolution=grid))
+        >>> record(jv.Scene(lamp, [])).radiance.ravel().tolist()
+        [2.0, 2.0]
     """
     along = direct_along(scene, rule)
     axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]

@@ -76,6 +76,15 @@ def light_traced(
     Raises:
         ValueError: for a count below 1, for light from infinitely far away in a scene without end,
             and for a surface without end that shines.
+
+    Example:
+        >>> floor = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 1), jv.Lambert([0.5 / np.pi]))
+        >>> scene = jv.Scene(floor, jv.DirectionalLight([0, 0, 1], [2 * np.pi]))
+        >>> down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+        >>> view = jv.Orthographic([0, 0, 9], down, 1.0, resolution=(1, 1))
+        >>> found = jax.jit(lambda key: jv.light_traced(key, scene, view, paths=4096, depth=2))
+        >>> round(float(found(jax.random.key(0)).radiance[0, 0, 0]), 1)  # 2 pi x 0.5 / pi
+        1.0
     """
     for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
         check_count(name, value, 1)

@@ -269,5 +269,16 @@ def ray_traced(
     Raises:
         ValueError: for fewer than one ray, for a random rule in `Scene.rules`, and for a thin lens
             without samples, unless its f_number is inf or traced.
+
+    Example:
+        A lamp in a mirror that reflects nine tenths.
+
+        >>> lamp = jv.Surface(jv.Disc([0, 0, 9], [0, 0, -1], 1), jv.Lambert([0.0]), [2.0])
+        >>> mirror = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 1), jv.Mirror([0.9]))
+        >>> down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+        >>> view = jv.Orthographic([0, 0, 5], down, 0.1, resolution=(1, 1))
+        >>> picture = jax.jit(lambda scene: jv.ray_traced(scene, view, rays=2))
+        >>> round(float(picture(jv.Scene([lamp, mirror], []))[0, 0, 0]), 4)
+        1.8
     """
     return photograph(ray_tree_along(scene, rays=rays, rule=rule), view, samples).radiance
