@@ -192,8 +192,8 @@ def lit_radiance(
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1.0])
         >>> up, white = jnp.array([0.0, 0.0, 1.0]), jv.Lambert([1 / np.pi])
-        >>> here = jnp.zeros(3)
-        >>> seen = jax.jit(lambda key: jv.lit_radiance(key, white, lamp, here, up, up, samples=1024))
+        >>> args = white, lamp, jnp.zeros(3), up, up
+        >>> seen = jax.jit(lambda key: jv.lit_radiance(key, *args, samples=1024))
         >>> found = seen(jax.random.key(0))
         >>> bool(abs(found.value[0] - 0.5541) < 3 * found.error[0])  # the form factor of the lamp
         True

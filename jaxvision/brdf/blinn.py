@@ -38,6 +38,12 @@ class Blinn(PowerLobe):
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> gloss = jv.Blinn([0.0], [0.5], 10.0)
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, aside, up)[0]), 4)  # n.h = sqrt(0.9): 0.5 x 0.9^5
+        0.2952
     """
 
 
@@ -49,6 +55,12 @@ class BlinnBRDF(PowerLobe):
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> gloss = jv.BlinnBRDF([0.0], [0.5], 10.0)
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, aside, up)[0]), 4)  # 0.5 x 0.9^5 x 0.8
+        0.2362
     """
 
 
@@ -62,6 +74,11 @@ class NormalisedBlinn(PowerLobe):
             albedo along the normal; of shape (1,) it is neutral.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> lobe, up = jv.NormalisedBlinn([0.0], [1.0], 8.0), jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.reflect(lobe, up, up, up)[0]), 4)  # 10 x 12 / (8 pi (2^-4 + 8))
+        0.5922
     """
 
 

@@ -42,6 +42,13 @@ class Dichromatic(Material):
     Raises:
         ValueError: if a geometry factor is a mirror or glass, to whose samples `pdf` would be
             blind.
+
+    Example:
+        >>> body, gloss = jv.Lambert([0.3]), jv.PhongBRDF([0.0], [0.1], 20.0)
+        >>> paint = jv.Dichromatic(body, gloss, [1.0, 0.5], [1.0])
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> [round(float(x), 4) for x in jv.reflect(paint, up, up, up)]  # 0.3 c_b + 0.1
+        [0.4, 0.25]
     """
 
     body: Material

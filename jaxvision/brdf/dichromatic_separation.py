@@ -49,6 +49,12 @@ class Separation(Shown):
         noise_gain: () standard deviation of m_b (and of m_i) over that of one band, for independent
             noise of equal size in all bands, where both factors are positive: 1 / sin(angle), no
             unit.
+
+    Example:
+        >>> white, red = jnp.ones(3), jnp.array([1.0, 0.0, 0.0])
+        >>> found = jv.separate(jnp.array([[3.0, 1.0, 1.0]]), white, body=red)
+        >>> round(float(found.angle), 4), round(float(found.noise_gain), 4)  # arccos(1 / sqrt(3))
+        (0.9553, 1.2247)
     """
 
     body: Factors
@@ -101,6 +107,12 @@ def separate(
 
     Raises:
         ValueError: an illuminant or a body without one number a band.
+
+    Example:
+        >>> white, red = jnp.ones(3), jnp.array([1.0, 0.0, 0.0])
+        >>> found = jv.separate(jnp.array([[3.0, 1.0, 1.0]]), white, body=red)  # 2 red + 1 white
+        >>> round(float(found.body[0]), 4), round(float(found.interface[0]), 4)  # 2 and sqrt(3)
+        (2.0, 1.7321)
     """
     check_shape("illuminant", illuminant, (image.shape[-1],))
     check_shape("body", body, (image.shape[-1],))

@@ -21,6 +21,11 @@ class Dielectric(Shown):
     Attributes:
         eta: (bands,) or (1,), real relative index n_t / n_i > 0, no unit; below 1 it reflects
             totally beyond the critical angle.
+
+    Example:
+        >>> glass = jv.Dielectric([1.5])
+        >>> round(float(jv.brdf.fresnel.fresnel(glass, jnp.array(1.0))[0]), 4)  # (0.5 / 2.5)^2
+        0.04
     """
 
     eta: Colour = eqx.field(converter=as_float)
@@ -35,6 +40,13 @@ class Conductor(Shown):
     Attributes:
         eta: (bands,) or (1,), real part, no unit.
         k: (bands,) or (1,), imaginary part, no unit.
+
+    Example:
+        Aluminium at 550 nm, by its index of refraction.
+
+        >>> aluminium = jv.Conductor([0.96], [6.69])
+        >>> round(float(jv.brdf.fresnel.fresnel(aluminium, jnp.array(1.0))[0]), 3)
+        0.921
     """
 
     eta: Colour = eqx.field(converter=as_float)
@@ -49,6 +61,11 @@ class Schlick(Shown):
 
     Attributes:
         f0: (bands,) or (1,), reflectance along the normal, no unit.
+
+    Example:
+        >>> glass = jv.Schlick([0.04])
+        >>> round(float(jv.brdf.fresnel.fresnel(glass, jnp.array(0.5))[0]), 4)  # 0.04 + 0.96 / 2^5
+        0.07
     """
 
     f0: Colour = eqx.field(converter=as_float)

@@ -49,6 +49,12 @@ class GaussianLobe(_Concentrated):
         concentration: () c_s in rad^-1.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None; the
             array of k_d itself where both share one.
+
+    Example:
+        >>> gloss, up = jv.GaussianLobe([0.2], [0.5], 30.0), jnp.array([0.0, 0.0, 1.0])
+        >>> wi, mirrored = jnp.array([0.6, 0.0, 0.8]), jnp.array([-0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, wi, mirrored)[0]), 4)  # 0.2 x 0.8 + 0.5
+        0.66
     """
 
 
@@ -60,6 +66,12 @@ class GaussianLobeBRDF(_Concentrated):
         specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
         concentration: () c_s in rad^-1.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
+
+    Example:
+        >>> gloss, up = jv.GaussianLobeBRDF([0.2], [0.5], 30.0), jnp.array([0.0, 0.0, 1.0])
+        >>> wi, mirrored = jnp.array([0.6, 0.0, 0.8]), jnp.array([-0.6, 0.0, 0.8])
+        >>> round(float(jv.reflect(gloss, up, wi, mirrored)[0]), 4)  # (0.2 + 0.5) x 0.8
+        0.56
     """
 
 
@@ -117,6 +129,10 @@ def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
         The lobe, not normalised, (...) in [0, 1], no unit.
 
     Source: Szeliski, Computer Vision, section 2.2.2, after Torrance and Sparrow.
+
+    Example:
+        >>> round(float(jv.gaussian_lobe(jnp.array(0.1), jnp.array(10.0))), 4)  # 1 / e
+        0.3679
     """
     return jnp.exp(-jnp.square(concentration * theta_mirror))
 
@@ -144,6 +160,13 @@ def gaussian_lobe_shading(
         Radiance toward the viewer per unit of irradiance on a surface that faces the light,
         (bands,) in sr^-1; 0 where n.l <= 0 (the attached shadow) or n.v <= 0 (a viewer below the
         surface, as for the record `GaussianLobe`).
+
+    Example:
+        >>> up, wi = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> lobe = jnp.array([0.2]), jnp.array([0.5]), jnp.array(30.0)
+        >>> shading = jv.gaussian_lobe_shading(up, wi, jv.mirror_direction(up, wi), *lobe)
+        >>> round(float(shading[0]), 4)  # 0.2 x 0.8 + 0.5
+        0.66
     """
     cos_i = dot(normal, wi)
     lobe = _lobe_between(mirror_direction(normal, wi), wo, concentration)

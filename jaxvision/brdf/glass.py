@@ -31,6 +31,12 @@ class Glass(Material):
             for all bands, so that there is no dispersion.
         absorption: (bands,) m^-1 by Lambert and Beer, exp(-absorption x distance) inside; None is
             perfectly clear.
+
+    Example:
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> ways = jv.brdf.specular(jv.Glass(1.5), up)
+        >>> round(float(ways.reflectance[0]), 4), round(float(ways.transmittance[0]), 4)
+        (0.04, 0.96)
     """
 
     index: Scalar = eqx.field(converter=as_float)

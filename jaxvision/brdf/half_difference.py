@@ -95,6 +95,12 @@ class HalfDifferenceTable(Material):
         sampler: what `sample` draws from; None: the cosine.
         interpolation: "linear" between the middles of bins, or "nearest", the bin itself, as the
             reference reader has it; static.
+
+    Example:
+        >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> flat = jv.HalfDifferenceTable(np.full((2, 2, 2, 1), 0.25))
+        >>> round(float(jv.reflect(flat, up, aside, up)[0]), 4)  # 0.25 x 0.8
+        0.2
     """
 
     values: Float[Array, "n_h n_d n_p bands"] = eqx.field(converter=as_float)

@@ -48,6 +48,12 @@ def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour
         The shading, (bands,) in sr^-1.
 
     Source: Szeliski, Computer Vision, section 2.2.2.
+
+    Example:
+        >>> up, wi = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> grey = jnp.array([0.5 / np.pi])
+        >>> round(float(jv.lambert_shading(up, wi, grey)[0]), 4)  # 0.8 x 0.5 / pi
+        0.1273
     """
     return diffuse * jnp.maximum(dot(normal, wi), 0)
 

@@ -19,6 +19,13 @@ class Mirror(Material):
 
     Attributes:
         reflectance: (bands,) or neutral (1,), no unit, 1 for a mirror without loss.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> seen = jv.outgoing_radiance(jv.Mirror([0.9]), [lamp], jnp.zeros(3), up, up)
+        >>> round(float(seen[0]), 4)
+        4.5
     """
 
     neutral_spectra = ("reflectance",)

@@ -44,6 +44,11 @@ class OrenNayar(Material):
         sigma: () standard deviation of the facets' slope angle, radians, in [0, pi / 2].
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
         form: "qualitative" or "full"; static.
+
+    Example:
+        >>> up, rough = jnp.array([0.0, 0.0, 1.0]), jv.OrenNayar([1.0], 0.5)
+        >>> round(float(jv.reflect(rough, up, up, up)[0]), 4)  # 1 - 0.5 x 0.25 / (0.25 + 0.33)
+        0.7845
     """
 
     spectra = ("diffuse",)

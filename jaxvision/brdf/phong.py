@@ -139,6 +139,13 @@ def phong_shading(
         surface, as for the record `Phong`).
 
     Source: Szeliski, Computer Vision, section 2.2.2, "Phong shading".
+
+    Example:
+        >>> up, wi = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> lobe = jnp.array([0.2]), jnp.array([0.5]), jnp.array(30.0)
+        >>> shading = jv.phong_shading(up, wi, jv.mirror_direction(up, wi), *lobe)
+        >>> round(float(shading[0]), 4)  # 0.2 x 0.8 + 0.5
+        0.66
     """
     cos_i = dot(normal, wi)
     lobe = phong_lobe(log_cos_between(mirror_direction(normal, wi), wo), exponent)

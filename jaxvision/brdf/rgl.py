@@ -58,6 +58,14 @@ class RGL(Material):
         wavelengths: (bands,) m, or None for RGB.
         scaled: whether ndf / (4 sigma) multiplies the values (the file's `jacobian`); static.
         symmetry: how many equal sectors a turn of `wo` has; the nodes span one; static.
+
+    Example:
+        >>> from jaxvision.brdf.rgl import rgl_material
+        >>> theta, one = jnp.array([0.0, np.pi / 2]), jnp.ones((1, 2, 2, 2))
+        >>> flat = rgl_material(theta, jnp.zeros(1), one[..., None], one[0, 0], one[0, 0], one, one)
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.reflect(flat, up, up, up)[0]), 4)  # ndf / (4 sigma)
+        0.25
     """
 
     theta: Float[Array, " t"] = eqx.field(converter=as_float)

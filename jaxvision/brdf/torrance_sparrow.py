@@ -76,6 +76,11 @@ class TorranceSparrow(Material):
 
     Raises:
         ValueError: if the interface has neither one band nor as many as the others.
+
+    Example:
+        >>> gloss, up = jv.TorranceSparrow([0.0], [1.0], 0.5), jnp.array([0.0, 0.0, 1.0])
+        >>> round(float(jv.reflect(gloss, up, up, up)[0]), 4)  # D / 4 = 1 / (4 pi 0.5^2)
+        0.3183
     """
 
     spectra = ("diffuse",)
