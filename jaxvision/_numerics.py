@@ -45,6 +45,10 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
     Returns:
         (...) in the product of the units.
+
+    Example:
+        >>> float(jv.dot(jnp.array([1.0, 2.0, 3.0]), jnp.array([4.0, 5.0, 6.0])))
+        32.0
     """
     a, b = as_vec(u), as_vec(v)
     return a.x * b.x + a.y * b.y + a.z * b.z
@@ -174,6 +178,10 @@ def norm(v: Vec3) -> Scalars:
 
     Returns:
         (...) in the unit of `v`.
+
+    Example:
+        >>> round(float(jv.norm(jnp.array([2.0, 3.0, 6.0]))), 4)
+        7.0
     """
     sized, scale = _to_unit_size(v)
     return scale * safe_sqrt(dot(sized, sized))
@@ -188,6 +196,10 @@ def normalize(v: Vec3) -> Vec3:
 
     Returns:
         (..., 3) or `Vec`, like `v`; unit length.
+
+    Example:
+        >>> [round(float(x), 4) for x in jv.normalize(jnp.array([3.0, 0.0, 4.0]))]
+        [0.6, 0.0, 0.8]
     """
     sized, _ = _to_unit_size(v)
     square = dot(sized, sized)
@@ -346,6 +358,11 @@ def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
     Returns:
         (...) no unit, at most 0; the logarithm of the smallest normal number, with gradient 0, at a
         right angle and beyond.
+
+    Example:
+        >>> u, v = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])
+        >>> round(float(jv.log_cos_between(u, v)), 4)  # ln 0.8
+        -0.2231
     """
     chord, cosine = u - v, dot(u, v)
     deficit = dot(chord, chord) / 2

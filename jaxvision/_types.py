@@ -60,6 +60,10 @@ def as_float(x: Any) -> Array:
 
     Returns:
         The same numbers: floating arrays keep their dtype, anything else gets JAX's default.
+
+    Example:
+        >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
+        [1. 2.] float32
     """
     array = _as_numbers(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
@@ -96,6 +100,10 @@ def as_optional_float(x: Any) -> Array | None:
 
     Returns:
         The same numbers in a strong floating dtype, or None.
+
+    Example:
+        >>> print(jv.as_optional_float(2), jv.as_optional_float(None))
+        2.0 None
     """
     return None if x is None else as_float(x)
 

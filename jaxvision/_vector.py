@@ -67,6 +67,11 @@ def as_vec(v: Vec3) -> Vec:
 
     Returns:
         The vector as a `Vec`, in the same unit.
+
+    Example:
+        >>> v = jv.as_vec(jnp.array([1.0, 2.0, 3.0]))
+        >>> print(v.x, v.y, v.z)
+        1.0 2.0 3.0
     """
     return v if isinstance(v, Vec) else Vec(v[..., 0], v[..., 1], v[..., 2])
 
@@ -80,6 +85,10 @@ def as_array(v: Vec3) -> Float[Array, "... 3"]:
 
     Returns:
         (..., 3) in the same unit.
+
+    Example:
+        >>> print(jv.as_array(jv.Vec(*jnp.arange(3.0))))
+        [0. 1. 2.]
     """
     return jnp.stack([v.x, v.y, v.z], axis=-1) if isinstance(v, Vec) else v
 

@@ -60,6 +60,14 @@ def fit_colour_matrix(
             span the dimensions.
 
     Source: Finlayson and Drew, "White-point preserving color correction", CIC 1997, for `white`.
+
+    Example:
+        A camera that sees half of the red.
+
+        >>> wanted = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
+        >>> matrix = jv.fit_colour_matrix(wanted * jnp.array([[0.5, 1.0, 1.0]]), wanted)
+        >>> [round(float(x), 4) for x in jnp.diag(matrix)]
+        [2.0, 1.0, 1.0]
     """
     least = 3 if white is None else 2
     if camera.shape != wanted.shape or camera.shape[0] < least:

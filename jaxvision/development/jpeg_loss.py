@@ -123,6 +123,13 @@ def jpeg(
 
     Raises:
         ValueError: for another choice, or other than one or three bands.
+
+    Example:
+        >>> row = jnp.linspace(0.0, 1.0, 8)
+        >>> ramp = jnp.stack([row] * 8)[..., None]
+        >>> off = [float(abs(jv.jpeg(ramp, quality) - ramp).max()) for quality in (95.0, 5.0)]
+        >>> off[0] < 0.02, off[1] > 0.05
+        (True, True)
     """
     picture = as_relative(picture)
     if picture.ndim < 3 or picture.shape[-1] not in (1, 3) or not picture.size:

@@ -41,6 +41,11 @@ def develop(raw: Scalars, development: Development) -> Scalars:
 
     Raises:
         ValueError: from the stages.
+
+    Example:
+        >>> how = jv.Development(black_level=64.0, white_level=1088.0)
+        >>> jv.develop(jnp.array([64.0, 576.0, 1088.0]), how).tolist()
+        [0.0, 0.5, 1.0]
     """
     picture = _scaled(raw, development)
     if development.demosaicing is not None:

@@ -34,6 +34,11 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
         ValueError: for fewer than two points or unequal shapes.
 
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
+
+    Example:
+        >>> inputs, outputs = jnp.array([0.0, 0.5, 1.0]), jnp.array([0.0, 0.75, 1.0])
+        >>> jv.tone_curve(jnp.array([-1.0, 0.5, 1.0]), inputs, outputs).tolist()
+        [0.0, 0.75, 1.0]
     """
     x = as_relative(x)
     if inputs.shape != outputs.shape or inputs.shape[0] < 2:

@@ -37,6 +37,11 @@ def white_balance(
 
     Raises:
         ValueError: for gains of another shape.
+
+    Example:
+        >>> picture, gains = jnp.array([[[0.25, 0.5, 0.5]]]), jnp.array([2.0, 1.0, 1.5])
+        >>> jv.white_balance(picture, gains).ravel().tolist()
+        [0.5, 0.5, 0.75]
     """
     if gains.shape[-1:] != image.shape[-1:] or gains.ndim not in (1, image.ndim - 2):
         raise ValueError(

@@ -88,6 +88,14 @@ def gather_defocus(
 
     Raises:
         ValueError: `radius` or `members` is too small.
+
+    Example:
+        >>> view = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(5, 5))
+        >>> lens = jv.ThinLens([0, 0, 0], **view, f_number=2.0, focus_distance=3.0)
+        >>> star = jnp.zeros((5, 5, 1)).at[2, 2].set(1.0)
+        >>> blurred = jv.gather_defocus(lens, star, jnp.full((5, 5), 3.2), radius=2)
+        >>> bool(blurred[2, 2, 0] < 0.3), round(float(blurred.sum()), 3)  # spread, and none is lost
+        (True, 1.0)
     """
     return _gathered(view, picture, _blur(view, depth), radius=radius, members=members)
 
@@ -145,6 +153,16 @@ def layered_defocus(
 
     Raises:
         ValueError: `layers` is less than 1.
+
+    Example:
+        A flat picture stays flat, whatever its depths.
+
+        >>> view = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(5, 5))
+        >>> lens = jv.ThinLens([0, 0, 0], **view, f_number=2.0, focus_distance=3.0)
+        >>> depth, flat = jnp.full((5, 5), 9.0).at[:, :2].set(1.0), jnp.full((5, 5, 1), 0.5)
+        >>> blur = jax.jit(lambda flat: jv.layered_defocus(lens, flat, depth, radius=2, layers=2))
+        >>> round(float(blur(flat).min()), 4), round(float(blur(flat).max()), 4)
+        (0.5, 0.5)
     """
     check_count("layers", layers, 1)
     blur = _blur(view, depth)

@@ -40,6 +40,13 @@ def look_at(
 
     Returns:
         (3, 3), no unit: rows are the unit axes right, down and forward in the world.
+
+    Example:
+        >>> eye, target, up = jnp.array([0.0, 0.0, 5.0]), jnp.zeros(3), jnp.array([0.0, 1.0, 0.0])
+        >>> print(jv.look_at(eye, target, up) + 0.0)
+        [[ 1.  0.  0.]
+         [ 0. -1.  0.]
+         [ 0.  0. -1.]]
     """
     forward = as_array(normalize(target - position))
     right = as_array(normalize(jnp.cross(forward, up)))
@@ -155,6 +162,12 @@ def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
 
     Returns:
         The ray in the world: origin in m, direction of unit length.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 7501))
+        >>> ray = jv.camera_ray(view, jnp.array(0.0), jnp.array(7500.0))  # 0.0375 m to the right
+        >>> [round(float(x), 4) for x in jv.as_array(ray.direction)]
+        [0.6, 0.0, 0.8]
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     if isinstance(view, Orthographic):
@@ -227,6 +240,16 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
     Returns:
         The ray in the world: origin in m, direction of unit length.
+
+    Example:
+        Two rays of one pixel meet where the lens is in focus.
+
+        >>> view = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(1, 1))
+        >>> lens = jv.ThinLens([0, 0, 0], **view, f_number=2.0, focus_distance=3.0)
+        >>> zero, u = jnp.array(0.0), jnp.array([[1.0, 0.5], [0.5, 0.2]])
+        >>> rays = [jv.lens_ray(lens, zero, zero, one) for one in u]
+        >>> [round(float(ray.origin.x + 3 * ray.direction.x / ray.direction.z), 4) for ray in rays]
+        [0.0, 0.0]
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     radius = view.focal_length / view.f_number / 2
@@ -249,6 +272,12 @@ def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | 
 
     Returns:
         The ray in the world: origin in m, direction of unit length.
+
+    Example:
+        >>> view = jv.Orthographic([0, 0, 9], np.eye(3), 0.5, resolution=(3, 3))
+        >>> ray = jv.view_ray(view, jnp.array(1.0), jnp.array(2.0))
+        >>> jv.as_array(ray.origin).tolist(), jv.as_array(ray.direction).tolist()
+        ([0.5, 0.0, 9.0], [0.0, 0.0, 1.0])
     """
     if u is not None and isinstance(view, ThinLens):
         return lens_ray(view, row, column, u)

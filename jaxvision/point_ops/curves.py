@@ -32,6 +32,10 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
 
     Raises:
         ValueError: for a gamma of 0 or less, and an unknown method.
+
+    Example:
+        >>> round(float(jv.gamma_encode(jnp.array(0.5), 2.2)), 4)
+        0.7297
     """
     linear = as_relative(linear)
     return _raised(linear, exact_inverse(gamma, linear.dtype), method)
@@ -53,6 +57,10 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
 
     Raises:
         ValueError: for a gamma of 0 or less, and an unknown method.
+
+    Example:
+        >>> round(float(jv.gamma_decode(jnp.array(0.5), 2.2)), 4)
+        0.2176
     """
     encoded = as_relative(encoded)
     return _raised(encoded, exact(gamma, encoded.dtype), method)
@@ -120,6 +128,10 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
         ValueError: for an unknown method.
 
     Source: IEC 61966-2-1.
+
+    Example:
+        >>> round(float(jv.srgb_decode(jnp.array(0.5))), 4)  # ((0.5 + 0.055) / 1.055)^2.4
+        0.214
     """
     encoded = as_relative(encoded)
     curved = is_above(encoded, Fraction("0.04045"))

@@ -22,6 +22,10 @@ def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scala
         (...) relative.
 
     Source: Szeliski, Computer Vision, section 3.1.1.
+
+    Example:
+        >>> print(jv.gain_bias(jnp.array([0.25, 0.5]), 2.0, -0.5))
+        [0.  0.5]
     """
     return gain * as_relative(x) + bias
 

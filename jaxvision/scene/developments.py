@@ -34,6 +34,11 @@ class Demosaicing(Shown):
         pattern: rows of band indices, the tile of the colour filter array, as
             `colour_filters.bayer` gives it; static.
         method: one of `DEMOSAICINGS`, described in `development.demosaic`; static.
+
+    Example:
+        >>> how = jv.Development(demosaicing=jv.Demosaicing(jv.bayer("RGGB"), method="bilinear"))
+        >>> print(jv.develop(jnp.full((4, 4), 5.0), how)[1, 2])
+        [5. 5. 5.]
     """
 
     pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True)
@@ -49,6 +54,11 @@ class WhiteBalance(Shown):
 
     Attributes:
         gains: (bands,) no unit, > 0.
+
+    Example:
+        >>> how = jv.Development(white_balance=jv.WhiteBalance([2.0, 1.0, 1.5]))
+        >>> jv.develop(jnp.array([[[0.25, 0.5, 0.5]]]), how).ravel().tolist()
+        [0.5, 0.5, 0.75]
     """
 
     gains: Colour = eqx.field(converter=as_float)
@@ -62,6 +72,13 @@ class GreyWorld(Shown):
 
     Attributes:
         norm: () exponent >= 1 of the mean, no unit: 1 is the grey world, 6 shades of grey.
+
+    Example:
+        No band becomes darker.
+
+        >>> how = jv.Development(white_balance=jv.GreyWorld())
+        >>> [round(float(x), 4) for x in jv.develop(jnp.array([[[0.2, 0.4, 0.8]]]), how)[0, 0]]
+        [0.8, 0.8, 0.8]
     """
 
     norm: Scalar = eqx.field(converter=as_float, default=1.0)
@@ -76,6 +93,14 @@ class NeutralPatch(Shown):
     Attributes:
         rows: (first, last) pixels, the last one excluded; static.
         columns: (first, last) pixels, the last one excluded; static.
+
+    Example:
+        The first pixel shows a grey card, the second a paint.
+
+        >>> how = jv.Development(white_balance=jv.NeutralPatch(rows=(0, 1), columns=(0, 1)))
+        >>> picture = jnp.array([[[0.25, 0.5, 0.5], [0.5, 0.25, 0.25]]])
+        >>> jv.develop(picture, how)[0].tolist()
+        [[0.5, 0.5, 0.5], [1.0, 0.25, 0.25]]
     """
 
     rows: tuple[int, int] = eqx.field(static=True)
@@ -100,6 +125,12 @@ class Bilateral(Shown):
         sigma_space: () pixels, > 0.
         sigma_range: () > 0, in the picture's unit.
         radius: of the neighbourhood in pixels, >= 0; static.
+
+    Example:
+        >>> how = jv.Development(denoising=jv.Bilateral(1.0, 0.01, radius=1))
+        >>> edge = jnp.array([[[0.0], [0.0], [1.0], [1.0]]])
+        >>> [round(float(x), 4) for x in jv.develop(edge, how).ravel()]
+        [0.0, 0.0, 1.0, 1.0]
     """
 
     sigma_space: Scalar = eqx.field(converter=as_float)
@@ -119,6 +150,12 @@ class NonLocalMeans(Shown):
         noise: () standard deviation of the noise >= 0, in the picture's unit.
         patch: side of the compared patches in pixels, odd; static.
         radius: of the neighbourhood in pixels, >= 0; static.
+
+    Example:
+        >>> how = jv.Development(denoising=jv.NonLocalMeans(0.01, patch=1, radius=1))
+        >>> edge = jnp.array([[[0.0], [0.0], [1.0], [1.0]]])
+        >>> [round(float(x), 4) for x in jv.develop(edge, how).ravel()]
+        [0.0, 0.0, 1.0, 1.0]
     """
 
     strength: Scalar = eqx.field(converter=as_float)
@@ -140,6 +177,12 @@ class Reinhard(Shown):
 
     Attributes:
         white: () relative, > 0: the least x that is mapped to 1; None maps only infinity to 1.
+
+    Example:
+        >>> from jaxvision.development import map_tone
+        >>> four, curves = jnp.array(4.0), (jv.Reinhard(), jv.Reinhard(white=4.0))
+        >>> [round(float(map_tone(four, curve)), 4) for curve in curves]  # 4 / (1 + 4), and white
+        [0.8, 1.0]
     """
 
     white: Scalar | None = eqx.field(converter=as_optional_float, default=None)
@@ -149,7 +192,13 @@ class Reinhard(Shown):
 
 
 class Filmic(Shown):
-    """Tone mapping by the ACES film curve, `point_ops.filmic`."""
+    """Tone mapping by the ACES film curve, `point_ops.filmic`.
+
+    Example:
+        >>> how = jv.Development(tone_map=jv.Filmic())
+        >>> round(float(jv.develop(jnp.array(1.0), how)), 4)  # (2.51 + 0.03) / (2.43 + 0.59 + 0.14)
+        0.8038
+    """
 
 
 class ToneCurve(Shown):
@@ -158,6 +207,11 @@ class ToneCurve(Shown):
     Attributes:
         inputs: (points,) relative, strictly ascending, at least two.
         outputs: (points,) relative.
+
+    Example:
+        >>> how = jv.Development(tone_map=jv.ToneCurve([0.0, 0.5, 1.0], [0.0, 0.75, 1.0]))
+        >>> jv.develop(jnp.array([0.5, 1.0, 2.0]), how).tolist()
+        [0.75, 1.0, 1.0]
     """
 
     inputs: Float[Array, " points"] = eqx.field(converter=as_float)
@@ -178,6 +232,11 @@ class Gamma(Shown):
 
     Attributes:
         gamma: () > 0, no unit.
+
+    Example:
+        >>> how = jv.Development(tone=jv.Gamma(2.2))
+        >>> round(float(jv.develop(jnp.array(0.5), how)), 4)  # 0.5^(1 / 2.2)
+        0.7297
     """
 
     gamma: Scalar = eqx.field(converter=as_float)
@@ -187,7 +246,13 @@ class Gamma(Shown):
 
 
 class SRGB(Shown):
-    """The piecewise sRGB encoding of IEC 61966-2-1."""
+    """The piecewise sRGB encoding of IEC 61966-2-1.
+
+    Example:
+        >>> how = jv.Development(tone=jv.SRGB())
+        >>> round(float(jv.develop(jnp.array(0.5), how)), 4)  # 1.055 x 0.5^(1 / 2.4) - 0.055
+        0.7354
+    """
 
 
 ToneEncoding = Gamma | SRGB
@@ -200,6 +265,14 @@ class UnsharpMask(Shown):
         sigma: () pixels, > 0: the scale of the sharpened detail.
         amount: () no unit.
         size: side of the Gaussian in pixels, odd; static.
+
+    Example:
+        An edge overshoots, and as much on either side.
+
+        >>> how = jv.Development(sharpening=jv.UnsharpMask(1.0, 0.5, size=3))
+        >>> edge = jv.develop(jnp.array([[[0.0], [0.0], [1.0], [1.0]]]), how).ravel()
+        >>> [round(float(x), 3) for x in edge]
+        [0.0, -0.137, 1.137, 1.0]
     """
 
     sigma: Scalar = eqx.field(converter=as_float)
@@ -218,6 +291,12 @@ class JPEG(Shown):
         quality: () 1 to 100 on libjpeg's scale, no unit.
         subsampling: one of `SUBSAMPLINGS`, as in `development.jpeg`; static.
         rounding: one of `ROUNDINGS`, as in `development.jpeg`; static.
+
+    Example:
+        >>> how = jv.Development(compression=jv.JPEG(90.0))
+        >>> grey = jnp.full((8, 8, 1), 128 / 255)  # the middle of the code, which loses nothing
+        >>> round(float(jv.develop(grey, how)[3, 4, 0]) * 255, 3)
+        128.0
     """
 
     quality: Scalar = eqx.field(converter=as_float)
@@ -247,6 +326,11 @@ class Development(Shown):
         tone: the encoding, `Gamma(2.2)` or `SRGB()`.
         sharpening: of the encoded picture.
         compression: the loss of its file.
+
+    Example:
+        >>> how = jv.Development(black_level=64.0, white_level=1088.0, tone=jv.SRGB())
+        >>> round(float(jv.develop(jnp.array(576.0), how)), 4)  # of 512 / 1024
+        0.7354
     """
 
     black_level: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)

@@ -22,7 +22,12 @@ _WIDEST_STOP = 1 - 1e-6
 
 
 class CircularAperture(Shown):
-    """A round aperture that fills the lens's diameter."""
+    """A round aperture that fills the lens's diameter.
+
+    Example:
+        >>> round(float(jv.optics.aperture_area(jv.CircularAperture(), jnp.array(2.0))), 4)
+        3.1416
+    """
 
 
 class PolygonalAperture(Shown):
@@ -31,6 +36,11 @@ class PolygonalAperture(Shown):
     Attributes:
         blades: number of sides, >= 3; static.
         angle: () rad, of one corner from the camera's right towards down; None is 0, to the right.
+
+    Example:
+        >>> square = jv.PolygonalAperture(blades=4)  # its diagonal is the diameter
+        >>> round(float(jv.optics.aperture_area(square, jnp.array(2.0))), 4)
+        2.0
     """
 
     blades: int = eqx.field(static=True)
@@ -47,6 +57,11 @@ class RectangularAperture(Shown):
     Attributes:
         width: () > 0, relative to the lens's diameter.
         height: () > 0, relative to the lens's diameter.
+
+    Example:
+        >>> slit = jv.RectangularAperture(width=0.5, height=1.0)
+        >>> round(float(jv.optics.aperture_area(slit, jnp.array(2.0))), 4)
+        2.0
     """
 
     width: Scalar = eqx.field(converter=as_float)
@@ -61,6 +76,11 @@ class AnnularAperture(Shown):
 
     Attributes:
         obstruction: () in [0, 1), diameter of the stop relative to that of the aperture.
+
+    Example:
+        >>> mirror_lens = jv.AnnularAperture(obstruction=0.5)
+        >>> round(float(jv.optics.aperture_area(mirror_lens, jnp.array(2.0))), 4)  # pi (1 - 0.5^2)
+        2.3562
     """
 
     obstruction: Scalar = eqx.field(converter=as_float)
@@ -78,6 +98,14 @@ class Rim(Shown):
     Attributes:
         distance: () m in front of the aperture, >= 0.
         diameter: () m, > 0.
+
+    Example:
+        A pixel sees the rim moved by its radius: discs that share (2 pi / 3 - sqrt(3) / 2) / pi.
+
+        >>> lens = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(1, 1))
+        >>> view = jv.ThinLens([0, 0, 0], **lens, f_number=2.0, rim=jv.Rim(0.025, 0.025))
+        >>> round(float(jv.optics.clear_fraction(view, jnp.array(0.0), jnp.array(2500.0))), 3)
+        0.391
     """
 
     distance: Scalar = eqx.field(converter=as_float)
@@ -95,6 +123,17 @@ class Diffraction(Shown):
         size: side in pixels of the kernel, odd (in samples where a sensor's aperture is
             oversampled); static. The light outside it is put back into it: `optics.airy_kernel`
             says how much that is.
+
+    Example:
+        A star spreads over its neighbours, and no light is lost.
+
+        >>> lens = dict(rotation=np.eye(3), focal_length=0.05, pixel_pitch=1e-5, resolution=(5, 5))
+        >>> airy = jv.Diffraction(550e-9, size=3)
+        >>> view = jv.ThinLens([0, 0, 0], **lens, f_number=8.0, diffraction=airy)
+        >>> star = jnp.zeros((5, 5, 1)).at[2, 2].set(4 * 8**2 / np.pi)
+        >>> light = jax.jit(jv.sensor_irradiance)(view, star)
+        >>> bool(light[2, 2, 0] < 0.9), round(float(light.sum()), 3)
+        (True, 1.0)
     """
 
     wavelength: Scalar | Colour = eqx.field(converter=as_float)
@@ -118,6 +157,12 @@ class Distortion(Shown):
     Source:
         Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with the
         signs of OpenCV.
+
+    Example:
+        >>> pincushion = jv.Distortion([0.1])
+        >>> x, y = jv.optics.distort(pincushion, jnp.array(0.5), jnp.array(0.0))
+        >>> round(float(x), 4)  # 0.5 (1 + 0.1 x 0.5^2)
+        0.5125
     """
 
     radial: Float[Array, " terms"] = eqx.field(converter=as_float)
