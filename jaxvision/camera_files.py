@@ -136,6 +136,15 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
 
     Raises:
         InputError: there is no such file, or it holds an unknown key or a value out of range.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/sensor.toml"
+        >>> with open(file, "w") as text:
+        ...     print("[sensor]", file=text)
+        ...     print("quantum_efficiency = 0.6", file=text)
+        >>> jv.read_sensor(file)
+        Sensor(quantum_efficiency=0.6)
     """
     from .toml_files import read_toml
 
@@ -163,6 +172,13 @@ def write_sensor(
 
     Raises:
         InputError: for draws of another sensor, and a file of another ending.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/sensor.toml"
+        >>> jv.write_sensor(jv.Sensor(read_noise=4.0, gain=0.5), file)
+        >>> jv.read_sensor(file)
+        Sensor(read_noise=4, gain=0.5)
     """
     content = ({"about": about} if about else {}) | {"sensor": table_of(sensor)}
     write_record(file, "sensor", content, sensor, draws)

@@ -7,7 +7,15 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """Input that cannot be used. The message is one sentence: what, where, and what to do."""
+    """Input that cannot be used. The message is one sentence: what, where, and what to do.
+
+    Example:
+        >>> try:
+        ...     jv.read_camera("emva1289")
+        ... except jv.InputError as error:
+        ...     print(error)
+        emva1289: neither a file nor a shipped camera; the nearest is 'emva1288'.
+    """
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -109,6 +109,14 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
 
     Raises:
         InputError: for a missing, unreadable or truncated file, and for samples of another type.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/grey.png"
+        >>> jv.write_image(file, np.full((2, 3), 1000, np.uint16))
+        >>> codes = jv.read_image(file)
+        >>> print(codes.shape, codes.dtype, codes.max())
+        (2, 3) uint16 1000
     """
     file = Path(path)
     check_utf8(file)
@@ -210,6 +218,13 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
     Raises:
         InputError: for pixels that do not fit the format, and for a file that cannot be written.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/radiance.exr"
+        >>> jv.write_image(file, np.full((2, 3), 0.5, np.float32))
+        >>> print(jv.read_image(file).mean())
+        0.5
     """
     file, array = Path(path), np.ascontiguousarray(pixels)
     suffix = file.suffix.lower()

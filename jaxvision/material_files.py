@@ -33,6 +33,13 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     Raises:
         InputError: there is no such file, or it holds an unknown key or a value out of range.
             Materials in memory may hold NaN, which shows in pictures; files may not.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/matte.toml"
+        >>> jv.write_material(jv.Lambert([0.25]), file)
+        >>> jv.read_material(file)
+        Lambert(diffuse=[0.25])
     """
     from .toml_files import read_toml
 

@@ -59,6 +59,12 @@ def cluster(client: "Client") -> Iterator[None]:
         InputError: for a client without workers, and for a worker with another version of
             jaxvision, by number or by source, of jax, jaxlib or NumPy, or another kind of device,
             before any work.
+
+    Example:
+        >>> from distributed import Client
+        >>> with Client(processes=False, dashboard_address=":0") as client, jv.cluster(client):
+        ...     print(list(jv.tasks.in_order(pow, 2, [1, 2, 3])))
+        [2, 4, 8]
     """
     wanted = _environment()
     found = _answers(client, wanted)

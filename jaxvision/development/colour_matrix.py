@@ -124,6 +124,16 @@ def camera_colour(
 
     Raises:
         ValueError: for fewer than three patches, two with `keep_white`.
+
+    Example:
+        A camera that sees as the standard observer does, from white (1, 1, 1) to linear sRGB.
+
+        >>> grid = jv.colour_data.wavelength_grid(first=400e-9, last=700e-9, step=10e-9)
+        >>> eye, light = jv.colour_data.observer(grid), jv.colour_data.illuminant("D65", grid)
+        >>> white = jv.colour_data.white_point("D65")
+        >>> found = jv.camera_colour(eye, light, jnp.eye(4, 31), grid, eye, white)
+        >>> [round(float(x), 2) for x in found.matrix[0]]  # 3.2405 x 0.9505 first
+        [3.08, -1.54, -0.54]
     """
     perfect = jnp.ones_like(reflectances[:1])
     lit = jnp.concatenate([reflectances, perfect])

@@ -23,6 +23,14 @@ def read_measured(path: str | os.PathLike[str]) -> HalfDifferenceTable | BRDFSam
 
     Raises:
         InputError: an unknown suffix, or a file that is not of its format.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/paint.brdf"
+        >>> samples = jv.BRDFSamples([0.1], [0], [0.1], [np.pi], [[0.25]], [550e-9])
+        >>> jv.measured_files.write_cornell(file, samples)
+        >>> print(jv.read_measured(file).values)
+        [[0.25]]
     """
     readers = {".binary": read_merl, ".brdf": read_cornell, ".bsdf": read_rgl}
     suffix = Path(path).suffix.lower()

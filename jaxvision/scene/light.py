@@ -15,6 +15,11 @@ class Light(Shown):
     Attributes:
         spectra: names of the fields whose last axis is a spectrum, one number a band. A class sets
             it, and a `Scene` then checks that all of them have the same number of bands.
+
+    Example:
+        >>> kinds = jv.PointLight, jv.RectangleLight, jv.EnvironmentMap, jv.Lambert
+        >>> [issubclass(kind, jv.Light) for kind in kinds]
+        [True, True, True, False]
     """
 
     spectra: ClassVar[tuple[str, ...]] = ()

@@ -27,6 +27,11 @@ class DoublingDarkCurrent(Shown):
 
     Source:
         EMVA 1288.
+
+    Example:
+        >>> hot = jv.DoublingDarkCurrent(10.0, 324.0, reference_temperature=300.0, doubling=8.0)
+        >>> round(float(jv.sensor.dark_rate(hot)), 4)  # doubled three times
+        80.0
     """
 
     rate: Scalar = eqx.field(converter=as_float)
@@ -47,6 +52,12 @@ class ArrheniusDarkCurrent(Shown):
         reference_temperature: () K, T_ref > 0.
         activation_energy: () eV, E >= 0: in silicon from half the band gap (0.56, generation in the
             depletion region) to all of it (1.12, diffusion).
+
+    Example:
+        >>> law = dict(temperature=308.0, reference_temperature=300.0, activation_energy=0.56)
+        >>> rate = jv.sensor.dark_rate(jv.ArrheniusDarkCurrent(10.0, **law))
+        >>> round(float(rate), 2)  # 10 exp(0.56 / 8.617e-5 (1 / 300 - 1 / 308))
+        17.55
     """
 
     rate: Scalar = eqx.field(converter=as_float)
@@ -67,6 +78,12 @@ class HotPixels(Shown):
     Attributes:
         fraction: () of the pixels, in [0, 1], no unit.
         rate: () e- s^-1, mean of the excess, >= 0.
+
+    Example:
+        >>> hot = jv.HotPixels(fraction=0.01, rate=500.0)
+        >>> sensor = jv.Sensor(hot_pixels=hot, exposure_time=2.0)
+        >>> round(float(jv.expected_signal(sensor, jnp.zeros(1))[0]), 4)  # 0.01 x 500 x 2
+        10.0
     """
 
     fraction: Scalar = eqx.field(converter=as_float)
@@ -92,6 +109,12 @@ class FastPoissonShotNoise(Shown):
     Draws whole numbers, many times faster than `PoissonShotNoise`, with gradients along the draw.
     Within 1.4e-4 of the Poisson distribution in total variation at every mean up to 1e5;
     `sensor.count` gives the details.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.FastPoissonShotNoise())
+        >>> raw = jv.raw_image(jax.random.key(0), sensor, jnp.full((400, 400, 1), 100.0))
+        >>> round(float(raw.mean())), round(float(raw.var()) / 100, 1), bool((raw % 1 == 0).all())
+        (100, 1.0, True)
     """
 
 
@@ -99,6 +122,12 @@ class GaussianShotNoise(Shown):
     """A Gaussian draw of variance equal to the mean.
 
     Accurate from about 20 electrons up; below, draws can be negative.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.GaussianShotNoise())
+        >>> raw = jv.raw_image(jax.random.key(0), sensor, jnp.full((400, 400, 1), 100.0))
+        >>> round(float(raw.mean())), round(float(raw.var()) / 100, 1)
+        (100, 1.0)
     """
 
 
@@ -111,6 +140,11 @@ class ResetNoise(Shown):
     Attributes:
         capacitance: () F, >= 0.
         temperature: () K, >= 0.
+
+    Example:
+        >>> node = jv.Sensor(reset_noise=jv.ResetNoise(capacitance=1.6e-15, temperature=300.0))
+        >>> round(float(jv.signal_variance(node, jnp.zeros(1))[0]))  # k T C / e^2, electrons^2
+        258
     """
 
     capacitance: Scalar = eqx.field(converter=as_float)
@@ -127,6 +161,11 @@ class HeavyTailedReadNoise(Shown):
         rms: () e- of most read-outs, >= 0.
         tail_rms: () e- of the others, >= 0.
         tail_fraction: () share of the others, in [0, 1], no unit.
+
+    Example:
+        >>> sensor = jv.Sensor(read_noise=jv.HeavyTailedReadNoise(2.0, 10.0, tail_fraction=0.1))
+        >>> round(float(jv.signal_variance(sensor, jnp.zeros(1))[0]), 4)  # 0.9 x 2^2 + 0.1 x 10^2
+        13.6
     """
 
     rms: Scalar = eqx.field(converter=as_float)
@@ -146,6 +185,11 @@ class TelegraphNoise(Shown):
     Attributes:
         fraction: () of the pixels, in [0, 1], no unit.
         amplitude: () e-, >= 0.
+
+    Example:
+        >>> sensor = jv.Sensor(telegraph_noise=jv.TelegraphNoise(fraction=0.1, amplitude=10.0))
+        >>> round(float(jv.signal_variance(sensor, jnp.zeros(1))[0]), 4)  # 0.1 x 10^2 / 2
+        5.0
     """
 
     fraction: Scalar = eqx.field(converter=as_float)
@@ -161,6 +205,11 @@ class Banding(Shown):
     Attributes:
         amplitude: () e-, >= 0.
         period: () rows, > 0.
+
+    Example:
+        >>> sensor = jv.Sensor(banding=jv.Banding(amplitude=4.0, period=10.0))
+        >>> round(float(jv.signal_variance(sensor, jnp.zeros(1))[0]), 4)  # 4^2 / 2
+        8.0
     """
 
     amplitude: Scalar = eqx.field(converter=as_float)

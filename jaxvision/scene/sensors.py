@@ -44,6 +44,14 @@ class PhotonConversion(Shown):
     Attributes:
         wavelength: () or (bands,) m, > 0.
         pixel_area: () m^2 of the whole pixel, > 0.
+
+    Example:
+        1 uW cm^-2 of 1 um for 1 ms on 1 um^2 is the constant of EMVA 1288.
+
+        >>> photons = jv.PhotonConversion(wavelength=1e-6, pixel_area=1e-12)
+        >>> sensor = jv.Sensor(photon_conversion=photons, exposure_time=1e-3)
+        >>> round(float(jv.mean_photoelectrons(sensor, jnp.array([1e-2]))[0]), 2)
+        50.34
     """
 
     wavelength: Scalar | Colour = eqx.field(converter=as_float)
@@ -62,6 +70,11 @@ class PixelAperture(Shown):
             None: no microlens.
         oversampling: samples of irradiance along each side of a pixel, >= 1; static. With 1 the
             irradiance is taken as uniform over the pixel.
+
+    Example:
+        >>> half = jv.PixelAperture(0.5, microlens=0.8)
+        >>> round(float(jv.sensor.light_share(half)), 4)  # 0.5 + 0.8 x 0.5
+        0.9
     """
 
     fill_factor: Scalar = eqx.field(converter=as_float)
@@ -81,6 +94,12 @@ class ColourFilter(Shown):
             per photon.
         pattern: rows of colour indices, repeated from the first pixel on: `bayer("RGGB")`, or any
             other tile; ((0,),) with one colour is a monochrome sensor. Static.
+
+    Example:
+        >>> sensor = jv.Sensor(colour_filter=jv.ColourFilter(np.eye(3), pattern=jv.bayer("RGGB")))
+        >>> light = jnp.broadcast_to(jnp.array([1.0, 2.0, 3.0]), (2, 2, 3))
+        >>> jv.raw_image(None, sensor, light)[..., 0].tolist()
+        [[1.0, 2.0], [2.0, 3.0]]
     """
 
     transmission: Float[Array, "colours bands"] = eqx.field(converter=as_float)
@@ -111,6 +130,14 @@ class BrighterFatter(Shown):
         steps: parts of the exposure, >= 2; static. Electrons of one part do not see each other, and
             the kernel is larger by steps / (steps - 1) in return: exact to first order in K, off by
             about 1 / (5 steps) of the second order, which is (2/3) (a_00 mu)^2 of the variance.
+
+    Example:
+        No electron is lost.
+
+        >>> sensor = jv.Sensor(brighter_fatter=jv.BrighterFatter([[1e-6]]))
+        >>> spot = jnp.array([0.0, 1e4, 0.0]).reshape(1, 3, 1)
+        >>> [round(float(x)) for x in jv.raw_image(None, sensor, spot).ravel()]
+        [25, 9950, 25]
     """
 
     kernel: Float[Array, "rows columns"] = eqx.field(converter=as_float)
@@ -131,6 +158,12 @@ class ChargeTransfer(Shown):
         serial_inefficiency: () the same along the columns of the register, or None.
         trail: pixels over which a packet is followed, >= 1; static. The charge that falls further
             behind is read in the last of them.
+
+    Example:
+        >>> sensor = jv.Sensor(charge_transfer=jv.ChargeTransfer(inefficiency=0.01))
+        >>> packet = jnp.array([100.0, 0.0, 0.0]).reshape(3, 1, 1)
+        >>> [round(float(x), 2) for x in jv.raw_image(None, sensor, packet).ravel()]
+        [99.0, 0.99, 0.01]
     """
 
     inefficiency: Scalar = eqx.field(converter=as_float)
@@ -149,6 +182,12 @@ class RollingShutter(Shown):
 
     Attributes:
         line_time: () s from row to row, >= 0.
+
+    Example:
+        >>> shutter = jv.RollingShutter(line_time=1e-5)
+        >>> starts = jv.sensor.row_starts(shutter, jnp.array(0.01), rows=3)
+        >>> [round(float(t) * 1e6, 3) for t in starts]  # us
+        [0.0, 10.0, 20.0]
     """
 
     line_time: Scalar = eqx.field(converter=as_float)

@@ -19,6 +19,10 @@ class Material(Shown):
         spectra: names of the fields that are spectra, one number a band. A class sets it, and a
             `Scene` then checks that all of them have the same number of bands.
         neutral_spectra: the same for fields that may be neutral, of one band, in any scene.
+
+    Example:
+        >>> jv.Lambert.spectra, jv.Mirror.neutral_spectra
+        (('diffuse',), ('reflectance',))
     """
 
     spectra: ClassVar[tuple[str, ...]] = ()

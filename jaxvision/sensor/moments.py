@@ -40,6 +40,12 @@ class Moments(NamedTuple):
     Attributes:
         mean: (...) in the unit of the quantity.
         variance: (...) in the square of that unit.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), full_well=1000.0)
+        >>> mean, variance = jv.clipped_moments(sensor, jnp.array([100.0]))
+        >>> round(float(mean[0]), 3), round(float(variance[0]), 3)  # of a Poisson variable
+        (100.0, 100.0)
     """
 
     mean: Scalars
@@ -103,6 +109,11 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
     Returns:
         (..., bands) DN^2.
+
+    Example:
+        >>> sensor = jv.Sensor(prnu=0.01, dsnu=5.0)
+        >>> round(float(jv.pattern_variance(sensor, jnp.array([1000.0]))[0]), 1)  # 10^2 + 5^2
+        125.0
     """
     light = expected_charge(sensor, irradiance)
     variance = jnp.zeros_like(light)
@@ -143,6 +154,14 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
 
     Returns:
         Mean (..., bands) in DN and variance (..., bands) in DN^2.
+
+    Example:
+        Half of the readings about 0 are cut off there.
+
+        >>> sensor = jv.Sensor(read_noise=100.0, bits=12)
+        >>> moments = jv.clipped_moments(sensor, jnp.zeros(1))
+        >>> round(float(moments.mean[0]), 1)  # 100 / sqrt(2 pi)
+        39.9
     """
     charge = _charge(sensor, irradiance)
     if sensor.full_well is not None:

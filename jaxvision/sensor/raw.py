@@ -50,6 +50,11 @@ def collect(
 
     Raises:
         ValueError: a key is None and needed, or `irradiance` does not suit the sensor.
+
+    Example:
+        >>> sensor = jv.Sensor(quantum_efficiency=0.5, full_well=100.0)
+        >>> jv.collect(None, sensor, jnp.array([50.0, 500.0])).tolist()
+        [25.0, 100.0]
     """
     electrons = expected_charge(sensor, irradiance)
     shape, dtype = electrons.shape, electrons.dtype

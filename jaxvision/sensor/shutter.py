@@ -93,6 +93,15 @@ def exposed(
 
     Raises:
         ValueError: `slots` is less than 1.
+
+    Example:
+        What grows brighter by 1 each second, seen for 2 s by each row.
+
+        >>> shutter = jv.RollingShutter(line_time=2.0)
+        >>> growing = lambda t: t * jnp.ones((2, 1, 1))
+        >>> seen = jv.exposed(shutter, jnp.array(2.0), growing, rows=2, slots=2)
+        >>> [round(float(x), 4) for x in seen.ravel()]  # means over 0 to 2 s, and 2 to 4 s
+        [1.0, 3.0]
     """
     times, weights = exposure_slots(shutter, exposure_time, rows=rows, slots=slots)
 
