@@ -123,6 +123,17 @@ class SensorCounts(eqx.Module):
         sensor: record, or the path of one among the problem's records.
         reach: electrons to either side that are summed: at least eight times the read noise in
             electrons, and half a DN.
+
+    Example:
+        The probabilities of all codes sum to 1.
+
+        >>> import jaxvision as jv
+        >>> from fitting import SensorCounts
+        >>> noise = dict(shot_noise=jv.PoissonShotNoise(), read_noise=0.3)
+        >>> counts = SensorCounts(jv.Sensor(**noise, gain=1.0, bits=4), reach=16)
+        >>> density = jax.jit(lambda light: counts.log_density(light, jnp.arange(16.0)))
+        >>> round(float(jnp.exp(density(jnp.full(16, 2.0))).sum()), 4)
+        1.0
     """
 
     sensor: Sensor | str

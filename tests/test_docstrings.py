@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from public_names import functions, modules, records, traced
+from public_names import functions, home, modules, records, traced
 
 import fitting
 import jaxvision
@@ -189,6 +189,19 @@ def failures(tests):
 def test_a_wrong_example_is_noticed():
     test = doctest.DocTestParser().get_doctest(">>> 1 + 1\n3", {}, "sum", "sum", 0)
     assert "Expected" in failures([test])
+
+
+def test_every_name_at_a_root_has_an_example():
+    """Functions and classes; aliases of array types, which the package itself is said to define,
+    and rooms need none."""
+    without = [
+        f"{package.__name__}.{name}"
+        for package in (jaxvision, fitting)
+        for name in package.__all__
+        if home(thing := getattr(package, name)) not in (None, package.__name__)
+        and ">>>" not in (thing.__doc__ or "")
+    ]
+    assert not without
 
 
 @pytest.mark.slow  # CI runs it

@@ -28,6 +28,15 @@ class Check:
         coverage: of every free number.
         places: (simulations, P) cumulative probability of the truth in each posterior; NaN where a
             fit did not converge.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Normal, Parameter, Problem, check
+        >>> free = {name: Parameter(prior=Normal(1.0, 1.0)) for name in ("gain", "bias")}
+        >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
+        >>> found = check(Problem(line, jv.gain_bias, Gaussian(0.1), np.zeros(3)), simulations=20)
+        >>> [one.name for one in found.coverage], found.faults
+        (['gain', 'bias'], ())
     """
 
     coverage: tuple[Coverage, ...]

@@ -32,6 +32,16 @@ class Bands:
         interval_68: (2, ...) lower and upper end.
         interval_95: (2, ...).
         draws: (draws, ...).
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> free = {"gain": Parameter(start=1.0), "bias": Parameter(start=0.0)}
+        >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
+        >>> found = fit(Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0])))
+        >>> bands = found.derived(lambda gain, bias: bias - gain)  # of sd 0.1 sqrt(1 / 2 + 1 / 3)
+        >>> round(float(bands.mean), 1), round(float(bands.sd), 2)
+        (1.0, 0.09)
     """
 
     mean: Float[np.ndarray, "..."]

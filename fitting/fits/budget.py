@@ -63,6 +63,16 @@ class Budget:
         value: at the best fit, in its unit.
         sd: its standard deviation.
         shares: of its variance.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> free = {"gain": Parameter(start=1.0), "bias": Parameter(start=0.0)}
+        >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
+        >>> found = fit(Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0])))
+        >>> budget = found.budget("gain", noise={"read noise": 0.0064})  # of a variance of 0.01
+        >>> round(budget.of("read noise"), 4), round(budget.of("other noise"), 4)
+        (0.64, 0.36)
     """
 
     target: str

@@ -47,6 +47,18 @@ class FitMap:
         units: of each parameter.
         findings: how many pixels failed, and why, in sentences.
         fits: by label, where pixels share one.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit_map
+        >>> pixel = Problem(
+        ...     {"mean": Parameter(start=0.0)},
+        ...     predict=lambda mean: mean * jnp.ones(4),
+        ...     likelihood=Gaussian(sd=1.0),
+        ...     data=np.zeros(4),
+        ... )
+        >>> found = fit_map(pixel, np.array([[1.0, 9.0]] * 4))  # four images of two pixels
+        >>> found.estimate["mean"].round(2).tolist(), found.sd["mean"].round(2).tolist()
+        ([1.0, 9.0], [0.5, 0.5])
     """
 
     estimate: dict[str, Float[np.ndarray, "..."]]

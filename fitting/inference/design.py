@@ -47,6 +47,19 @@ class Plan:
         value: of the target at the best fit, in its unit.
         sd: its standard deviation now.
         candidates: ranked.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> problem = Problem(
+        ...     {"slope": Parameter(start=1.0)},
+        ...     predict=lambda slope, inputs: slope * inputs,
+        ...     likelihood=Gaussian(sd=0.1),
+        ...     data=[2.0],
+        ...     inputs=np.array([1.0]),
+        ... )
+        >>> plan = fit(problem).plan({"at 1": np.ones(1), "at 3": np.full(1, 3.0)}, target="slope")
+        >>> [(one.name, round(one.fall, 2)) for one in plan.candidates]  # 9 / 10 and 1 / 2
+        [('at 3', 0.9), ('at 1', 0.5)]
     """
 
     target: str

@@ -63,6 +63,16 @@ class SamplingOptions:
 
     Raises:
         InputError: for unusable numbers.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit
+        >>> free = {"gain": Parameter(start=1.0), "bias": Parameter(start=0.0)}
+        >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
+        >>> problem = Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0]))
+        >>> found = fit(problem, posterior="emcee", sampling=SamplingOptions(walkers=8))
+        >>> found.converged, len(found.draws["gain"])
+        (True, 8)
     """
 
     walkers: int = 64

@@ -42,6 +42,16 @@ class Estimate:
         method: separates the ways of estimating one quantity.
         group: separates equal names (a colour channel, say).
         reason: why there is no value.
+
+    Example:
+        >>> import jaxvision as jv
+        >>> from fitting import Gaussian, Parameter, Problem, fit
+        >>> free = {"gain": Parameter(start=1.0), "bias": Parameter(start=0.0)}
+        >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
+        >>> found = fit(Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0])))
+        >>> gain, bias = found.estimates
+        >>> round(gain.value, 4), round(gain.standard_error, 4)  # 0.1 / sqrt(2)
+        (2.0, 0.0707)
     """
 
     name: str

@@ -127,6 +127,12 @@ class StudentT(eqx.Module):
     Source:
         Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989; with ends Arellano-Valle, Castro,
         Gonzalez-Farias & Munoz-Gajardo, Stat. Methods Appl. 21, 2012.
+
+    Example:
+        >>> from fitting import StudentT
+        >>> cauchy = StudentT(scale=1.0, dof=1.0)
+        >>> round(float(cauchy.log_density(jnp.array(0.0), jnp.array(0.0))), 4)  # ln(1 / pi)
+        -1.1447
     """
 
     scale: Scale = eqx.field(converter=number_or_name("StudentT: scale"))
@@ -208,6 +214,12 @@ class Censored(eqx.Module):
 
     Source:
         Tobin, Econometrica 26, 1958.
+
+    Example:
+        >>> from fitting import Censored
+        >>> likelihood = Censored(sd=0.1, high=1.0)
+        >>> round(float(likelihood.log_density(jnp.array(1.0), jnp.array(1.0))), 4)  # ln(1 / 2)
+        -0.6931
     """
 
     sd: Scale = eqx.field(converter=number_or_name("Censored: sd"))
@@ -261,6 +273,20 @@ class Clustered(eqx.Module):
 
     Source:
         Liang & Zeger, Biometrika 73, 1986.
+
+    Example:
+        What an image's data share counts once: the mean of 1, 2, 3, 6 is known to sqrt(14 / 3 / 4).
+
+        >>> from fitting import Clustered, Gaussian, Parameter, Problem, fit
+        >>> images = np.repeat(np.arange(4), 2)
+        >>> mean = Problem(
+        ...     {"mean": Parameter(start=1.0)},
+        ...     predict=lambda mean: mean * jnp.ones(8),
+        ...     likelihood=Clustered(Gaussian(sd=1.0), labels=images),
+        ...     data=np.array([1.0, 2.0, 3.0, 6.0])[images],
+        ... )
+        >>> round(fit(mean).estimates[0].standard_error, 2)
+        1.08
     """
 
     likelihood: Any

@@ -55,6 +55,12 @@ class NutsOptions:
 
     Raises:
         InputError: for unusable numbers.
+
+    Example:
+        >>> from fitting import NutsOptions
+        >>> options = NutsOptions(draws=500, chains=4)
+        >>> options.draws * options.chains, options.acceptance
+        (2000, 0.8)
     """
 
     draws: int = 1000

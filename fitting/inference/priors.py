@@ -76,6 +76,12 @@ class LogNormal:
     Attributes:
         median: in the unit of the parameter, positive.
         log_sd: standard deviation of ln x: .1 is about 10 %.
+
+    Example:
+        >>> from fitting import LogNormal
+        >>> gain = LogNormal(median=2.0, log_sd=0.1)
+        >>> [round(float(gain.quantile(p)), 3) for p in (0.5, 0.975)]  # 2 and 2 exp(0.196)
+        [2.0, 2.433]
     """
 
     median: float
@@ -105,6 +111,11 @@ class Uniform:
     Attributes:
         lower: end, in the unit of the parameter.
         upper: the other end.
+
+    Example:
+        >>> from fitting import Uniform
+        >>> round(float(Uniform(1.0, 3.0).log_density(jnp.array(2.0))), 4)  # ln(1 / 2)
+        -0.6931
     """
 
     lower: float
@@ -135,6 +146,11 @@ class HalfNormal:
 
     Attributes:
         sd: of the whole Normal, in the unit of the parameter.
+
+    Example:
+        >>> from fitting import HalfNormal
+        >>> round(float(HalfNormal(sd=1.0).log_density(jnp.array(0.0))), 4)  # ln(2 / sqrt(2 pi))
+        -0.2258
     """
 
     sd: float
@@ -161,6 +177,12 @@ class Gamma:
     Attributes:
         shape: no unit, positive.
         scale: in the unit of the parameter, positive.
+
+    Example:
+        >>> from fitting import Gamma
+        >>> prior = Gamma(shape=1.0, scale=2.0)
+        >>> round(float(prior.log_density(jnp.array(2.0))), 4)  # ln(exp(-1) / 2)
+        -1.6931
     """
 
     shape: float
