@@ -26,7 +26,7 @@ class Copies:
         """
         between = (image > image.min()) & (image < image.max())
         if between.mean() > LEAST_BETWEEN:
-            digest = hashlib.blake2b(np.ascontiguousarray(image)).digest()
+            digest = hashlib.blake2b(image.tobytes()).digest()
             self._names.setdefault(digest, []).append(name)
 
     @property
