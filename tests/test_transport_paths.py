@@ -469,6 +469,15 @@ def test_nothing_shines_and_nothing_is_met():
     assert float(path_radiance(KEY, lit, up, method=Paths(2, 4)).radiance[0]) == pytest.approx(3)
 
 
+def test_an_endless_floor_that_alone_shines_lights_by_its_albedo():
+    """It has no place to draw. A black one of radiance 2 below a ceiling of albedo .3 gives .6."""
+    floor = Surface(Plane([0.0, 0, 0], [0, 0, 1.0]), Lambert([0.0]), [2.0])
+    ceiling = Surface(Plane([0.0, 0, 2], [0, 0, -1.0]), Lambert([0.3 / np.pi]))
+    up, scene = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1)), Scene([floor, ceiling], [])
+    traced = path_radiance(KEY, scene, up, method=Paths(4, 2))
+    np.testing.assert_allclose(traced.radiance, [0.6], rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_box_that_shines_lights_as_its_faces_do():
     """Drawn by area over six faces, or met by chance: one irradiance."""

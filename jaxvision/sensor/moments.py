@@ -119,8 +119,8 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     variance = jnp.zeros_like(light)
     if sensor.prnu is not None or sensor.dead_pixels is not None:
         square = 0.0 if sensor.prnu is None else sensor.prnu**2
-        alive = 1.0 if sensor.dead_pixels is None else 1 - sensor.dead_pixels
-        variance = alive * (square + 1 - alive) * light**2
+        dead = 0.0 if sensor.dead_pixels is None else sensor.dead_pixels
+        variance = (1 - dead) * (square + dead) * light**2
     if sensor.brighter_fatter is not None:
         variance = variance * smoothed_pattern(sensor.brighter_fatter, light)
     if sensor.hot_pixels is not None:

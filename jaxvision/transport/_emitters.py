@@ -278,7 +278,8 @@ def _shining_surface(
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
     shines = (surface >= 0) & (facing > 0)
     nearness = or_one(facing * emitters.area[met], shines)
-    return shines, jnp.where(shines, distance * distance / nearness, 0) / emitters.count
+    density = jnp.where(shines, distance * distance / nearness, 0)
+    return shines, density / max(emitters.count, 1)  # 0 where nothing can be drawn
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:

@@ -271,7 +271,6 @@ COMPOSED: dict[str, float] = {
     "sensor.fixed_pattern.offsets": 2,
     "sensor.fixed_pattern.sensitivity": 1,
     "sensor.moments.clipped_moments": 2,
-    "sensor.moments.pattern_variance": 16,
     "sensor.raw.raw_image": 4,
     "sensor.read_out.read_out_noise": 4,
     "sensor.read_out.read_out_variance": 2,

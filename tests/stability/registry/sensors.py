@@ -91,6 +91,11 @@ def mean_of(photons, gain, offset):
     return expected_signal(a_sensor(zero, gain, offset), photons[None])[0]
 
 
+def pattern_of(photons, prnu, dsnu, dead):
+    plain = Sensor(prnu=prnu, dsnu=dsnu, dead_pixels=dead)
+    return sensor.pattern_variance(plain, photons[None])[0]
+
+
 def variance_of(photons, read, gain):
     return signal_variance(a_sensor(read, gain, 0 * gain), photons[None])[0]
 
@@ -233,6 +238,13 @@ ENTRIES = [
         variance_of,
         lambda m, p, r, k: k * k * (p + r * r),
         (Range(1e-2, 1e6), Range(0.1, 100), Range(0.01, 10)),
+    ),
+    Entry(
+        "sensor.moments.pattern_variance",
+        pattern_of,
+        lambda m, p, prnu, dsnu, dead: (1 - dead) * (prnu**2 + dead) * p**2 + dsnu**2,
+        (Range(1e-2, 1e6), Range(1e-6, 0.3), Range(1e-3, 100), Range(1e-12, 0.1)),
+        ((1e4, 1e-3, 1e-3, 1e-12), (1e4, 1e-4, 1e-3, 1e-10)),
     ),
     Entry(
         "sensor.moments.censored",
