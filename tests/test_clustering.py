@@ -91,6 +91,16 @@ def test_one_cluster_is_not_judged():
     assert not np.isnan(found.by_pixel)
 
 
+def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
+    """Two clusters of equal means show a variance of zero: what stands for it is no better known
+    than a variance of two means, so that Student's t keeps its single degree of freedom."""
+    light = np.repeat([0, 1], 4)
+    scores = np.tile([-1.0, 1.0, 1.0, -1.0], 2)[None]
+    found = cluster_robust(scores, np.array([[8.0]]), light, None, slopes=np.ones((1, 8)))
+    assert 0 < found.covariance[0, 0] < 0.01 / 8
+    np.testing.assert_allclose(found.freedom, 1)
+
+
 def power(matrix, exponent):
     values, directions = np.linalg.eigh(matrix)
     return directions * np.where(values > 1e-12, values, np.inf) ** exponent @ directions.T

@@ -136,7 +136,7 @@ def cluster_robust(
     from_data = np.eye(count)
     if prior is not None:
         from_data -= contrasts.T @ prior @ contrasts
-    total, uncertainty = np.eye(count), np.zeros(count)
+    total, entered = np.eye(count), []
     effects, clustered = [], False
     for cluster, always in ((light, True), (pixel, False)):
         if cluster is None:
@@ -153,10 +153,12 @@ def cluster_robust(
         if always or beyond:
             total = total + found.variance - (from_data if always else found.unclustered)
             own = np.einsum("ki,ij,kj->k", contrasts, found.variance, contrasts)
-            uncertainty += own**2 / freedom
+            entered.append((own, freedom))
     values, directions = np.linalg.eigh(total)
-    half = contrasts @ directions * np.sqrt(np.maximum(values, THINNEST))
-    covariance = half @ half.T
+    axes, lifted = contrasts @ directions, np.maximum(values, THINNEST)
+    covariance = axes * lifted @ axes.T
+    added = axes**2 @ (lifted - values)  # is no better known than what the clusters show
+    uncertainty = sum(((own + added) ** 2 / freedom for own, freedom in entered), np.zeros(count))
     with np.errstate(divide="ignore"):
         freedom = np.diagonal(covariance) ** 2 / uncertainty
     effect = max(float(np.trace(total)) / count, 1.0) if clustered else 1.0
