@@ -200,6 +200,27 @@ def test_too_few_groups_excuse_nothing(groups):
     assert ("Too few groups" in " ".join(few.findings)) == (groups == 1)
 
 
+def mean_of_pairs(data, start):
+    labels = np.arange(len(data)) // 2
+    problem = Problem(
+        {"mean": Parameter(start=start)},
+        lambda mean: mean * jnp.ones(len(data)),
+        Clustered(Gaussian(sd=1.0), labels),
+        np.array(data),
+    )
+    return fit(problem)
+
+
+@pytest.mark.parametrize("x64", [True, False])
+def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
+    """Of a prediction that is zero but for rounding no step is a share: the errors hung on it."""
+    with jax.enable_x64(x64):
+        found = [mean_of_pairs([1.0, 1.0, -1.0, -1.0], s) for s in (0.0, 0.1, 1.0, -2.0)]
+    errors = [one.estimates[0].standard_error for one in found]
+    np.testing.assert_allclose(errors, 1, rtol=1e-6)
+    assert len({one.findings for one in found}) == 1
+
+
 def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
     """CR2 with Bell and McCaffrey's degrees of freedom, written out with the hat matrix."""
     labels, place = np.arange(240) % 6, np.linspace(-1.0, 1.0, 240)

@@ -27,7 +27,7 @@ from ..inference.search import Optimum
 from ..inference.streams import Advance, chunks
 
 SMALL = 1e-4  # share of a prediction's spread by which a residual's slope is found
-LEAST = 0.01  # spread of predictions, relative to them, that hardly differ
+LEAST = 0.01  # spread of predictions that hardly differ, relative to them or to that of data
 
 
 @dataclass(frozen=True)
@@ -250,16 +250,23 @@ def _residuals(
     problem: Problem, vector: Array, chance: np.ndarray, shift: float
 ) -> Float[np.ndarray, "..."]:
     predicted, likelihood = predicted_at(vector, problem)
-    place = on_host(predicted) + shift
+    place = on_host(predicted, dtype=np.float64) + shift
     found = likelihood.residuals(place, on_host(problem.data), chance)
     found = on_host(found, dtype=np.float64)
     return found if problem.present is None else np.where(on_host(problem.present), found, np.nan)
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of each residual by its prediction, by a difference; and the prediction."""
+    """Of each residual by its prediction, by a difference; and the prediction.
+
+    Beside data that are larger than the predictions, a step in proportion to these would be lost in
+    rounding.
+    """
     predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
-    size = max(float(np.std(predicted)), LEAST * float(np.abs(predicted).max())) or 1.0
+    data = on_host(problem.data, dtype=np.float64)
+    there = data[np.isfinite(data)]
+    largest = max(float(np.abs(predicted).max()), float(np.std(there)) if there.size else 0.0)
+    size = max(float(np.std(predicted)), LEAST * largest) or 1.0
     step = SMALL * size
     least = float(predicted.min())
     below = min(step, least) if least >= 0 else step  # light is not negative

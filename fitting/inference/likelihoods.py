@@ -102,7 +102,8 @@ class Gaussian(eqx.Module):
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
         """(data - prediction) / sd."""
         del chance
-        return (data - prediction) / self.sd
+        xp, _ = numerics(prediction, data, self)
+        return (xp.asarray(data) - xp.asarray(prediction)) / xp.asarray(self.sd)
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been."""
