@@ -211,6 +211,20 @@ def mean_of_pairs(data, start):
     return fit(problem)
 
 
+def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
+    """Two pairs, 2 apart: as two independent means, of which the standard error is 1, one half for
+    four independent data; with one degree of freedom (scipy's one-sample t-test)."""
+    found = mean_of_pairs([3.0, 3.0, 1.0, 1.0], 0.0)
+    (mean,) = found.estimates
+    np.testing.assert_allclose(mean.standard_error, 1, rtol=1e-6)
+    expected = stats.ttest_1samp([3.0, 1.0], 0).confidence_interval(0.95)
+    np.testing.assert_allclose(mean.interval_95, expected, rtol=1e-6)
+    words = " ".join(found.findings)
+    assert "no more than chance" in words
+    assert "a variance 4 times that of independent data" in words
+    assert "Student's t with 1 degree of freedom" in words
+
+
 @pytest.mark.parametrize("x64", [True, False])
 def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
     """Of a prediction that is zero but for rounding no step is a share: the errors hung on it."""

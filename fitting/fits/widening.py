@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 
-from ..inference.clustering import cluster_robust, like_gaussian
+from ..inference.clustering import Robustness, cluster_robust, like_gaussian
 from ..inference.likelihoods import Clustered, with_noise_scaled
 from ..inference.misfit import Misfit, judge, sums
 from ..inference.on_host import on_host
@@ -123,14 +123,7 @@ def _of_groups(
     moved = on_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
     robust = cluster_robust(scores, optimum.curvature, labels, None, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
-    words = f"Residuals share errors within the {labels.max() + 1} groups"
-    if np.isnan(robust.by_light):
-        words = "Too few groups to see errors that they share"
-    elif not shared:
-        words = "The groups' residuals show no shared errors"
-    sentences = [
-        f"{words}; the variance is {robust.design_effect:.3g} times that of independent data."
-    ]
+    sentences = [_in_words(robust, optimum, labels.max() + 1)]
     determined = float(np.trace(optimum.data_information @ robust.covariance))
     left = without_shared(residuals, labels, (slope, slope * predicted))
     lost = 2 * (labels.max() + 1) + min(determined, len(optimum.vector))
@@ -144,6 +137,28 @@ def _of_groups(
             )
     explained = shared and (inflate or not beyond.faults)
     return Widening(robust.covariance, robust.freedom, 1.0, tuple(sentences), explained)
+
+
+def _in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
+    """What the groups' residuals show, and by how much the intervals allow for it."""
+    if np.isnan(robust.by_light):
+        return (
+            "Too few groups to see errors that they share: intervals are those of independent data."
+        )
+    shown = (
+        f"Residuals share errors within the {groups} groups; intervals allow for them"
+        if robust.design_effect > 1
+        else f"The residuals of the {groups} groups differ by no more than chance; intervals allow "
+        "for shared errors all the same"
+    )
+    ratios = np.diagonal(robust.covariance) / np.diagonal(np.linalg.inv(optimum.curvature))
+    times = " to ".join(dict.fromkeys(f"{ratio:.3g}" for ratio in (ratios.min(), ratios.max())))
+    freedom = f"{np.min(robust.freedom):.3g}"
+    least = "at least " if len(ratios) > 1 else ""
+    return (
+        f"{shown}, with a variance {times} times that of independent data, and at 95 % are those "
+        f"of Student's t with {least}{freedom} degree{'s' * (freedom != '1')} of freedom."
+    )
 
 
 def without_shared(
