@@ -5,6 +5,8 @@ function. R-hat and the effective number of draws of independent chains are thos
 Gelman, Simpson, Carpenter & Bürkner, Bayesian Analysis 16, 2021), so that heavy tails do no harm.
 """
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 from numpy.fft import irfft, rfft
@@ -45,6 +47,24 @@ def autocorrelation_times(
         beyond = np.flatnonzero(np.arange(steps) >= WINDOW * sums)
         times.append(max(sums[beyond[0] if beyond.size else -1], 1.0))
     return np.array(times)
+
+
+def without_bias(time: float, steps: int) -> float:
+    """The autocorrelation time behind the estimate of a short chain, which is too small.
+
+    About the mean of its own N steps, every correlation comes out too small by tau / N; the sum
+    over a window of `WINDOW` estimates to either side therefore misses tau / N of each of its
+    2 `WINDOW` estimates: estimate = tau / (1 + 2 `WINDOW` tau / N).
+
+    Args:
+        time: as `autocorrelation_times` estimates it, in steps.
+        steps: N, of the chain.
+
+    Returns:
+        tau in steps; infinite for a chain too short to tell.
+    """
+    told = 1 - 2 * WINDOW * time / steps
+    return time / told if told > 0 else math.inf
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:

@@ -19,12 +19,11 @@ from threadpoolctl import threadpool_limits
 from jaxvision.errors import InputError
 
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
-from .convergence import autocorrelation_times
+from .convergence import autocorrelation_times, without_bias
 from .given import require_progress, require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
 BURN_IN_TAU = 5  # discarded before anything is read off, in autocorrelation times
-UNDERESTIMATE = 1.7  # by which a chain of 14 autocorrelation times misses its own
 PATIENCE = 1.25  # growth of the chain from one judgement to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
@@ -288,8 +287,9 @@ def _judged(blocks: list[Block], options: SamplingOptions) -> Chain | None:
 
 
 def _missing(steps: int, settled: int, tau: float) -> int:
-    """About how many steps a chain lacks, in whole hundreds; 0 where it is long enough."""
+    """About how many steps a chain lacks, in whole hundreds; 0 where it is long enough. It shall
+    hold `TIMES_TAU` of the autocorrelation times behind the estimate, and a burn-in of them."""
     if settled >= TIMES_TAU * tau:
         return 0
-    needed = (TIMES_TAU + BURN_IN_TAU) * UNDERESTIMATE * tau if math.isfinite(tau) else 10 * steps
+    needed = min((TIMES_TAU + BURN_IN_TAU) * without_bias(tau, settled), 10 * steps)
     return max(math.ceil((needed - steps) / 100), 1) * 100

@@ -1,7 +1,10 @@
 """Whether draws can be trusted, in words."""
 
+import math
+
 import numpy as np
 
+from .convergence import without_bias
 from .emcee_run import TIMES_TAU
 from .parameters import names
 from .posterior import Posterior
@@ -56,10 +59,13 @@ def convergence_in_words(posterior: Posterior) -> str:
             "steps are missing."
         )
     if posterior.missing_steps:
+        behind = without_bias(tau, kept)
+        likely = f" ({behind:.1f} is likely)" if math.isfinite(behind) else " by any factor"
         return (
-            f"The chain of {posterior.steps} steps is {kept / tau:.0f} autocorrelation times long "
-            f"(tau = {tau:.0f} steps, of {name}) and at least {TIMES_TAU} are needed to trust its "
-            f"intervals; about {posterior.missing_steps} more steps are missing."
+            f"The chain of {posterior.steps} steps is, after its burn-in, {kept / tau:.0f} "
+            f"autocorrelation times long (tau = {tau:.1f} steps, of {name}) and at least "
+            f"{TIMES_TAU} are needed to trust its intervals; so short a chain underestimates tau"
+            f"{likely} and about {posterior.missing_steps} more steps are missing."
         )
     return (
         f"{posterior.steps} steps of {chains} walkers; the slowest parameter, {name}, has an "
