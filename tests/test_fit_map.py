@@ -1,5 +1,6 @@
 """A fit at every pixel: that of the pixel by itself, coverage, pixels without data, materials."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -145,6 +146,24 @@ def test_a_pixel_is_fitted_as_if_it_were_alone(likelihood, pixels):
             assert abs(maps.estimate[one.name][i] - one.value) < tolerance
             assert maps.sd[one.name][i] == pytest.approx(one.standard_error, rel=1e-4)
         assert maps.chi_square[i] == pytest.approx(alone.misfit.chi_square, rel=1e-6)
+
+
+@pytest.mark.parametrize("bounds", [{"start": 1.0}, {"lower": 0.0}, {"lower": 0.0, "upper": 20.0}])
+def test_seven_digits_end_where_sixteen_do(bounds):
+    """To a ten-thousandth of the standard error, 0.5."""
+
+    def fitted():
+        pixel = Problem(
+            {"level": Parameter(**{"start": 1.0} | bounds)},
+            lambda level: level * jnp.ones(1),
+            Gaussian(0.5),
+            np.zeros(1),
+        )
+        return fit_map(pixel, np.full((1, 2), 9.0)).estimate["level"]
+
+    with jax.enable_x64(False):
+        found = fitted()
+    np.testing.assert_allclose(found, fitted(), atol=5e-5)
 
 
 @pytest.mark.slow

@@ -30,7 +30,8 @@ class NewtonSolution(eqx.Module):
 
     Attributes:
         vector: (parameters,).
-        cost: the objective there.
+        beyond: (parameters,) where one more step leads, at which nothing was evaluated.
+        cost: the objective at `vector`.
         information: (parameters, parameters), the Hessian there.
         lowest: eigenvalue of the information scaled to unit diagonal.
         decrement: fall in cost that one more Newton step promises; half a squared standard
@@ -40,6 +41,7 @@ class NewtonSolution(eqx.Module):
     """
 
     vector: Float[Array, " parameters"]
+    beyond: Float[Array, " parameters"]
     cost: Float[Array, ""]
     information: Float[Array, "parameters parameters"]
     lowest: Float[Array, ""]
@@ -198,6 +200,7 @@ _advanced_alone = eqx.filter_jit(_advanced)
 def _solution(end: _State, tolerance: Array) -> NewtonSolution:
     return NewtonSolution(
         vector=end.vector,
+        beyond=end.proposal,
         cost=end.cost,
         information=end.information,
         lowest=end.lowest,
