@@ -4,6 +4,7 @@ All quantities are electrons. The read-out lies before row 0, and that of the se
 column 0, so the packet of row i is transferred i + 1 times.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -16,6 +17,8 @@ from .._types import Key, Scalar
 from ..scene import ChargeTransfer
 from ._draws import Frame, check_image, gaussian
 from .exposure import Counts
+
+Shares = Float[Array, " size"]  # of the packets of all rows, no unit
 
 
 @takes_numbers
@@ -47,7 +50,7 @@ def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
     check_image("Sensor.blooming", electrons.shape)
     excess = jnp.maximum(electrons - full_well, 0)
     half = blooming * excess / 2
-    level = electrons - excess
+    level = jnp.minimum(electrons, full_well)
     for upwards in (False, True):
         level = _flow(level, half, full_well, blooming, upwards=upwards)
     return level
@@ -63,8 +66,9 @@ def _flow(
 
     def row(coming, state):
         level, spilt = state
-        over = jnp.maximum(level + coming - full_well, 0)
-        return blooming * over + spilt, level + coming - over
+        filled = level + coming
+        over = jnp.maximum(filled - full_well, 0)
+        return blooming * over + spilt, jnp.minimum(filled, full_well)
 
     rows = jnp.moveaxis(level, -3, 0), jnp.moveaxis(spilt, -3, 0)
     _, filled = jax.lax.scan(row, jnp.zeros_like(rows[0][0]), rows, reverse=upwards)
@@ -95,10 +99,12 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     Raises:
         ValueError: `electrons` is not an image.
     """
-    rows_read = _trailing(electrons, transfer.inefficiency, transfer.trail, axis=-3)
+    rows_read = _trailing(electrons, transfer.inefficiency, transfer.trail, axis=-3, weight=_share)
     if transfer.serial_inefficiency is None:
         return rows_read
-    return _trailing(rows_read, transfer.serial_inefficiency, transfer.trail, axis=-2)
+    return _trailing(
+        rows_read, transfer.serial_inefficiency, transfer.trail, axis=-2, weight=_share
+    )
 
 
 @takes_numbers
@@ -121,9 +127,31 @@ def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer)
     Raises:
         ValueError: `key` is None, or `electrons` is not an image.
     """
-    variance = transferred(electrons, transfer) - transferred_variance(electrons, transfer)
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
-    return safe_sqrt(variance) * draw
+    return safe_sqrt(_random_variance(electrons, transfer)) * draw
+
+
+def _random_variance(electrons: Counts, transfer: ChargeTransfer) -> Counts:
+    """sum n p (1 - p), as positive terms: with p s for p, n p (s (1 - s) + s^2 (1 - p))."""
+    eps, serial, trail = transfer.inefficiency, transfer.serial_inefficiency, transfer.trail
+    of_rows = _trailing(electrons, eps, trail, axis=-3, weight=_random)
+    if serial is None:
+        return of_rows
+    rows_read = _trailing(electrons, eps, trail, axis=-3, weight=_share)
+    of_register = _trailing(rows_read, serial, trail, axis=-2, weight=_random)
+    return of_register + _trailing(of_rows, serial, trail, axis=-2, weight=_squared)
+
+
+def _share(share: Shares, rest: Shares) -> Shares:
+    return share
+
+
+def _squared(share: Shares, rest: Shares) -> Shares:
+    return share * share
+
+
+def _random(share: Shares, rest: Shares) -> Shares:
+    return share * rest
 
 
 @takes_numbers
@@ -157,34 +185,43 @@ def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
     Returns:
         (..., h, w, bands) electrons^2.
     """
-    read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, power=2)
+    read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
     if transfer.serial_inefficiency is None:
         return read
-    return _trailing(read, transfer.serial_inefficiency, transfer.trail, axis=-2, power=2)
+    return _trailing(read, transfer.serial_inefficiency, transfer.trail, axis=-2, weight=_squared)
 
 
 def _trailing(
-    electrons: Counts, inefficiency: Scalar, trail: int, *, axis: int, power: int = 1
+    electrons: Counts,
+    inefficiency: Scalar,
+    trail: int,
+    *,
+    axis: int,
+    weight: Callable[[Shares, Shares], Shares],
 ) -> Counts:
     check_image("Sensor.charge_transfer", electrons.shape)
     size = electrons.shape[axis]
     packets = jnp.moveaxis(electrons, axis, 0)
     read = jnp.zeros_like(packets)
-    for behind, share in enumerate(_shares(inefficiency, size, trail, electrons)[:size]):
-        part = packets * (share**power).reshape(-1, *(1,) * (packets.ndim - 1))
+    for behind, both in enumerate(_shares(inefficiency, size, trail, electrons)[:size]):
+        part = packets * weight(*both).reshape(-1, *(1,) * (packets.ndim - 1))
         read = read + jnp.concatenate([jnp.zeros_like(part[:behind]), part[: size - behind]])
     return jnp.moveaxis(read, 0, axis)
 
 
 def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
-) -> list[Float[Array, " size"]]:
-    """For each lag of k rows, the share of the packet of row i that is read there, by recursion:
-    C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag takes all the rest, but at least
-    its own share, which keeps its digits where the difference from 1 has none.
+) -> list[tuple[Shares, Shares]]:
+    """For each lag of k rows, the share of the packet of row i that is read there, and the rest of
+    the packet. By recursion: C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag takes
+    all that is left, but at least its own share, which keeps its digits where the difference from 1
+    has none.
     """
     row = jnp.arange(size, dtype=like.dtype)
-    shares = [jnp.exp((row + 1) * jnp.log1p(-inefficiency))]
+    kept = (row + 1) * jnp.log1p(-inefficiency)
+    shares = [jnp.exp(kept)]
     for behind in range(1, trail + 1):
         shares.append(shares[-1] * inefficiency * ((row + behind) / behind))
-    return [*shares[:-1], jnp.maximum(shares[-1], 1 - sum(shares[:-1]))]
+    fallen = -jnp.expm1(kept)
+    behind = [*shares[1:-1], jnp.maximum(shares[-1], fallen - sum(shares[1:-1]))]
+    return [(shares[0], fallen), *((share, 1 - share) for share in behind)]

@@ -3,6 +3,8 @@ closed forms that cancel. Values against 50 digits; gradients finite everywhere.
 """
 
 from dataclasses import replace
+from fractions import Fraction
+from math import comb
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +28,7 @@ from jaxvision.sensor import (
     raw_image,
     transferred,
 )
+from jaxvision.sensor.ccd import transfer_noise
 from jaxvision.sensor.shot_noise import _inverse_poisson
 
 KEY = jax.random.key(3)
@@ -244,3 +247,42 @@ def test_float32_and_float64_draw_the_same_frame():
     wide = raw_image(KEY, sensor, light, die_key=KEY)
     narrow = raw_image(KEY, as_dtype(sensor, jnp.float32), light.astype(jnp.float32), die_key=KEY)
     np.testing.assert_allclose(narrow, wide, rtol=2e-5)
+
+
+def share_behind(eps, row, lag, trail):
+    """Of the packet of a row, what is read `lag` rows later."""
+
+    def one(k):
+        return comb(row + k, k) * (1 - eps) ** (row + 1) * eps**k
+
+    return one(lag) if lag < trail else 1 - sum(map(one, range(trail)))
+
+
+@pytest.mark.parametrize("eps", [1e-6, 1e-3])
+@both_precisions
+def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
+    """sum n p (1 - p), in fractions; as the difference of two sums of n it had no digit left."""
+    monkeypatch.setattr("jaxvision.sensor.ccd.gaussian", lambda key, frame, shape, dtype: 1)
+    rows, columns, trail, electrons = 4, 3, 2, 1000
+    transfer = as_dtype(s.ChargeTransfer(eps, serial_inefficiency=2 * eps, trail=trail), dtype)
+    got = transfer_noise(KEY, jnp.full((rows, columns, 1), electrons, dtype), transfer)[..., 0]
+    parallel, serial = (
+        Fraction(float(x)) for x in (transfer.inefficiency, transfer.serial_inefficiency)
+    )
+    for row in range(rows):
+        for column in range(columns):
+            shares = [
+                share_behind(parallel, row - k, k, trail)
+                * share_behind(serial, column - m, m, trail)
+                for k in range(min(row, trail) + 1)
+                for m in range(min(column, trail) + 1)
+            ]
+            true = float(sum(electrons * p * (1 - p) for p in shares)) ** 0.5
+            np.testing.assert_allclose(got[row, column], true, rtol=32 * jnp.finfo(dtype).eps)
+
+
+@both_precisions
+def test_a_pixel_far_above_the_full_well_keeps_it(dtype):
+    column = jnp.asarray([0, 1e9, 0], dtype).reshape(3, 1, 1)
+    kept = bloomed(column, jnp.asarray(0.3, dtype), jnp.asarray(0, dtype)).ravel()
+    np.testing.assert_array_equal(kept, np.asarray([0, 0.3, 0], dtype))

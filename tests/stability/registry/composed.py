@@ -254,7 +254,7 @@ COMPOSED: dict[str, float] = {
     "sensor.brighter_fatter.smoothed_pattern": 0.5,
     "sensor.ccd.bloomed": 2,
     "sensor.ccd.counted_variance": 4,
-    "sensor.ccd.transfer_noise": 128,
+    "sensor.ccd.transfer_noise": 4,
     "sensor.ccd.transferred": 4,
     "sensor.ccd.transferred_variance": 2,
     "sensor.exposure.at_iso": 1,
