@@ -318,13 +318,37 @@ def test_slots_share_out_each_rows_exposure(line_time):
     times, weights = exposure_slots(shutter, jnp.asarray(0.2), rows=9, slots=7)
     np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-12)
     assert (weights >= 0).all()
-    # the scene is seen in the middle of each slot
-    length = (0.2 + (line_time or 0) * 8) / 7
-    np.testing.assert_allclose(times, [length * k + length / 2 for k in range(7)], rtol=1e-6)
-    # slots as long as half an exposure place a row's middle within half a slot of the truth
-    span = 0.2 + (line_time or 0) * 8
+    # the scene is seen in the middle of each slot; of slots longer than an exposure, the first and
+    # the last lie about those of the first and the last row
+    readout = (line_time or 0) * 8
+    length = max((0.2 + readout) / 7, readout / 6)
     middle = np.arange(9) * (line_time or 0) + 0.1
-    assert np.abs(weights @ times - middle).max() <= span / 7 / 2
+    first = (0.2 + readout) / 2 - 3 * length
+    np.testing.assert_allclose(times, first + length * np.arange(7), rtol=1e-6)
+    np.testing.assert_allclose(weights @ times, middle, rtol=1e-6)
+
+
+@pytest.mark.parametrize("slots", [2, 3, 4, 7])
+@pytest.mark.parametrize("exposure", [2.0, 12.0, 45.0])
+def test_a_linear_ramp_is_averaged_exactly_however_slots_fall(slots, exposure):
+    """Rows 10 s apart: the mean of t over a row's exposure is the middle of it."""
+    shutter, time = s.RollingShutter(10.0), jnp.asarray(exposure)
+    seen = exposed(shutter, time, lambda t: t * jnp.ones((4, 1, 1)), rows=4, slots=slots)
+    np.testing.assert_allclose(seen[:, 0, 0], 10 * np.arange(4) + exposure / 2, rtol=1e-6)
+
+
+def test_a_parabola_is_averaged_with_the_square_of_the_slots():
+    """The mean of t^2 over begin .. end is (end^3 - begin^3) / 3 / (end - begin)."""
+    shutter, begin = s.RollingShutter(10.0), 10 * np.arange(4)
+    true = ((begin + 2.0) ** 3 - begin**3) / 6
+
+    def error(slots):
+        seen = exposed(
+            shutter, jnp.asarray(2.0), lambda t: t**2 * jnp.ones((4, 1, 1)), rows=4, slots=slots
+        )
+        return np.abs(seen[:, 0, 0] - true).max()
+
+    assert error(48) < error(6) / 7**2
 
 
 # ------------------------------------------------ temperature

@@ -2,7 +2,11 @@
 
 Times in s; weights have no unit. The time from the first row's opening to the last row's closing is
 cut into equal slots. The scene is evaluated in the middle of each slot, and a row weights each slot
-by the part that lies within its own exposure. A global shutter opens all rows at time 0.
+by the part that lies within its own exposure. Of a slot that a row covers in part, it sees the
+middle of that part: between the middles of two slots the scene changes linearly, so that what grows
+linearly is averaged exactly by every row. Slots as long as an exposure or longer begin earlier and
+end later, for their first and last middles to be those of the first and the last row. A global
+shutter opens all rows at time 0.
 """
 
 from collections.abc import Callable
@@ -52,20 +56,29 @@ def exposure_slots(
         slots: number of slots, static, at least 1.
 
     Returns:
-        Middle of each slot (slots,) in s, and weights (rows, slots), which add up to 1 for each
-        row. The weights are smooth in the times except where a row's exposure begins or ends with a
-        slot.
+        Middle of each slot (slots,) in s, and weights (rows, slots), not negative, which add up to
+        1 for each row. The weights are smooth in the times except where a row's exposure begins or
+        ends with a slot, or has its middle there.
 
     Raises:
         ValueError: `slots` is less than 1.
     """
     check_count("slots", slots, 1)
     starts = row_starts(shutter, exposure_time, rows=rows)
-    edges = (starts[-1] + exposure_time) * jnp.linspace(0, 1, slots + 1, dtype=starts.dtype)
+    whole = starts[-1] + exposure_time
+    length = whole / slots
+    if slots > 1:
+        length = jnp.maximum(length, starts[-1] / (slots - 1))
+    edges = whole / 2 + length * (jnp.arange(slots + 1, dtype=starts.dtype) - slots / 2)
+    times = (edges[:-1] + edges[1:]) / 2
     begin, end = starts[:, None], starts[:, None] + exposure_time
     open_until = jnp.clip(jnp.broadcast_to(edges, (rows, slots + 1)), begin, end)
-    weights = divide(jnp.diff(open_until), exposure_time, ~(exposure_time <= 0))
-    return (edges[:-1] + edges[1:]) / 2, weights
+    covered = jnp.diff(open_until)
+    late = (open_until[:, :-1] + open_until[:, 1:]) / 2 - times[None]  # of its middle
+    share = divide(covered * late, length, ~(length <= 0))
+    moved = jnp.maximum(share[:, :-1], 0) - jnp.maximum(-share[:, 1:], 0)  # to the next slot
+    covered = covered - jnp.pad(moved, ((0, 0), (0, 1))) + jnp.pad(moved, ((0, 0), (1, 0)))
+    return times, divide(covered, exposure_time, ~(exposure_time <= 0))
 
 
 @takes_numbers
