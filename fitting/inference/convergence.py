@@ -49,7 +49,7 @@ def autocorrelation_times(
     return np.array(times)
 
 
-def without_bias(time: float, steps: int) -> float:
+def without_bias(time: float, length: int) -> float:
     """The autocorrelation time behind the estimate of a short chain, which is too small.
 
     About the mean of its own N steps, every correlation comes out too small by tau / N; the sum
@@ -58,12 +58,12 @@ def without_bias(time: float, steps: int) -> float:
 
     Args:
         time: as `autocorrelation_times` estimates it, in steps.
-        steps: N, of the chain.
+        length: N of the chain, in steps.
 
     Returns:
         tau in steps; infinite for a chain too short to tell.
     """
-    told = 1 - 2 * WINDOW * time / steps
+    told = 1 - 2 * WINDOW * time / length
     return time / told if told > 0 else math.inf
 
 
