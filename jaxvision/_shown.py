@@ -83,7 +83,7 @@ def _shown(value: Any, indent: str = "") -> str:
 
 def _written(numbers: np.ndarray) -> str:
     if numbers.ndim == 0:
-        return str(numbers) if numbers.dtype == bool else f"{numbers:.6g}"
+        return str(numbers) if numbers.dtype == bool else f"{numbers + 0:.6g}"  # no -0
     return f"[{', '.join(map(_written, numbers))}]"
 
 

@@ -5,6 +5,8 @@ Functions of vectors take a (..., 3) array or a `Vec` and return the kind they w
 difference of both kinds is a `Vec`.
 """
 
+from collections.abc import Iterator
+
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -14,7 +16,8 @@ from ._types import Scalars, print_by_name
 
 
 class Vec(Shown):
-    """A vector of three components; arithmetic is componentwise, with scalars too.
+    """A vector of three components; arithmetic is componentwise, with scalars too, and
+    `x, y, z = v` takes it apart.
 
     Attributes:
         x: (...) in any unit.
@@ -30,6 +33,9 @@ class Vec(Shown):
     x: Scalars
     y: Scalars
     z: Scalars
+
+    def __iter__(self) -> Iterator[Scalars]:
+        return iter((self.x, self.y, self.z))
 
     def __add__(self, other: "Vec3") -> "Vec":
         o = as_vec(other)
@@ -90,7 +96,7 @@ def as_array(v: Vec3) -> Float[Array, "... 3"]:
         >>> print(jv.as_array(jv.Vec(*jnp.arange(3.0))))
         [0. 1. 2.]
     """
-    return jnp.stack([v.x, v.y, v.z], axis=-1) if isinstance(v, Vec) else v
+    return jnp.stack([*v], axis=-1) if isinstance(v, Vec) else v
 
 
 def scaled(v: Vec3, scale: Scalars) -> Vec3:
@@ -101,7 +107,7 @@ def scaled(v: Vec3, scale: Scalars) -> Vec3:
 def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
     """Each vector where its flag (...) is set, elsewhere the zero vector."""
     if isinstance(v, Vec):
-        return Vec(*(jnp.where(keep, component, 0) for component in (v.x, v.y, v.z)))
+        return Vec(*(jnp.where(keep, component, 0) for component in v))
     return jnp.where(keep[..., None], v, 0)
 
 

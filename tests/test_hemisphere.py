@@ -12,6 +12,20 @@ from jaxvision._vector import Vec, as_array, as_vec
 RNG = np.random.default_rng(8)
 
 
+def test_a_vector_is_taken_apart_and_put_together():
+    v = Vec(*jnp.arange(6.0).reshape(3, 2))
+    x, y, z = v
+    assert (x is v.x, y is v.y, z is v.z) == (True, True, True)
+    np.testing.assert_array_equal(as_array(Vec(*v)), as_array(v))
+
+
+def test_zeros_are_printed_without_a_sign():
+    """Duff's formula leaves some negative zeros."""
+    frame = hs.local_frame(jnp.array([0.0, 0.0, 1.0]))
+    assert str(frame.tangent) == "Vec(x=1, y=0, z=0)"
+    assert str(frame.bitangent) == "Vec(x=0, y=1, z=0)"
+
+
 def matrix(frame):
     """Rows: tangent, bitangent, normal."""
     return np.stack([as_array(v) for v in (frame.tangent, frame.bitangent, frame.normal)])
