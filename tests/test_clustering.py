@@ -101,6 +101,19 @@ def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
     np.testing.assert_allclose(found.freedom, 1)
 
 
+def test_one_cluster_is_not_judged_by_a_prior():
+    """A weak prior leaves a little residual in it, as if a thousand times more were known."""
+    scores = np.array([[-1.0, 1.0, 1.0, -1.0 + 1e-3]])
+    information = np.array([[4.0]])
+    found = cluster_robust(
+        *(scores, 1.001 * information, np.zeros(4, int), None),
+        slopes=np.ones((1, 4)),
+        prior=0.001 * information,
+    )
+    assert np.isnan(found.by_light)
+    np.testing.assert_allclose(found.covariance, 1 / (1.001 * information))
+
+
 def power(matrix, exponent):
     values, directions = np.linalg.eigh(matrix)
     return directions * np.where(values > 1e-12, values, np.inf) ** exponent @ directions.T

@@ -201,7 +201,10 @@ def _power(matrices: np.ndarray, power: float) -> np.ndarray:
 
 
 def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " parameters"]:
-    """(tr G)^2 / tr G^2 of each coefficient; NaN where clusters leave no residual."""
+    """(tr G)^2 / tr G^2 of each coefficient; NaN where clusters leave no residual. What a prior
+    leaves in an only cluster says how well the prior's middle was guessed, not what is shared."""
+    if len(found.shares) < 2:
+        return np.full(len(contrasts), np.nan)
     b = np.einsum("gij,kj->kgi", found.widening, contrasts)
     a = np.einsum("gij,kgj->kgi", found.shares, b)
     own, taken = np.sum(b * a, axis=-1), np.sum(a * a, axis=-1)
