@@ -461,7 +461,8 @@ ELSEWHERE = (
         "test_posterior test_nuts test_convergence test_importance",
         """
             fitting.inference.blocks: begun length next_length stacked store
-            fitting.inference.convergence: autocorrelation_times effective_draws split_r_hat without_bias
+            fitting.inference.convergence: autocorrelation_times effective_draws split_r_hat
+            fitting.inference.convergence: without_bias
             fitting.inference.emcee_run: enough_walkers for_group run_ensemble
             fitting.inference.fingerprint: fingerprint
             fitting.inference.importance: gaussian_miss laplace_where_it_holds
