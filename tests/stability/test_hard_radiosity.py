@@ -100,6 +100,62 @@ def corner_sum(first, second, corner):
     return total
 
 
+def parallel_truth(first, second, gap):
+    """C-13 of two rectangles, m^2."""
+    c = exact.number(gap)
+
+    def corner(u, y, v):
+        v = y - v
+        p, q = mp.sqrt(u * u + c * c), mp.sqrt(v * v + c * c)
+        angles = v * p * mp.atan(v / p) + u * q * mp.atan(u / q)
+        return (angles - c * c / 2 * mp.log(u * u + v * v + c * c)) / (2 * mp.pi)
+
+    return corner_sum(*digits_of(first, second), corner)
+
+
+def perpendicular_truth(first, second):
+    """C-15 of two rectangles, m^2."""
+
+    def corner(u, y, z):
+        r, square = mp.sqrt(y * y + z * z), u * u + y * y + z * z
+        return (u * r * mp.atan(u / r) + (u * u - r * r) / 4 * mp.log(square)) / (2 * mp.pi)
+
+    return corner_sum(*digits_of(first, second), corner)
+
+
+def digits_of(*rectangles):
+    return [[[exact.number(x) for x in row] for row in np.asarray(r)] for r in rectangles]
+
+
+UNEQUAL = {
+    "a small one over a wide one": ([[0.3, 0.301], [0.5, 0.502]], [[0, 1], [0.1, 1.1]], 0.05),
+    "a small one beside a wide one": ([[2.0, 2.01], [0.5, 0.51]], [[0, 1], [0.1, 1.1]], 0.3),
+    "almost in one plane": ([[0.43, 0.46], [0.02, 0.05]], [[0, 0.1], [0.1, 0.2]], 0.01),
+    "a strip beside a speck": ([[0.1, 0.11], [0.1, 1.5]], [[0.6, 0.601], [0.2, 0.201]], 0.2),
+}
+
+
+@pytest.mark.sweep
+@both_precisions
+@pytest.mark.parametrize("case", UNEQUAL)
+def test_rectangles_of_unequal_size(case, dtype):
+    """As differences alone they were off by up to nine times themselves in float32."""
+    first, second, gap = UNEQUAL[case]
+    first, second = (jnp.asarray(r, dtype) for r in (first, second))
+    gap = jnp.asarray(gap, dtype)
+    standing = jnp.asarray([second[0], second[1] + gap])
+    close = 1e-3 if dtype == jnp.float32 else 1e-9
+    for value, truth in (
+        (jax.jit(parallel_exchange)(first, second, gap), parallel_truth(first, second, gap)),
+        (
+            jax.jit(perpendicular_exchange)(first, standing),
+            perpendicular_truth(first, standing),
+        ),
+    ):
+        assert value.dtype == dtype
+        assert abs(exact.number(value) / truth - 1) < close
+
+
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
@@ -114,16 +170,7 @@ def test_patches_at_any_distance(apart, dtype):
         first, second, gap
     )
     assert all(jnp.isfinite(gradient).all() for gradient in pulled)
-    c = exact.number(gap)
-
-    def corner(u, y, v):
-        v = y - v
-        p, q = mp.sqrt(u * u + c * c), mp.sqrt(v * v + c * c)
-        angles = v * p * mp.atan(v / p) + u * q * mp.atan(u / q)
-        return (angles - c * c / 2 * mp.log(u * u + v * v + c * c)) / (2 * mp.pi)
-
-    sides = [[[exact.number(x) for x in row] for row in np.asarray(r)] for r in (first, second)]
-    truth = corner_sum(*sides, corner)
+    truth = parallel_truth(first, second, gap)
     assert abs(exact.number(value) / truth - 1) < (1e-4 if dtype == jnp.float32 else 1e-9)
 
 
