@@ -234,6 +234,10 @@ SENTENCES = {
         lambda: jv.development.grey_world_gains(np.ones((0, 3, 3))),
         "with at least one pixel, got shape .0, 3, 3.",
     ),
+    "a norm that is none": (
+        lambda: jv.development.grey_world_gains(np.ones((2, 2, 3)), norm=0.5),
+        "grey_world_gains: norm must be at least 1, got 0.5",
+    ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
 }
 

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide, or_one, power, smallest_divisor
-from .._types import Image, Scalar, Spectrum, as_relative, print_by_name
+from .._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
 print_by_name(globals(), "Gains")
@@ -77,6 +77,7 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
 
 
 @takes_numbers
+@in_range(norm=Range(1, finite=False, nan=True))
 def grey_world_gains(
     image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
 ) -> Gains:
@@ -92,7 +93,7 @@ def grey_world_gains(
         (..., bands) no unit.
 
     Raises:
-        ValueError: for a picture without pixels or of fewer than three axes.
+        ValueError: for a picture without pixels or of fewer than three axes, and a norm below 1.
 
     Source: Buchsbaum, J. Franklin Institute 310, 1980 (the grey world); Finlayson and Trezzi,
     "Shades of gray and colour constancy", CIC 2004.
