@@ -87,7 +87,7 @@ def test_nan_spreads_below_and_right_only():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: integral_image(np.zeros(3)), "at least one pixel"),
+        (lambda: integral_image(np.zeros(3)), r"got shape .3,.: a signal .* signal.None."),
         (lambda: integral_image(np.zeros((0, 3))), "at least one pixel"),
         (lambda: integral_image(np.ones((2, 3)) * 1j), "complex"),
         (lambda: window_sum(integral_image(CODES), (13, 2)), r"\(13, 2\)"),

@@ -11,15 +11,9 @@ import matplotlib.pyplot as plt
 
 import jaxvision as jv
 
-sensor = jv.Sensor(
-    quantum_efficiency=0.5,
-    shot_noise=jv.PoissonShotNoise(),
-    full_well=15_000.0,
-    read_noise=6.0,
-    gain=0.25,
-    offset=64.0,
-    bits=12,
-)
+noise = {"shot_noise": jv.PoissonShotNoise(), "read_noise": 6.0}
+reading = {"gain": 0.25, "offset": 64.0, "bits": 12}
+sensor = jv.Sensor(quantum_efficiency=0.5, full_well=15_000.0, **noise, **reading)
 photons = jnp.geomspace(30, 40_000, 24)[:, None, None, None] * jnp.ones((24, 128, 128, 1))
 take = jax.jit(lambda key: jv.raw_image(key, sensor, photons))
 one, other = take(jax.random.key(0)), take(jax.random.key(1))
