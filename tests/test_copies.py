@@ -18,7 +18,7 @@ def flats(levels=(200, 900, 1600, 2200, 2900, 5000)):
 
 
 def photon_transfer(lit, dark, levels):
-    return from_frames(lit, dark, [0.1] * 6, levels, dark_exposures=[0.1], camera=Camera(bits=12))
+    return from_frames(lit, dark, [0.1] * len(levels), levels, dark_exposures=[0.1], camera=Camera(bits=12))
 
 
 def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
@@ -27,6 +27,15 @@ def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
     photon_transfer(lit, dark, levels)
     lit[2][1] = lit[2][0]
     with pytest.raises(InputError, match=r"flat.*2.*: is flat.*2.* in every pixel.*copy"):
+        photon_transfer(lit, dark, levels)
+
+
+def test_frames_without_light_may_be_equal():
+    lit, dark, levels = flats((50, 200, 900, 1600, 2200, 2900, 5000))
+    die = np.arange(24 * 24).reshape(24, 24) % 3 + 63.0
+    lit[0][:] = die
+    photon_transfer(lit, dark, (0, *levels[1:]))
+    with pytest.raises(InputError, match="in every pixel"):
         photon_transfer(lit, dark, levels)
 
 

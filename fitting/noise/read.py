@@ -158,7 +158,11 @@ def _reduced(
     rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
 ) -> Levels:
     copies = Copies()
-    rows = [_level(rig, entry, channel, load, copies) for entry in entries]
+    rows = [
+        _level(rig, entry.files, channel, load, copies if _is_lit(rig, entry) else None)
+        for entry in entries
+    ]
+    copies.refuse(rig.folder)
     if len({row.shape for row in rows}) > 1:
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
     shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
@@ -191,16 +195,24 @@ class _Level(NamedTuple):
     shape: tuple[int, ...]
 
 
-def _level(rig: Rig, entry: Flat | Dark, channel: str, load: Load, copies: Copies) -> _Level:
-    files = entry.files
+def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
+    """Whether shot noise tells its frames apart."""
+    return isinstance(entry, Flat) and _light(rig, entry) != 0
+
+
+def _level(
+    rig: Rig, files: Sequence[str], channel: str, load: Load, copies: Copies | None
+) -> _Level:
     # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
     first = _plane(rig, files[0], channel, load)
     total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
     lines, neighbours = Moments(first), Neighbours(first.shape)
-    copies.add(files[0], first)
+    if copies is not None:
+        copies.add(files[0], first)
     for name in files[1:]:
         frame = _plane(rig, name, channel, load)
-        copies.add(name, frame)
+        if copies is not None:
+            copies.add(name, frame)
         if frame.shape != first.shape:
             raise InputError(
                 f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {first.shape}; all frames "
@@ -212,8 +224,6 @@ def _level(rig: Rig, entry: Flat | Dark, channel: str, load: Load, copies: Copie
         lines.add(deviation)
         neighbours.add(deviation)
         shifts.append(float(deviation.mean()))
-    if isinstance(entry, Flat):  # darks of little noise may be equal
-        copies.refuse(rig.folder)
     count, pixels = len(files), first.size
     if pixels < FEWEST_PIXELS:
         raise InputError(
