@@ -18,7 +18,9 @@ def flats(levels=(200, 900, 1600, 2200, 2900, 5000)):
 
 
 def photon_transfer(lit, dark, levels):
-    return from_frames(lit, dark, [0.1] * len(levels), levels, dark_exposures=[0.1], camera=Camera(bits=12))
+    return from_frames(
+        lit, dark, [0.1] * len(levels), levels, dark_exposures=[0.1], camera=Camera(bits=12)
+    )
 
 
 def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
