@@ -2,10 +2,12 @@
 that a decision that depends on rounding is taken once: compiled code that computes a sum twice may
 contract its products in two ways, which could then disagree on which of two crossings comes first.
 
-Parts of JAX below its documented interface make programs faster here; `_primitives` alone uses
-them. Without them the same programs are public JAX and give the same values and derivatives, to
-rounding, up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if the
-environment variable JAXVISION_PLAIN_JAX is set, and is not 0, when jaxvision is imported.
+Parts of JAX below its documented interface make programs faster on a processor; `_primitives` alone
+uses them. Without them the same programs are public JAX and give the same values and derivatives,
+to rounding, up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if
+the environment variable JAXVISION_PLAIN_JAX is set, and is not 0, when jaxvision is imported. An
+accelerator is given public JAX always: with them an H200 took 20 times as long for a path-traced
+box, and 14 times for direct light.
 """
 
 import os
@@ -34,9 +36,28 @@ PLAIN = _primitives is None
 
 TILE = 16384  # rays at once: an array of them is 64 kB in float32, and all of a tile fit the cache
 
+# Rays at once on an accelerator: each operation on them costs the start of a kernel, some 10 us,
+# and takes no less for fewer. A gigabyte holds what the paths of so many need.
+_OF_KERNEL = 2**20
+
 # Rays to a full stretch of vector code, several times over: where it ends and leaves a rest to
 # plain code, the last bit of a ray would tell how the picture was cut.
 LANES = 64
+
+
+def _on_processor() -> bool:
+    """Whether programs are made for a processor."""
+    return jax.default_backend() == "cpu"
+
+
+def _helps() -> bool:
+    """Whether `_primitives` make this program faster."""
+    return not PLAIN and _on_processor()
+
+
+def at_a_time(of_core: int) -> int:
+    """How many rays or entries a loop takes: `of_core` on a processor, many more elsewhere."""
+    return of_core if _on_processor() else max(of_core, _OF_KERNEL)
 
 
 def stored(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -46,7 +67,7 @@ def stored(function: Callable[..., Any], *arguments: Any) -> Any:
     compute its first pass again. An optimisation barrier is gone before XLA fuses. Loops do not
     cross the border of a call that is not inlined.
     """
-    return function(*arguments) if PLAIN else _primitives.not_inlined(function, *arguments)
+    return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
 def at_once(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -62,7 +83,7 @@ def together(values: Any) -> Any:
     reduction of several arrays is one loop with several results: here over an axis of two equal
     entries, of which the last one stays.
     """
-    if _together is None:
+    if not _helps():
         return values
     leaves, tree = jax.tree.flatten(values)
     return jax.tree.unflatten(tree, _together(*leaves))
@@ -99,7 +120,7 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
     gradient of a loop in a loop would trace each of them a dozen times, only to find nothing to
     differentiate: a path-traced box then takes a seventh longer to compile.
     """
-    if PLAIN:
+    if not _helps():
         arguments, named = jax.lax.stop_gradient((arguments, named))
         return function(*arguments, **named)
     return _primitives.one_step(function, *arguments, **named)
@@ -108,7 +129,10 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
 def bilinear(name: str, function: Callable[..., Array], **rules: Any) -> Callable[..., Array]:
     """A function that is linear in each of two arrays, with the `rules` of `_primitives.bilinear`
     for its transposes and batches in place of those that JAX finds in its parts."""
-    return function if PLAIN else _primitives.bilinear(name, function, **rules)
+    if PLAIN:
+        return function
+    ours = _primitives.bilinear(name, function, **rules)
+    return lambda *arrays, **named: (ours if _helps() else function)(*arrays, **named)
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:

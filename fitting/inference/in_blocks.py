@@ -1,5 +1,6 @@
 """Sums over many samples, a block at a time: what is computed on the way to each term then stays in
-the processor's cache, and memory does not grow with it.
+the processor's cache, and memory does not grow with it. An accelerator, whose every operation costs
+the start of a kernel, takes more of them at a time.
 
 Samples are a record whose arrays hold one value a sample, beside numbers that all samples share.
 The last block is filled up with copies of the last sample, which do not count.
@@ -14,19 +15,27 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 BLOCK = 8192  # samples; some twenty arrays of them fit into a cache of 2 MB
+_OF_KERNEL = 128  # times as many on an accelerator
 
 Terms = TypeVar("Terms")
 Counts = Bool[Array, " samples"] | None  # which samples count; None where all do
 
 
-def summed(terms: Callable[[Any, Counts], Terms], samples: Any, *, block: int = BLOCK) -> Terms:
+def at_a_time(of_core: int) -> int:
+    """How many entries a loop takes: `of_core` on a processor, many more elsewhere."""
+    return of_core if jax.default_backend() == "cpu" else of_core * _OF_KERNEL
+
+
+def summed(
+    terms: Callable[[Any, Counts], Terms], samples: Any, *, block: int | None = None
+) -> Terms:
     """The sum of terms over blocks of samples.
 
     Args:
         terms: what a block adds, any PyTree of arrays, of the block and of which of its samples
             count.
         samples: record of (samples,) arrays and of numbers.
-        block: most samples of one.
+        block: most samples of one; None: as many as the device serves well.
 
     Returns:
         The sum.
@@ -46,13 +55,13 @@ def summed(terms: Callable[[Any, Counts], Terms], samples: Any, *, block: int = 
     return jax.lax.scan(added, zero, (blocks, counts))[0]
 
 
-def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int = BLOCK) -> Terms:
+def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int | None = None) -> Terms:
     """Values of every sample, computed in blocks.
 
     Args:
         values: (..., samples) arrays of a block, any PyTree of them.
         samples: record of (samples,) arrays and of numbers.
-        block: most samples of one.
+        block: most samples of one; None: as many as the device serves well.
 
     Returns:
         (..., samples) arrays of all.
@@ -68,11 +77,11 @@ def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int = BLOCK) 
     return jax.tree.map(joined, found)
 
 
-def _cut(samples: Any, block: int) -> tuple[Any, Any, Counts]:
+def _cut(samples: Any, block: int | None) -> tuple[Any, Any, Counts]:
     """(blocks, samples of one) arrays, what all samples share, and which samples count."""
     own, shared = eqx.partition(samples, lambda leaf: eqx.is_array(leaf) and leaf.ndim > 0)
     count = _count(samples)
-    blocks = -(-count // block)
+    blocks = -(-count // (block or at_a_time(BLOCK)))
     size = -(-count // blocks)
     missing = blocks * size - count
 

@@ -24,6 +24,7 @@ from .diagnostics import identifiability
 from .emcee_run import SamplingOptions, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
 from .fingerprint import fingerprint
+from .in_blocks import at_a_time
 from .natural_draws import natural_draws
 from .on_host import on_host
 from .parameters import ParameterSpace, names, to_natural
@@ -335,5 +336,7 @@ def evaluate_density(
 
 @eqx.filter_jit
 def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
-    values = jax.lax.map(lambda vector: log_density(vector, args), vectors, batch_size=BATCH)
+    values = jax.lax.map(
+        lambda vector: log_density(vector, args), vectors, batch_size=at_a_time(BATCH)
+    )
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

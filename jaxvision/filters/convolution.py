@@ -15,9 +15,9 @@ rounding, which is (number of taps) eps filter(1) with |kernel|.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
 "direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and
-rows, as many as the kernel's rank. "auto" takes "conv" on a GPU. On a CPU it takes the method that
-was measured to be fastest for the size: "separable" for kernels of low rank (if the kernel is
-finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
+rows, as many as the kernel's rank. "auto" takes the method that was measured to be fastest for the
+size. On a GPU that is "conv" up to 9 x 9 and "fft" beyond. On a CPU it is "separable" for kernels
+of low rank (if the kernel is finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
 
 NaN and infinity reach every pixel with one of them in its window, also under a weight of 0. With
 "fft" they reach the whole plane; with "conv" and one kernel a band they may reach all bands,
@@ -50,6 +50,7 @@ CHOICES = ("auto", "separable", *METHODS)
 
 # The cost of a transform and of a pair of passes on a CPU, in taps of a direct sum.
 _TRANSFORM, _PAIR = 240, 8
+_LONGEST_SUM = 81  # taps that "conv" sums on a GPU before "fft" is as fast
 # A smaller kernel is not worth a singular value decomposition.
 _FEWEST_TAPS = 25
 
@@ -215,9 +216,9 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
         raise ValueError('method "separable" needs a finite kernel, got NaN or infinity in it.')
     if method != "auto":
         return method
-    if jax.default_backend() != "cpu":
-        return "conv"
     kh, kw = kernel.shape[:2]
+    if jax.default_backend() != "cpu":
+        return "conv" if kh * kw <= _LONGEST_SUM else "fft"
     whole = min(kh * kw, _TRANSFORM)
     if not traced and finite and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:
         rank = _singular(kernel, picture)[1].shape[1]

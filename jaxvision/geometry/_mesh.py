@@ -1,5 +1,5 @@
-"""A ray and a triangle mesh: every triangle is tried up to a hundred, Embree searches above. For
-ONE ray; lengths in metres."""
+"""A ray and a triangle mesh: every triangle is tried up to a hundred, on an accelerator up to some
+thousands; Embree searches above. For ONE ray; lengths in metres."""
 
 import warnings
 from functools import cache
@@ -13,7 +13,8 @@ from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
 from .rays import Hit, Ray
 
-_TRIED = 100  # triangles; with more, Embree's tree is faster than testing each
+_TRIED = 100  # triangles; with more, Embree's tree is faster than testing each on a processor
+_TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays go to the processor for it
 
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
@@ -46,17 +47,18 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
 
 
 def _searched(mesh: TriangleMesh) -> bool:
-    if len(mesh.faces) <= _TRIED:
+    tried = _TRIED if jax.default_backend() == "cpu" else _TRIED_ELSEWHERE
+    if len(mesh.faces) <= tried:
         return False
     if not _embree.available():
-        _say_once()
+        _say_once(tried)
     return _embree.available()
 
 
 @cache
-def _say_once() -> None:
+def _say_once(tried: int) -> None:
     warnings.warn(
-        "meshes of more than 100 triangles are searched one triangle at a time, which is slow; "
-        "install embreex (pip install 'jaxvision[mesh]') for speed.",
+        f"meshes of more than {tried} triangles are searched one triangle at a time, which is "
+        "slow; install embreex (pip install 'jaxvision[mesh]') for speed.",
         stacklevel=2,
     )

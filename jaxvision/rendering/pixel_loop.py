@@ -20,7 +20,7 @@ from .._arguments import takes_numbers
 from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._shown import Shown
-from .._staging import LANES
+from .._staging import LANES, at_a_time
 from .._types import Key, Scalar, Spectrum, check_count, is_known
 from ..geometry import Ray
 from ..in_notebooks import preview_png, with_picture
@@ -117,6 +117,7 @@ def photograph(
     pixels: tuple[Int[Array, " n"], Int[Array, " n"]] | None = None,
     first_sample: int | Word = 0,
     keep: Sequence[str] = (),
+    several: bool = True,
 ) -> Traced:
     """What the pixels of a view see.
 
@@ -129,6 +130,8 @@ def photograph(
             n to 2 n - 1 draw what one call with 2 n samples draws.
         keep: names of `jax.ad_checkpoint.checkpoint_name` that a gradient of one ray a pixel keeps;
             all else it computes again, block by block.
+        several: whether a device that has room for several samples of each pixel takes them at
+            once, by `vmap` of `along`.
 
     Returns:
         (n, bands), or (h, w, bands) for the whole picture, in W m^-2 sr^-1.
@@ -163,7 +166,8 @@ def photograph(
             rays = jax.vmap(in_pixel, in_axes=(0, None))(pixels, k)
             return along(rays, Stream(pixels, k, seed))
 
-        return mean_of_samples(sample, samples.count, first=first_sample)
+        room = max(1, at_a_time(BLOCK) // len(pixels)) if several else 1
+        return mean_of_samples(sample, samples.count, first=first_sample, room=room)
 
     kept = keep if samples is None else None  # samples are checkpointed one by one
     seen = in_blocks(block, number.astype(jnp.uint32), keep=kept)
@@ -225,12 +229,12 @@ def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
 def in_blocks(
     function: Callable[..., Any],
     *arrays: Array,
-    size: int = BLOCK,
+    size: int | None = None,
     lanes: int = LANES,
     keep: Sequence[str] | None = None,
 ) -> Any:
     """`function` of arrays that are cut along their leading axis into blocks of up to `size`
-    entries, a multiple of `lanes`.
+    entries (None: as many as the device serves well), a multiple of `lanes`.
 
     Blocks are full, if need be with entries that are thrown away: where vector code ends and leaves
     a rest to plain code, the last bit of an entry would tell how the arrays were cut. Of several
@@ -238,7 +242,7 @@ def in_blocks(
     it keeps what the function's own checkpoints leave.
     """
     count = len(arrays[0])
-    size = min(size, -(-count // lanes) * lanes)
+    size = min(at_a_time(BLOCK) if size is None else size, -(-count // lanes) * lanes)
     blocks = -(-count // size)
 
     def cut(x: Array) -> Array:
@@ -257,24 +261,39 @@ def in_blocks(
 
 
 def mean_of_samples(
-    sample: Callable[[Word], Any], count: int, *, first: int | Word = 0
+    sample: Callable[[Word], Any], count: int, *, first: int | Word = 0, room: int = 1
 ) -> tuple[Any, Any]:
-    """The mean of samples, computed one after another, and its standard error, in their unit.
+    """The mean of samples and its standard error, in their unit. They are computed one after
+    another or, where there is `room` for several, so many at once.
 
-    Source: Welford, Technometrics 4(3) (1962): no sum of squares cancels.
+    Source: Chan, Golub and LeVeque, The American Statistician 37(3) (1983), of groups of equal
+    size; of single samples it is Welford's, Technometrics 4(3) (1962). No sum of squares cancels.
     """
     sample = jax.jit(sample, inline=True)  # traced once for its shapes and the loop
+    each = max(n for n in range(1, min(room, count) + 1) if count % n == 0)
     shapes = jax.eval_shape(sample, jax.ShapeDtypeStruct((), jnp.uint32))
     dark = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
     @jax.checkpoint
     def add(state: tuple[Any, Any], k: Word) -> tuple[tuple[Any, Any], None]:
-        values, (means, squares) = sample(k + jnp.uint32(first)), state
+        means, squares = state
+        start = k + jnp.uint32(first)
+        if each == 1:
+            values = sample(start)
+        else:
+            group = jax.vmap(sample)(start + jnp.arange(each, dtype=jnp.uint32))
+            values = jax.tree.map(lambda x: x.mean(axis=0), group)
+            squares = jax.tree.map(
+                lambda square, x, mean: square + ((x - mean[None]) ** 2).sum(axis=0),
+                squares,
+                group,
+                values,
+            )
         after = jax.tree.map(
-            lambda x, mean: mean + (x - mean) / (k + 1).astype(mean.dtype), values, means
+            lambda x, mean: mean + (x - mean) * each / (k + each).astype(mean.dtype), values, means
         )
         squares = jax.tree.map(
-            lambda x, square, mean, new: square + (x - mean) * (x - new),
+            lambda x, square, mean, new: square + each * (x - mean) * (x - new),
             values,
             squares,
             means,
@@ -282,7 +301,9 @@ def mean_of_samples(
         )
         return (after, squares), None
 
-    (mean, squares), _ = jax.lax.scan(add, (dark, dark), jnp.arange(count, dtype=jnp.uint32))
+    (mean, squares), _ = jax.lax.scan(
+        add, (dark, dark), jnp.arange(0, count, each, dtype=jnp.uint32)
+    )
     if count == 1:
         return mean, jax.tree.map(lambda x: jnp.full_like(x, jnp.inf), mean)
     return mean, jax.tree.map(lambda x: safe_sqrt(x / (float(count) * (count - 1))), squares)

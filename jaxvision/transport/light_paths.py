@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
-from .._staging import TILE, together
+from .._staging import TILE, at_a_time, together
 from .._types import Key, Scalar, check_count
 from .._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
@@ -101,7 +101,7 @@ def light_traced(
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))
     height, width = view.resolution
-    batch = min(paths, TILE)
+    batch = min(paths, at_a_time(TILE))
 
     def trace(number: Array) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
         stream = Stream(number.astype(jnp.uint32), jnp.zeros((), jnp.uint32), seed)

@@ -32,7 +32,7 @@ from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, Word, seed_of, uniforms
 from .._shown import Shown
-from .._staging import stored
+from .._staging import at_a_time, stored
 from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count
 from ..brdf import is_delta
 from ..geometry import Ray
@@ -303,7 +303,9 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
     """
     world, seed, pixel = world_of(scene), seed_of(key), jnp.zeros((), jnp.uint32)
     radiance, error = mean_of_samples(
-        lambda number: _walk(world, ray, Stream(pixel, number, seed), method), method.samples
+        lambda number: _walk(world, ray, Stream(pixel, number, seed), method),
+        method.samples,
+        room=at_a_time(1),
     )
     return Traced(jnp.stack(radiance), jnp.stack(error))
 

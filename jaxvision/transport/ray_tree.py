@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import dot
-from .._staging import TILE
+from .._staging import TILE, at_a_time
 from .._types import Colour, Image, check_count
 from .._vector import Vec, as_array
 from ..brdf import is_delta
@@ -42,7 +42,7 @@ from ._world import World, world_of
 
 DEFAULT_RULE = Quadrature(4)
 Rules = tuple[Quadrature, ...]
-_BLOCK = 512  # rays that are followed, or skipped, together
+_BLOCK = 512  # rays that a processor follows, or skips, together
 
 
 class _Tree(eqx.Module):
@@ -118,7 +118,12 @@ def ray_tree_radiances(
     def block(*leaves: Array) -> Float[Array, "n bands"]:
         return tile(tree.unflatten(leaves))
 
-    return in_blocks(block, *leaves, size=TILE, lanes=_BLOCK)
+    return in_blocks(block, *leaves, size=at_a_time(TILE), lanes=_block(len(leaves[0])))
+
+
+def _block(rays: int) -> int:
+    """Rays that are followed, or skipped, together."""
+    return min(at_a_time(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
 
 
 def _follow_living(
@@ -130,7 +135,7 @@ def _follow_living(
     order = jnp.argsort(~alive)
 
     def in_blocks(x: Array) -> Array:
-        return x[order].reshape(-1, _BLOCK, *x.shape[1:])
+        return x[order].reshape(-1, _block(len(x)), *x.shape[1:])
 
     def block(entry: tuple[_Tree, Array]) -> _Tree:
         trees, alive = entry
@@ -281,4 +286,6 @@ def ray_traced(
         >>> round(float(picture(jv.Scene([lamp, mirror], []))[0, 0, 0]), 4)
         1.8
     """
-    return photograph(ray_tree_along(scene, rays=rays, rule=rule), view, samples).radiance
+    along = ray_tree_along(scene, rays=rays, rule=rule)
+    # `vmap` would follow the blocks that have no ray left
+    return photograph(along, view, samples, several=False).radiance

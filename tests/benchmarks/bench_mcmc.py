@@ -54,7 +54,7 @@ def numpy_args():
     return cosine, np.log(cos_mirror), dn
 
 
-def jax_log_density(*, cells):
+def posterior_of(*, cells):
     light, cosine, cos_mirror, dn = data()
     one = jnp.ones(())
     samples = Samples(
@@ -74,7 +74,11 @@ def jax_log_density(*, cells):
     if cells:
         grouping = group(light, cosine, np.arccos(cos_mirror))
         samples = average(samples, grouping, exact_at=mode)
-    posterior = Composite(samples, None, mode, jnp.eye(3), jnp.zeros(3))
+    return Composite(samples, None, mode, jnp.eye(3), jnp.zeros(3))
+
+
+def jax_log_density(*, cells):
+    posterior = posterior_of(cells=cells)
 
     @jax.jit
     def evaluate(vectors, posterior):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._numerics import divide, dot
-from ..._staging import TILE, in_tiles
+from ..._staging import TILE, at_a_time, in_tiles
 from ..._vector import Vec, as_array, as_vec, where
 from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
 from ...scene import Scene
@@ -73,4 +73,4 @@ def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " pa
         return back & (encounter.shape >= 0) & ~two_sided[jnp.maximum(encounter.shape, 0)]
 
     start = patches.centre + patches.bulge * patches.normal
-    return in_tiles(at, *jax.lax.stop_gradient((start, patches.normal)), size=TILE)
+    return in_tiles(at, *jax.lax.stop_gradient((start, patches.normal)), size=at_a_time(TILE))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._shown import Shown
-from ..._staging import TILE, in_tiles
+from ..._staging import TILE, at_a_time, in_tiles
 from ..._types import Colour
 from ..._vector import Vec
 from ...geometry import Sorted
@@ -135,4 +135,6 @@ def _lit(
         return irradiance_at(lights, shapes, point, normal, rules)
 
     start = elements.centre + elements.bulge * elements.normal
-    return in_tiles(at, start, elements.normal, jnp.arange(len(elements.area)), size=TILE)
+    return in_tiles(
+        at, start, elements.normal, jnp.arange(len(elements.area)), size=at_a_time(TILE)
+    )
