@@ -3,6 +3,7 @@ them, its commands exist, and its reference has an entry for every public name."
 
 import ast
 import importlib.util
+import json
 import re
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ PAGES = sorted(
 )
 WITH_CODE = [page for page in PAGES if blocks((DOCS / page).read_text(), "python")]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def module(name):
@@ -64,6 +66,53 @@ def test_commands_exist():
     for name, command, rest in lines:
         options = {o for p in known[name].commands[command].params for o in p.opts}
         assert set(re.findall(r"--[a-z-]+", rest.partition("#")[0])) <= options, (name, command)
+
+
+def shown(file):
+    """The Python that a reader copies from a notebook, a script or a page."""
+    if file.suffix == ".ipynb":
+        cells = json.loads(file.read_text())["cells"]
+        return "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+    return (
+        file.read_text() if file.suffix == ".py" else "\n".join(blocks(file.read_text(), "python"))
+    )
+
+
+def internals(code):
+    """What code imports of the packages that no package offers. A module just below the root, which
+    lists no names, offers those that it defines."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            names = [(alias.name, None) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [(node.module or "", alias.name) for alias in node.names]
+        else:
+            continue
+        for module, name in names:
+            if module.partition(".")[0] not in ("jaxvision", "fitting"):
+                continue
+            offered = getattr(importlib.import_module(module), "__all__", None)
+            is_public = (
+                module.count(".") < 2 if offered is None or name is None else name in offered
+            )
+            if not is_public or re.search(r"(^|\.)_", f"{module}.{name}"):
+                yield f"{module}.{name}" if name else module
+
+
+def test_the_reader_of_internals_reads():
+    code = "import jaxvision as jv\nfrom jaxvision.io import write_image\nfrom fitting import fit"
+    assert not list(internals(code))
+    code = "from fitting.joint.prediction import predict\nfrom jaxvision._types import Vec"
+    assert list(internals(code)) == ["fitting.joint.prediction.predict", "jaxvision._types.Vec"]
+
+
+@pytest.mark.parametrize(
+    "file",
+    [*NOTEBOOKS, *SCRIPTS, *(DOCS / page for page in WITH_CODE), ROOT / "README.md"],
+    ids=lambda file: file.name,
+)
+def test_what_readers_copy_imports_public_names_alone(file):
+    assert not list(internals(shown(file)))
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)

@@ -1,5 +1,11 @@
 # What `fitting.joint` offers, each name where it is defined.
 
 from .calibration import calibrate as calibrate
-from .from_memory import Camera as Camera, from_photographs as from_photographs
+from .fit import image_errors as image_errors
+from .from_memory import (
+    Camera as Camera,
+    SphereGeometry as SphereGeometry,
+    from_photographs as from_photographs,
+)
+from .prediction import PixelPrediction as PixelPrediction, predict as predict
 from .read import read_joint_measurement as read_joint_measurement

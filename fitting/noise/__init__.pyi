@@ -10,5 +10,6 @@ from .from_memory import (
     darks_from_frames as darks_from_frames,
     from_frames as from_frames,
 )
+from .levels import Levels as Levels, PhotonTransfer as PhotonTransfer
 from .read import read_photon_transfer as read_photon_transfer
 from .settings import Setting as Setting

@@ -1,5 +1,6 @@
 # What `fitting.reflectance` offers, each name where it is defined.
 
+from . import from_files as from_files
 from .from_images.calibration import calibrate as calibrate
 from .from_images.from_memory import (
     Camera as Camera,
@@ -7,6 +8,7 @@ from .from_images.from_memory import (
     from_photographs as from_photographs,
 )
 from .from_images.read import read_reflectance_observation as read_reflectance_observation
+from .models import LABELS as LABELS, REFLECTANCES as REFLECTANCES
 from .stereo import (
     Stereo as Stereo,
     photometric_stereo as photometric_stereo,

@@ -2,6 +2,7 @@
 
 from .choice import choose as choose
 from .curves import curve as curve, error_against_time as error_against_time
+from .examples import example as example
 from .knobs import KNOBS as KNOBS
 from .norms import relative_rms as relative_rms
 from .pages import page as page, write_page as write_page
@@ -17,3 +18,5 @@ from .records import (
 from .scenes import knobs_of as knobs_of, scene_problem as scene_problem
 from .scene_settings import Chosen as Chosen, measured as measured, settings as settings
 from .several import Combination as Combination, combined as combined
+from .tables import notes as notes, rows as rows
+from .together import measured_together as measured_together

@@ -1,0 +1,5 @@
+"""Files of measured BRDFs, and the reflectance models that fit them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
