@@ -1,6 +1,7 @@
 """Plots of results show the numbers that they were given."""
 
-from itertools import combinations
+import re
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from jaxvision import plots
 from jaxvision.accuracy import Curve, Knob, Trial, plot
 from jaxvision.accuracy.records import Order, Reference
 from jaxvision.errors import InputError
+from jaxvision.plots.inline import figure_strips, figure_svg
 
 RNG = np.random.default_rng(4)
 GRID = np.linspace(400e-9, 700e-9, 7)
@@ -200,3 +202,37 @@ def test_a_trace_has_a_row_a_number_and_a_path_a_chain():
 def test_what_cannot_be_drawn_is_said(draw, words):
     with pytest.raises(InputError, match=words):
         draw()
+
+
+def panels(columns, width):
+    figure = Figure(figsize=(width, 2), layout="constrained")
+    for i, axes in enumerate(figure.subplots(2, columns).flat):
+        axes.set(xlabel=f"x {i}", ylabel=f"y {i}")
+    return figure
+
+
+def sizes(strips):
+    found = (re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg) for svg in strips)
+    return np.array([[float(number) for number in one.groups()] for one in found])
+
+
+@pytest.mark.parametrize(("widest", "columns"), [(600, [4]), (300, [2, 2]), (200, [1] * 4)])
+def test_a_wide_figure_is_cut_between_its_columns(widest, columns):
+    strips = figure_strips(lambda: panels(4, 8), widest=widest)
+    kept = [sorted(map(int, re.findall(r">x (\d)<", svg))) for svg in strips]
+    ends = np.cumsum([0, *columns])
+    expected = [[*range(a, b), *range(4 + a, 4 + b)] for a, b in pairwise(ends)]
+    assert kept == expected
+    width, height = sizes(strips).T
+    np.testing.assert_allclose(width.sum(), 8 * 72, rtol=1e-4)  # together the whole figure
+    np.testing.assert_allclose(height, 2 * 72, rtol=1e-4)
+    assert np.ptp(width) < 0.2 * width.mean()
+    if len(columns) == 1:
+        assert strips == (figure_svg(lambda: panels(4, 8)),)
+
+
+def test_a_figure_with_words_of_its_own_stays_whole():
+    figure = panels(4, 8)
+    figure.suptitle("of all")
+    assert len(figure_strips(lambda: figure, widest=200)) == 1
+    assert len(figure_strips(lambda: panels(1, 8), widest=200)) == 1  # a single column

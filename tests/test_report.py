@@ -37,7 +37,7 @@ from fitting.inference.posterior import laplace, sample
 from fitting.report.chains import corner_figure
 from fitting.report.console import section_text
 from fitting.report.inputs import MOST_PICTURES, inputs_of
-from fitting.report.notebook import ShownInNotebooks
+from fitting.report.notebook import ShownInNotebooks, section_html
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
 from fitting.report.sentences import said_once
@@ -288,6 +288,29 @@ def test_the_page_stands_alone_and_escapes(section):
     assert "#010203" not in html  # lines follow the page's colours, dark or light
     for words in ("0.28077 ± 0.00042", "no <spatial> statistics", "linear & says so", "0.1235"):
         assert words in page.text
+
+
+def test_columns_of_a_wide_picture_can_be_placed_below_each_other(section):
+    """Those that are read together cannot."""
+
+    def wide():
+        drawn = Figure(figsize=(8, 2), layout="constrained")
+        drawn.subplots(1, 2)
+        return drawn
+
+    one = Picture("two", "Two", "Two panels.", wide)
+    for picture, strips in ((one, 2), (replace(one, is_whole=True), 1)):
+        html = as_html([replace(section, pictures=(picture,), posteriors={})], title="")
+        assert html.count("<svg") == html.count('<div style="--drawn: ') == strips
+        assert '<figure class="wide"><div class="strips" style="--aspect: 4.0">' in html
+
+
+def test_a_table_in_a_notebook_has_units_where_there_are_any():
+    gain, gamma = (gaussian_estimate(p, 2.0, 0.1) for p in (SPACE[0], X))
+    assert "<th>unit</th>" in section_html(Section("noise", "T", (gain, gamma)))
+    without = section_html(Section("response", "T", (gamma,)))
+    assert "unit" not in without
+    assert without.count("<th>") == without.count("<td>") == 2
 
 
 def test_files_of_a_report_and_chains_that_arviz_opens(section, tmp_path):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from ..inference.formatting import format_name, format_value
+from ..inference.formatting import format_name
 from ..report.colours import OF_CHANNEL
 from .compare import Comparison
 
@@ -13,7 +13,7 @@ LIMIT = 4.5  # standard errors shown to either side
 
 def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
     """One row an estimate: 68 and 95 % intervals about the truth, in standard errors."""
-    figure = Figure(figsize=(8.5, 1.2 + 0.27 * len(comparisons)), layout="constrained")
+    figure = Figure(figsize=(5.4, 1.2 + 0.27 * len(comparisons)), layout="constrained")
     axis = figure.subplots()
     axis.axvspan(-1.96, 1.96, color="0.93", zorder=0)
     axis.axvline(0, color="0.4", lw=1)
@@ -25,13 +25,6 @@ def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
         axis.plot([low95, high95], [row, row], color=colour, lw=1.5)
         axis.plot([low68, high68], [row, row], color=colour, lw=4.5, solid_capstyle="butt")
         axis.plot(centre, row, "o", color="white", mec=colour, ms=5)
-        axis.text(
-            LIMIT * 1.02,
-            row,
-            f"{format_value(estimate)}   ({comparison.truth:g})",
-            va="center",
-            fontsize=9,
-        )
         name = format_name(estimate.name)
         detail = estimate.group or estimate.method
         labels.append(f"{name}, {detail}" if detail else name)
@@ -39,7 +32,6 @@ def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
     axis.set_ylim(len(labels) - 0.4, -0.6)
     axis.set_xlim(-LIMIT, LIMIT)
     axis.set_xlabel("(estimate − truth) / standard error")
-    axis.text(LIMIT * 1.02, -1, "estimate ± standard error   (truth)", va="center", fontsize=9)
     for side in ("top", "right", "left"):
         axis.spines[side].set_visible(False)
     axis.tick_params(left=False)

@@ -29,7 +29,14 @@ def decimals_for(uncertainty: float) -> int | None:
 
 
 def format_name(name: str) -> str:
-    """The name of a quantity in words: `snr_max` as SNR max."""
+    """The name of a quantity in words: `snr_max` as SNR max.
+
+    Args:
+        name: with underscores.
+
+    Returns:
+        The words.
+    """
     return " ".join(ACRONYMS.get(word, word) for word in name.split("_"))
 
 
@@ -108,7 +115,14 @@ def format_within(value: float, width: float) -> str:
 
 
 def format_value(estimate: "Estimate") -> str:
-    """`value ± standard error` without the unit, or a dash where it is not determined."""
+    """`value ± standard error` without the unit, or a dash where it is not determined.
+
+    Args:
+        estimate: with or without a value.
+
+    Returns:
+        The text, with as many digits as the standard error allows.
+    """
     if estimate.value is None:
         return "–"
     if estimate.standard_error is None:
@@ -137,7 +151,14 @@ def format_interval(estimate: "Estimate", level: int) -> str:
 
 
 def format_unit(unit: str) -> str:
-    """`sr^-1` as sr⁻¹; the unit one is left unsaid."""
+    """`sr^-1` as sr⁻¹; the unit one is left unsaid.
+
+    Args:
+        unit: with powers after `^`.
+
+    Returns:
+        The text, empty for `1`.
+    """
     if unit == "1":
         return ""
     return re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), unit)

@@ -238,4 +238,4 @@ def _corner_picture(posteriors: dict[str, Posterior], section: Section) -> Pictu
         f"A slanted ellipse is a pair the data partly confuse.{lines}"
     )
     draw = partial(corner_figure, posteriors, section.truth)
-    return Picture(f"corner_{channels}", "Joint uncertainty", caption, draw)
+    return Picture(f"corner_{channels}", "Joint uncertainty", caption, draw, is_whole=True)

@@ -45,12 +45,14 @@ def section_html(section: Section) -> str:
         HTML.
     """
     found = sheet(section)
-    head = "".join(f"<th>{escape(word)}</th>" for word in ("", *found.columns, "unit"))
+    shown = [row for _, block in found.blocks for row in block]
+    units = any(row.unit for row in shown)  # gamma alone has none
+    heads = ("", *found.columns, *(("unit",) if units else ()))
+    head = "".join(f"<th>{escape(word)}</th>" for word in heads)
     rows = "".join(
         f"<tr><td>{escape(row.name)}</td>{''.join(map(_cell, row.cells))}"
-        f"<td>{escape(row.unit)}</td></tr>"
-        for _, block in found.blocks
-        for row in block
+        f"{f'<td>{escape(row.unit)}</td>' if units else ''}</tr>"
+        for row in shown
     )
     notes = "".join(f"<li>{escape(text)}</li>" for text in said_once(section.findings))
     missing = "".join(

@@ -4,6 +4,8 @@ leaves nothing half-written."""
 
 import csv
 import json
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxvision.io import replaced_on_success
-from jaxvision.plots.inline import figure_svg
+from jaxvision.plots.inline import figure_strips
 
 from ..inference.estimates import Estimate
 from ..inference.formatting import format_cell, format_unit, size_in_words
@@ -24,6 +26,7 @@ from .sentences import said_once
 from .sheet import sheet
 
 WIDE = 520  # px of a figure that needs the width of the page
+NARROW = 390  # px of the widest strip of one, for a phone
 PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 
 
@@ -129,19 +132,20 @@ class _Drawn:
 
     Attributes:
         title, caption: of it.
-        svg: the element.
-        width: px at which its letters are as large as they were drawn.
+        strips: (element, width) side by side, or below each other where the page is narrow; px
+            at which letters are as large as they were drawn.
+        aspect: width of all over height.
     """
 
     title: str
     caption: str
-    svg: str
-    width: int
+    strips: tuple[tuple[str, int], ...]
+    aspect: float
 
     @property
     def is_wide(self) -> bool:
         """Whether half a page is too narrow for its letters."""
-        return self.width > WIDE
+        return sum(width for _, width in self.strips) > WIDE
 
 
 def _drawn(pictures: Sequence[Picture]) -> list[_Drawn]:
@@ -149,9 +153,12 @@ def _drawn(pictures: Sequence[Picture]) -> list[_Drawn]:
 
     found = []
     for picture in pictures:
-        svg = figure_svg(picture.draw)
-        width = round(float(svg.partition('viewBox="0 0 ')[2].split()[0]))
-        found.append(_Drawn(picture.title, picture.caption, Markup(svg), width))
+        strips = figure_strips(picture.draw, widest=math.inf if picture.is_whole else NARROW)
+        sizes = np.array([re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)', svg)[0] for svg in strips])
+        widths, heights = sizes.astype(float).T
+        drawn = tuple(zip(map(Markup, strips), np.rint(widths).astype(int), strict=True))
+        aspect = round(float(widths.sum() / heights[0]), 3)
+        found.append(_Drawn(picture.title, picture.caption, drawn, aspect))
     return found
 
 

@@ -44,12 +44,15 @@ class Picture:
         title: above it.
         caption: what it shows and how to read it.
         draw: the function that draws it.
+        is_whole: whether its columns are read together; else a narrow page may place them below
+            each other.
     """
 
     name: str
     title: str
     caption: str
     draw: "Callable[[], Figure]"
+    is_whole: bool = False
 
 
 @dataclass(frozen=True)

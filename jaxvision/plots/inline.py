@@ -1,13 +1,17 @@
 """Figures inside a page, in the colours of its text, dark or light as the reader prefers."""
 
 import io
+import math
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    _Strip = tuple[float, float, tuple[Axes, ...]]
 
 INK = "#010203"  # drawn so, and replaced by the colour of the page's text
 _INKED = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
@@ -20,6 +24,7 @@ _REPLACED = {  # what is drawn in black, dark grey, white and pale grey follows 
     "#ededed": "var(--tint, #ededed)",
 }
 _COLOUR = re.compile("|".join(_REPLACED))
+POINTS = 72  # per inch
 DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
 
 
@@ -59,7 +64,26 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
     Returns:
         The `<svg>` element; its text is text.
     """
+    (whole,) = figure_strips(draw, widest=math.inf, font=font)
+    return whole
+
+
+def figure_strips(
+    draw: "Callable[[], Figure]", *, widest: float, font: float = 10
+) -> tuple[str, ...]:
+    """A figure as `figure_svg` gives it, cut between its columns of panels: side by side the strips
+    are the figure, and a narrow page places them below each other.
+
+    Args:
+        draw: makes the figure; artists that it rasterises stay pixels.
+        widest: of a strip, points; a single column may be wider.
+        font: points.
+
+    Returns:
+        The `<svg>` elements from left to right, as few as `widest` allows.
+    """
     import matplotlib
+    from matplotlib.transforms import Bbox
 
     style: dict[Any, Any] = dict.fromkeys(_INKED.split(), INK)
     style |= {"svg.fonttype": "none", "font.size": font, "svg.hashsalt": "jaxvision"}
@@ -68,8 +92,59 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
         figure.patch.set_alpha(0)
         for axes in figure.axes:
             axes.patch.set_alpha(0)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None}, dpi=DOTS_PER_INCH)
+        width, height = figure.get_size_inches()
+        if POINTS * width <= widest or figure.texts or figure.legends:
+            return (_svg(figure),)
+        strips = _strips(_columns(figure), widest / POINTS)
+        figure.set_layout_engine("none")  # as drawn, also where panels are hidden
+        cuts = [0.0, *((a[1] + b[0]) / 2 for a, b in pairwise(strips)), float(width)]
+        found = []
+        for (_, _, own), (left, right) in zip(strips, pairwise(cuts), strict=True):
+            for axes in figure.axes:
+                axes.set_visible(axes in own)
+            found.append(_svg(figure, bbox_inches=Bbox([[left, 0], [right, height]])))
+        return tuple(found)
+
+
+def _columns(figure: "Figure") -> "list[_Strip]":
+    """Left and right end of each column of panels with its labels, inches, and its panels."""
+    figure.draw_without_rendering()
+    found: list[_Strip] = []
+    boxes = [(axes.get_tightbbox(), axes) for axes in figure.axes]
+    ends = [(box.x0 / figure.dpi, box.x1 / figure.dpi, axes) for box, axes in boxes if box]
+    for left, right, axes in sorted(ends, key=lambda end: end[:2]):
+        if found and left < found[-1][1]:
+            start, end, own = found.pop()
+            found.append((start, max(end, right), (*own, axes)))
+        else:
+            found.append((left, right, (axes,)))
+    return found
+
+
+def _strips(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
+    """Neighbouring columns together, in as few strips as the width allows, of like widths."""
+    packed = _packed(columns, widest)
+    for limit in sorted(b[1] - a[0] for a in columns for b in columns if a[0] < b[1]):
+        alike = _packed(columns, limit)
+        if limit <= widest and len(alike) == len(packed):
+            return alike
+    return packed
+
+
+def _packed(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
+    found = columns[:1]
+    for left, right, own in columns[1:]:
+        start, _, others = found[-1]
+        if right - start <= widest:
+            found[-1] = start, right, (*others, *own)
+        else:
+            found.append((left, right, own))
+    return found
+
+
+def _svg(figure: "Figure", **options: Any) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None}, dpi=DOTS_PER_INCH, **options)
     svg = buffer.getvalue()
     svg = _COLOUR.sub(lambda found: _REPLACED[found[0]], svg[svg.index("<svg") :])
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, and pages hold many

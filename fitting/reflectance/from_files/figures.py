@@ -83,8 +83,15 @@ def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> Non
 
 
 def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of the viewer in the plane of incidence, from the normal and positive away from the
-    light, and out of that plane, rad."""
+    """Angles of the viewer in the plane of incidence, and out of it.
+
+    Args:
+        measured: samples, n.
+
+    Returns:
+        (n,) from the normal within the plane, positive away from the light, and (n,) out of the
+        plane, rad.
+    """
     sine = np.sin(measured.elevation)
     along = np.arctan2(-sine * np.cos(measured.azimuth), np.cos(measured.elevation))
     return along, np.arcsin(sine * np.sin(measured.azimuth))

@@ -92,7 +92,7 @@ def comparison_figure(calibration: ReflectanceCalibration) -> Figure:
     """Relative RMS per model and channel, on a logarithmic axis."""
     scores, channels = calibration.scores, calibration.observation.channels
     models = tuple(calibration.fits)
-    figure = Figure(figsize=(6, 1.6 + 0.42 * len(models)), layout="constrained")
+    figure = Figure(figsize=(5.4, 1.6 + 0.42 * len(models)), layout="constrained")
     axis = figure.subplots()
     tested = any(score.predicted_error is not None for score in scores)
     for i, channel in enumerate(channels):

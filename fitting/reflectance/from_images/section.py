@@ -132,11 +132,11 @@ def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
         Picture(
             "lobes",
             "The two terms of the model against their angle",
-            "Left: signal per unit of light, away from the highlight, against n.l: the diffuse "
-            "term is a straight line. Right: what the diffuse term leaves over, against the angle "
-            "to the mirror direction: the highlight. Dots: medians of the fitted lights, bars: "
-            "middle 68 % of the pixels; lines: the fit (medians of it where it does not depend on "
-            "that angle alone).",
+            "Away from the highlight, signal per unit of light against n.l: the diffuse term is a "
+            "straight line. The highlight, which the diffuse term leaves over, against the angle "
+            "to the mirror direction. Dots: medians of the fitted lights, bars: middle 68 % of "
+            "the pixels; lines: the fit (medians of it where it does not depend on that angle "
+            "alone).",
             partial(figures.lobes_figure, calibration),
         ),
         Picture(
