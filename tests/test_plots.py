@@ -71,6 +71,7 @@ def test_a_lobe_peaks_at_the_mirror_direction():
     assert np.degrees(angle[radius.argmax()]) == pytest.approx(45, abs=0.6)
     expected = 0.25 * 42 / (2 * np.pi) * np.maximum(np.cos(angle - np.pi / 4), 0) ** 40
     np.testing.assert_allclose(radius, expected, atol=1e-5)
+    assert [text.get_text() for text in axes.texts] == ["$f_r$ [sr$^{-1}$]"]
     relative = plots.lobe(shiny, shape_only=True).lines[0].get_ydata()
     assert relative.max() == 1
 

@@ -2,7 +2,7 @@
 
 The same light at 60 degrees, reflected by Phong's lobe, by Blinn's of four times the exponent,
 which in this plane is the same, and by GGX facets with Fresnel's law, which shine at grazing
-angles too.
+angles too. Each is drawn over its largest value.
 """
 
 import jax

@@ -127,6 +127,15 @@ def lobe(
     ticks = MaxNLocator(3).tick_values(*axes.get_ylim())
     axes.set_yticks([r for r in ticks if 0 < r <= axes.get_ylim()[1]])
     axes.tick_params(labelsize=8)
+    axes.annotate(  # beside the numbers of the radius, which stand below its other half
+        "over largest" if shape_only else "$f_r$ [sr$^{-1}$]",
+        (np.pi / 2, axes.get_ylim()[1] / 2),
+        (0, -6),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=8,
+    )
     if len(several) > 1 or "" not in several:
         axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.12))
     return axes
