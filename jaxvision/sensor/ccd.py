@@ -171,7 +171,7 @@ def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -
     Returns:
         (..., h, w, bands) electrons^2.
     """
-    return transferred(mean, transfer) + transferred_variance(variance - mean, transfer)
+    return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 
 @takes_numbers

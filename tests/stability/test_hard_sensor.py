@@ -28,7 +28,7 @@ from jaxvision.sensor import (
     raw_image,
     transferred,
 )
-from jaxvision.sensor.ccd import transfer_noise
+from jaxvision.sensor.ccd import counted_variance, transfer_noise
 from jaxvision.sensor.shot_noise import _inverse_poisson
 
 KEY = jax.random.key(3)
@@ -265,7 +265,9 @@ def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
     monkeypatch.setattr("jaxvision.sensor.ccd.gaussian", lambda key, frame, shape, dtype: 1)
     rows, columns, trail, electrons = 4, 3, 2, 1000
     transfer = as_dtype(s.ChargeTransfer(eps, serial_inefficiency=2 * eps, trail=trail), dtype)
-    got = transfer_noise(KEY, jnp.full((rows, columns, 1), electrons, dtype), transfer)[..., 0]
+    packets = jnp.full((rows, columns, 1), electrons, dtype)
+    got = transfer_noise(KEY, packets, transfer)[..., 0]
+    steady = counted_variance(packets, jnp.zeros_like(packets), transfer)[..., 0]
     parallel, serial = (
         Fraction(float(x)) for x in (transfer.inefficiency, transfer.serial_inefficiency)
     )
@@ -279,6 +281,7 @@ def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
             ]
             true = float(sum(electrons * p * (1 - p) for p in shares)) ** 0.5
             np.testing.assert_allclose(got[row, column], true, rtol=32 * jnp.finfo(dtype).eps)
+            np.testing.assert_allclose(steady[row, column], true**2, rtol=64 * jnp.finfo(dtype).eps)
 
 
 @both_precisions
