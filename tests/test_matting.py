@@ -48,6 +48,13 @@ def arrays(*values):
 # ------------------------------------------------ keying
 
 
+def test_a_faint_matte_keeps_its_digits():
+    alpha = jnp.logspace(-6, 0, 7, dtype=jnp.float32)[:, None]
+    colour = jnp.asarray([0.5, 0.25, 1], jnp.float32)
+    got = matting.projected_matte(alpha * colour, colour, jnp.zeros_like(colour))
+    np.testing.assert_allclose(got, alpha, rtol=4e-7)
+
+
 @pytest.mark.slow
 def test_triangulation_is_exact():
     layer = matting.triangulation_matte(*arrays(SEEN, BEHIND, SEEN_2, BEHIND_2))

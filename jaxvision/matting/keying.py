@@ -116,7 +116,7 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
     span = foreground - background
     along = jnp.sum((image - background) * span, axis=-1, keepdims=True)
     length = jnp.sum(span * span, axis=-1, keepdims=True)
-    return _unit(1 - _ratio(length - along, length))
+    return _unit(_ratio(along, length, otherwise=1))
 
 
 @takes_numbers
@@ -205,9 +205,9 @@ def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     return jnp.concatenate([image - (1 - alpha) * behind, alpha], axis=-1)
 
 
-def _ratio(part: Scalars, whole: Scalars) -> Scalars:
-    """part / whole, 0 where `whole` is."""
-    return divide(part, whole, ~(jnp.abs(whole) <= smallest_divisor(whole.dtype)))
+def _ratio(part: Scalars, whole: Scalars, otherwise: int = 0) -> Scalars:
+    """part / whole, `otherwise` where `whole` is 0."""
+    return divide(part, whole, ~(jnp.abs(whole) <= smallest_divisor(whole.dtype)), otherwise)
 
 
 def _unit(x: Scalars) -> Scalars:
