@@ -251,6 +251,27 @@ def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
     np.testing.assert_allclose(angles, angle, atol=0.01)
 
 
+def test_orientation_is_the_lowest_harmonic_of_the_energy():
+    responses = RNG.normal(size=(7, 5, 4))
+    basis = filters.QuadratureBasis(tuple(responses[:3]), tuple(responses[3:]))
+    angles = np.arange(7) * np.pi / 7  # enough for a polynomial of degree 6
+    energy = np.stack([filters.oriented_energy(basis, value(angle)) for angle in angles])
+    harmonic = 2 / 7 * np.tensordot(np.exp(2j * angles), energy, 1)
+    angle, strength = filters.dominant_orientation(basis)
+    np.testing.assert_allclose(
+        np.asarray(strength) * np.exp(2j * np.asarray(angle)), harmonic, atol=1e-13
+    )
+
+
+def test_orientation_beside_a_response_without_any():
+    """By table XI the square of the middle response of G2 has no part in C_2."""
+    none, large, small = (jnp.asarray(x, jnp.float32) for x in (0, 1, 0.01))
+    basis = filters.QuadratureBasis((none, large, none), (none, none, none, small))
+    angle, strength = filters.dominant_orientation(basis)
+    np.testing.assert_allclose(angle, np.pi / 2, rtol=1e-6)
+    np.testing.assert_allclose(strength, 0.46875e-4, rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_orientation_of_nothing():
     basis = filters.quadrature_basis(np.zeros((9, 9, 2)), value(1.0), size=7)

@@ -9,7 +9,6 @@ Responses have the picture's unit per pixel (first order), or its own.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -175,8 +174,8 @@ def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
 def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
     """The angle at which the energy's lowest harmonic, C_2 cos 2 theta + C_3 sin 2 theta, peaks.
 
-    The energy is a trigonometric polynomial of degree 6 in theta with period pi, so that sums over
-    seven angles give C_2 and C_3 without error.
+    C_2 and C_3 are sums of products of the responses, without the part of the energy that all
+    angles share, in which they would lose their digits.
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -187,11 +186,11 @@ def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
 
     Source: Freeman and Adelson 1991, table XI.
     """
-    count = 7
-    angles = jnp.arange(count, dtype=basis.even[0].dtype) * (jnp.pi / count)
-    energy = jax.vmap(lambda angle: oriented_energy(basis, angle))(angles)
-    c2 = 2 / count * jnp.tensordot(jnp.cos(2 * angles), energy, 1)
-    c3 = 2 / count * jnp.tensordot(jnp.sin(2 * angles), energy, 1)
+    a, b, c = basis.even
+    c2, c3 = (a - c) * (a + c) / 2, (a + c) * b
+    a, b, c, d = basis.odd
+    c2 = c2 + 3 / 32 * ((a + c) * (5 * a - 3 * c) + (b + d) * (3 * b - 5 * d))
+    c3 = c3 + 3 / 16 * (a * (5 * b + d) + c * (9 * b + 5 * d))
     square = c2 * c2 + c3 * c3
     flat = square <= 0
     angle = jnp.arctan2(jnp.where(flat, 0, c3), jnp.where(flat, 1, c2)) / 2
