@@ -88,6 +88,31 @@ def test_kernel_is_the_share_of_each_pixel(aperture, radius):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
+@each_aperture
+@pytest.mark.parametrize("radius", [0.03, 42.0])
+def test_kernel_keeps_its_digits(aperture, radius):
+    """Of an opening much smaller than a pixel, or much larger."""
+    size = 2 * int(radius) + 3
+    wide = np.asarray(optics.aperture_kernel(aperture, a(np.float32(radius)), size=size))
+    narrow = jax.tree.map(lambda x: x.astype(jnp.float32), aperture)
+    kernel = np.asarray(optics.aperture_kernel(narrow, jnp.float32(radius), size=size), float)
+    assert (kernel >= 0).all()
+    # the lens's edge is known to half a last digit of its radius
+    whole = 1 / max(1, float(optics.aperture_area(aperture, a(2 * radius))))
+    np.testing.assert_allclose(kernel, wide, atol=max(1, 4 * radius) * 2.5e-7 * whole)
+
+
+@pytest.mark.parametrize("radius", [0.4, 3.3, 12.0])
+def test_slopes_of_a_disc_by_its_radius(radius):
+    def share(r):
+        return optics.aperture_kernel(s.CircularAperture(), r, size=9)
+
+    step = 1e-6
+    got = jax.jacfwd(share)(a(radius))
+    differences = (share(a(radius + step)) - share(a(radius - step))) / (2 * step)
+    np.testing.assert_allclose(got, differences, atol=1e-8)
+
+
 @pytest.mark.slow
 def test_kernel_of_no_blur_is_the_pixel_and_even_sizes_are_refused():
     kernel = optics.aperture_kernel(s.CircularAperture(), a(0.0), size=3)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import arctan2, divide, or_one, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars, check_count
+from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
+from .._types import Scalar, check_count
 from ..scene import (
     AnnularAperture,
     Aperture,
@@ -19,6 +19,7 @@ from ..scene import (
     PolygonalAperture,
     RectangularAperture,
 )
+from .overlap import _segment
 
 
 @takes_numbers
@@ -123,16 +124,16 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
     radius = jnp.asarray(radius)
     # a kernel of a hundredth of a pixel is a point and does not lose digits
     radius = jnp.where(jnp.abs(radius) <= _SMALLEST, _SMALLEST, radius)
-    edges = jnp.asarray(np.arange(size + 1) - size / 2, radius.dtype)
     match aperture:
         case CircularAperture():
-            covered = _disc_in_pixels(edges, jnp.abs(radius))
+            covered = _disc_in_pixels(jnp.abs(radius), size)
         case AnnularAperture():
-            outer = _disc_in_pixels(edges, jnp.abs(radius))
-            covered = outer - _disc_in_pixels(edges, jnp.abs(radius) * aperture.obstruction)
+            outer = _disc_in_pixels(jnp.abs(radius), size)
+            covered = outer - _disc_in_pixels(jnp.abs(radius) * aperture.obstruction, size)
         case PolygonalAperture() | RectangularAperture():
             x, y = aperture_corners(aperture, radius.dtype)
-            covered = _polygon_in_pixels(edges, radius * x, radius * y)
+            starts = jnp.asarray(np.arange(size) - size / 2, radius.dtype)
+            covered = _polygon_in_pixels(starts, radius * x, radius * y)
     total = covered.sum()
     return covered / or_one(total, ~(total <= smallest_divisor(total.dtype)))
 
@@ -167,54 +168,91 @@ def _in_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scal
     )
 
 
-def _disc_in_pixels(edges: Float[Array, " n"], radius: Scalar) -> Float[Array, "m m"]:
-    """Area of a disc about 0 in each pixel between the edges: the second differences of its area in
-    the rectangles between 0 and the corners.
-    """
-    size = jnp.abs(edges)
-    area = _disc_in_rectangle(radius, size[:, None], size[None, :])
-    signed = jnp.sign(edges)[:, None] * jnp.sign(edges)[None, :] * area
-    return jnp.diff(jnp.diff(signed, axis=0), axis=1)
+def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
+    """Area of a disc about 0 in each pixel of a square; one quadrant of it has them all."""
+    away = np.abs(np.arange(size) - size // 2)
+    outer = jnp.asarray(np.arange(size // 2 + 1) + 0.5, radius.dtype)
+    inner = jnp.maximum(outer - 1, 0)
+    in_row = jax.vmap(_disc_in_rectangle, in_axes=(None, 0, 0, None, None))
+    quadrant = jax.vmap(in_row, in_axes=(None, None, None, 0, 0))(
+        radius, inner, outer, inner, outer
+    )
+    halves = np.where(away == 0, 2, 1)  # of a pixel that the axis divides
+    return quadrant[away][:, away] * jnp.asarray(np.outer(halves, halves), radius.dtype)
 
 
-def _disc_in_rectangle(radius: Scalar, width: Scalars, height: Scalars) -> Scalars:
-    """Area of the disc where 0 < x < width and 0 < y < height: two triangles and a sector, or the
-    whole rectangle.
-    """
-    a, b = jnp.minimum(width, radius), jnp.minimum(height, radius)
-    square = radius * radius
-    whole = a * a + b * b <= square
-    beside_a, beside_b = safe_sqrt(square - a * a), safe_sqrt(square - b * b)
-    sector = arctan2(b + 0 * a, beside_b + 0 * a) - arctan2(beside_a + 0 * b, a + 0 * b)
-    return jnp.where(whole, a * b, (a * beside_a + b * beside_b + square * sector) / 2)
+@jax.custom_jvp
+def _disc_in_rectangle(
+    radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
+) -> Scalar:
+    """Area of the disc where left < x < right and low < y < high, all >= 0: what lies left of the
+    arc, what lies below its chord, and the segment beyond the chord, all >= 0."""
+    (start_x, start_y), (end_x, end_y), angle = _arc(radius, left, right, low, high)
+    full = (start_x - left) * (high - low)
+    below = (end_x - start_x) * ((start_y - low) + (end_y - low)) / 2
+    return full + below + radius * radius * _segment(angle / 2)
+
+
+@_disc_in_rectangle.defjvp
+def _disc_in_rectangle_jvp(primals, tangents):
+    """The area grows by the arc in the rectangle, which stays where it is."""
+    radius, *sides = primals
+    _, _, angle = _arc(radius, *sides)
+    return _disc_in_rectangle(*primals), radius * angle * tangents[0]
+
+
+def _arc(
+    radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
+) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar], Scalar]:
+    """Where the circle is highest and where it is lowest in a rectangle, and the angle, rad, that
+    it turns between them."""
+
+    def reach(place: Scalar) -> Scalar:
+        return safe_sqrt((radius - place) * (radius + place))
+
+    above, under = reach(high), reach(low)
+    beside, beyond = (jnp.clip(reach(x), low, high) for x in (left, right))
+    start_x, start_y = jnp.clip(above, left, right), jnp.where(above > left, high, beside)
+    end_x, end_y = jnp.clip(under, left, right), jnp.where(under < right, low, beyond)
+    end_y = jnp.minimum(end_y, start_y)
+    across, down = end_x - start_x, start_y - end_y
+    chord = safe_sqrt(across * across + down * down)
+    angle = 2 * jnp.arcsin(jnp.minimum(divide(chord, 2 * radius), 1))
+    return (start_x, start_y), (end_x, end_y), angle
 
 
 def _polygon_in_pixels(
-    edges: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
-) -> Float[Array, "m m"]:
-    """Area of a polygon in each pixel between the edges.
+    starts: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
+) -> Float[Array, "n n"]:
+    """Area of a polygon in each pixel, which starts there in x and in y and has sides of 1.
 
     Green's theorem: a pixel's share is the integral of x dy around it. Each side of the polygon
     contributes its run in y within the pixel's row times the mean of x in the pixel along that run.
     """
-    start = edges[:-1]
 
     def share(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar, top: Scalar, left: Scalar) -> Scalar:
         run = y1 - y0
         level = jnp.abs(run) <= smallest_divisor(run.dtype)
         slope = divide(x1 - x0, run, ~level)
         enters, leaves = jnp.clip(y0, top, top + 1), jnp.clip(y1, top, top + 1)
-        a, b = x0 + (enters - y0) * slope - left, x0 + (leaves - y0) * slope - left
-        inside = _mean_above(a, b) - _mean_above(a - 1, b - 1)
+        inside = _mean_within(x0 + (enters - y0) * slope, x0 + (leaves - y0) * slope, left)
         return jnp.where(level, 0, (leaves - enters) * inside)
 
     sides = jax.vmap(share, in_axes=(0, 0, 0, 0, None, None))
     pixels = jax.vmap(jax.vmap(sides, in_axes=(None,) * 5 + (0,)), in_axes=(None,) * 4 + (0, None))
-    return pixels(x, y, jnp.roll(x, -1), jnp.roll(y, -1), start, start).sum(-1)
+    return pixels(x, y, jnp.roll(x, -1), jnp.roll(y, -1), starts, starts).sum(-1)
 
 
-def _mean_above(a: Scalar, b: Scalar) -> Scalar:
-    """The mean of max(t, 0) for t from a to b."""
+def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
+    """The mean of x for x from a to b, each x outside [left, left + 1] taken as the nearer end,
+    from the place in [left, left + 1] that is nearest to 0: a small polygon keeps its digits."""
+    right = left + 1
+    origin = jnp.clip(0, left, right)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)
-    crosses = (low < 0) & (high > 0)
-    return divide(high * high, 2 * (high - low), crosses, jnp.maximum(low + high, 0) / 2)
+    enters, leaves = (low < left) & (high > left), (low < right) & (high > right)
+    beyond = jnp.where(leaves, right - low, high - left)
+    corner = divide(beyond * beyond, 2 * (high - low), enters ^ leaves)
+    one_end = jnp.where(leaves, (right - origin) - corner, (left - origin) + corner)
+    both_ends = (left - origin) + divide((high - left) - 0.5, high - low, enters & leaves)
+    inside = jnp.clip((low + high) / 2, left, right) - origin
+    return jnp.where(enters & leaves, both_ends, jnp.where(enters ^ leaves, one_end, inside))
