@@ -51,7 +51,7 @@ def arrays(*values):
 def test_a_faint_matte_keeps_its_digits():
     alpha = jnp.logspace(-6, 0, 7, dtype=jnp.float32)[:, None]
     colour = jnp.asarray([0.5, 0.25, 1], jnp.float32)
-    got = matting.projected_matte(alpha * colour, colour, jnp.zeros_like(colour))
+    got = matting.projected_matte(alpha * colour[None], colour, 0 * colour)
     np.testing.assert_allclose(got, alpha, rtol=4e-7)
 
 
