@@ -105,12 +105,12 @@ def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
 
 
 def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
-    """(fraction of the interval, its derivative by u)."""
-    at = spread.first + u * spread.span
-    position = spread.scale * jnp.sinh(at)
-    return (position - spread.start) / spread.length, spread.scale * spread.span * jnp.cosh(
-        at
-    ) / spread.length
+    """(fraction of the interval, its derivative by u), by sinh(x + 2 h) - sinh(x) = 2 sinh(h)
+    cosh(x + h): a short interval far away keeps its digits."""
+    half = u * spread.span / 2
+    per_length = spread.scale / spread.length
+    fraction = 2 * per_length * jnp.sinh(half) * jnp.cosh(spread.first + half)
+    return fraction, per_length * spread.span * jnp.cosh(spread.first + 2 * half)
 
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:

@@ -28,6 +28,7 @@ from jaxvision.hemisphere_integral import lit_radiance
 from jaxvision.lights import direction_pdf, direction_sample, incident, seen
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
+from jaxvision.lights.window import window_sample
 from jaxvision.shading import outgoing_radiance
 
 # float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.
@@ -175,6 +176,17 @@ def test_awkward_places_are_finite_in_value_and_gradient(dtype, where):
         assert values[0] == 0
     if where[0] == "a hair below":
         np.testing.assert_allclose(values[0], np.pi, rtol=1e-4)
+
+
+def test_places_of_a_window_far_away():
+    """Its places are even in the square, as it is much smaller than its distance."""
+    far = as_dtype(Window([3e3, 5e3, 7e3], [0, 0.25, 0], [0.5, 0, 0]), jnp.float32)
+    u = jnp.asarray([0.3, 0.6], jnp.float32)
+    _, _, solid_angle, place = window_sample(far, jnp.zeros(3, jnp.float32), u)
+    np.testing.assert_allclose(place, u, rtol=1e-4)
+    middle = np.asarray([3e3 + 0.25, 5e3 + 0.125, 7e3])
+    seen_at = 0.125 * middle[2] / np.linalg.norm(middle) ** 3
+    np.testing.assert_allclose(solid_angle, seen_at, rtol=1e-4)
 
 
 @jax.jit
