@@ -149,6 +149,42 @@ def test_overlap_of_discs_against_integration(distance, first, second):
     np.testing.assert_allclose(got, sum(parts), atol=1e-9)
 
 
+SIDES = 0.5, 3.0
+AT = a([1.0, 1.0 + SIDES[0], 1.0 + SIDES[0], 1.0]), a([2.0, 2.0, 2.0 + SIDES[1], 2.0 + SIDES[1]])
+
+
+@pytest.mark.parametrize(
+    ("centre", "radius", "area"),
+    [
+        ((300.3, -400.7), 600.0, SIDES[0] * SIDES[1]),
+        ((-3.0, 9.0), 1.0, 0.0),
+        ((1.25, 3.5), 0.1, np.pi * 0.01),
+        ((1.0 - 0.6, 3.5), 0.75, 0.75**2 * (np.arccos(0.8) - 0.8 * 0.6)),
+    ],
+    ids=["all of the polygon", "nothing", "all of the disc", "a segment"],
+)
+def test_overlap_keeps_its_digits(centre, radius, area):
+    arguments = [jnp.asarray(x, jnp.float32) for x in (*centre, radius, *AT)]
+    got = jax.jit(optics.overlap_of_disc_and_polygon)(*arguments)
+    np.testing.assert_allclose(got, area, rtol=2e-6)
+
+
+@pytest.mark.parametrize("centre", [(1.2, 2.1), (1.4, 3.6), (0.9, 1.0), (-5.0, 1.0)])
+def test_slopes_of_the_overlap(centre):
+    arguments = a(centre[0]), a(centre[1]), a(0.7), *AT
+    overlap = jax.jit(optics.overlap_of_disc_and_polygon)
+    slopes = jax.jit(jax.grad(optics.overlap_of_disc_and_polygon, argnums=range(5)))(*arguments)
+    for i, slope in enumerate(slopes):
+        for place in np.ndindex(slope.shape):
+            step = np.zeros(slope.shape)
+            step[place] = 1e-6
+            ends = [
+                overlap(*arguments[:i], arguments[i] + sign * step, *arguments[i + 1 :])
+                for sign in (1, -1)
+            ]
+            np.testing.assert_allclose(slope[place], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     ("centre", "radius"),

@@ -65,8 +65,8 @@ def overlap_of_disc_and_polygon(
 ) -> Scalar:
     """Area that a disc shares with a polygon.
 
-    Each side gives the signed area that the disc shares with the triangle of its centre and that
-    side: a sector, a triangle over the part within the disc, and a sector.
+    The sides in the disc and the arcs between them bound the area. It is summed in the polygon's
+    coordinates: the digits are those of the corners, however large the disc.
 
     Args:
         right: () m, of the disc's centre.
@@ -81,9 +81,40 @@ def overlap_of_disc_and_polygon(
     x, y = corner_right - right, corner_down - down
     # a disc that holds all corners shares the whole polygon; its square may be out of range
     radius = jnp.minimum(radius, 2 * jnp.maximum(jnp.abs(x), jnp.abs(y)).max())
-    return jax.vmap(_side, in_axes=(None, 0, 0, 0, 0))(
-        radius, x, y, jnp.roll(x, -1), jnp.roll(y, -1)
-    ).sum()
+    return _overlap_with_polygon(right, down, radius, corner_right, corner_down)
+
+
+@jax.custom_jvp
+def _overlap_with_polygon(
+    right: Scalar, down: Scalar, radius: Scalar, x: Scalars, y: Scalars
+) -> Scalar:
+    area, arcs, enters, leaves = _sides(right, down, radius, x, y)
+    # no side in the disc: the polygon turns about all of it, or does not
+    apart = jnp.pi * radius * radius * jnp.round(arcs.sum() / (2 * jnp.pi))
+    return jnp.where((leaves > enters).any(), area.sum(), apart)
+
+
+@_overlap_with_polygon.defjvp
+def _overlap_with_polygon_jvp(primals, tangents):
+    """The area gains each arc with the radius, and with its corners what the chords sweep: those
+    move as their corners do, each by its distance from the other, and against the disc."""
+    radius, x, y = primals[2:]
+    to_right, to_down, wider, x_by, y_by = tangents
+    _, arcs, enters, leaves = _sides(*primals)
+    of_next = (leaves * leaves - enters * enters) / 2
+    of_own = (leaves - enters) - of_next
+    chord_x, chord_y = (
+        of_own * move + of_next * jnp.roll(move, -1) for move in (x_by - to_right, y_by - to_down)
+    )
+    swept = chord_x * (jnp.roll(y, -1) - y) - chord_y * (jnp.roll(x, -1) - x)
+    return _overlap_with_polygon(*primals), radius * arcs.sum() * wider + swept.sum()
+
+
+def _sides(
+    right: Scalar, down: Scalar, radius: Scalar, x: Scalars, y: Scalars
+) -> tuple[Scalars, Scalars, Scalars, Scalars]:
+    sides = jax.vmap(_side, in_axes=(None, None, None, 0, 0, 0, 0))
+    return sides(right, down, radius, x, y, jnp.roll(x, -1), jnp.roll(y, -1))
 
 
 def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
@@ -112,19 +143,56 @@ def _segment(alpha: Scalars) -> Scalars:
     return jnp.where(small, t * square / 6 * series, t - jnp.sin(t)) / 2
 
 
-def _side(radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
+def _side(
+    right: Scalar, down: Scalar, radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """(area, angle of the arcs, where it enters and leaves the disc in [0, 1]) of one side.
+
+    Its part outside the disc is drawn in to the rim. The area is that of the triangles of the
+    origin with its part inside and with the chords of the arcs, and of the segments beyond these.
+    """
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y
     some = ~(square <= smallest_divisor(square.dtype) ** 2)
     scale = or_one(square, some)
-    nearest = -(x0 * along_x + y0 * along_y) / scale
-    beside = (x0 * along_y - y0 * along_x) / scale
-    half = safe_sqrt(radius * radius / scale - beside * beside)
+    from_x, from_y = x0 - right, y0 - down
+    nearest = -(from_x * along_x + from_y * along_y) / scale
+    beside = (from_x * along_y - from_y * along_x) / scale
+    half = jnp.where(some, safe_sqrt(radius * radius / scale - beside * beside), 0)
     enters, leaves = jnp.clip(nearest - half, 0, 1), jnp.clip(nearest + half, 0, 1)
-    ax, ay = x0 + enters * along_x, y0 + enters * along_y
-    bx, by = x0 + leaves * along_x, y0 + leaves * along_y
-    arcs = _turn(x0, y0, ax, ay) + _turn(bx, by, x1, y1)
-    return jnp.where(some, (radius * radius * arcs + ax * by - ay * bx) / 2, 0)
+
+    def drawn_in(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+        away_x, away_y = x - right, y - down
+        square = away_x * away_x + away_y * away_y
+        outside = square > radius * radius
+        shrunk = radius * jax.lax.rsqrt(or_one(square, outside))
+        return (
+            jnp.where(outside, right + away_x * shrunk, x),
+            jnp.where(outside, down + away_y * shrunk, y),
+        )
+
+    places = (
+        drawn_in(x0, y0),
+        drawn_in(x0 + enters * along_x, y0 + enters * along_y),
+        drawn_in(x0 + leaves * along_x, y0 + leaves * along_y),
+        drawn_in(x1, y1),
+    )
+    start, first, last, end = places
+    twice = (
+        _twice_triangle(start, first) + _twice_triangle(first, last) + _twice_triangle(last, end)
+    )
+    arcs = (
+        _turn(start[0] - right, start[1] - down, first[0] - right, first[1] - down),
+        _turn(last[0] - right, last[1] - down, end[0] - right, end[1] - down),
+    )
+    segments = sum(jnp.where(arc < 0, -1, 1) * _segment(jnp.abs(arc) / 2) for arc in arcs)
+    area = twice / 2 + radius * radius * segments
+    return jnp.where(some, area, 0), jnp.where(some, sum(arcs), 0), enters, leaves
+
+
+def _twice_triangle(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> Scalar:
+    """Twice the signed area of the triangle of two points and the origin."""
+    return a[0] * (b[1] - a[1]) - a[1] * (b[0] - a[0])
 
 
 def _turn(x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar) -> Scalar:
