@@ -48,6 +48,9 @@ class Vec(Shown):
     def __mul__(self, scale: Scalars) -> "Vec":
         return Vec(self.x * scale, self.y * scale, self.z * scale)
 
+    def __truediv__(self, divisor: Scalars) -> "Vec":
+        return Vec(self.x / divisor, self.y / divisor, self.z / divisor)
+
     def __neg__(self) -> "Vec":
         return Vec(-self.x, -self.y, -self.z)
 

@@ -19,6 +19,12 @@ def test_a_vector_is_taken_apart_and_put_together():
     np.testing.assert_array_equal(as_array(Vec(*v)), as_array(v))
 
 
+def test_a_vector_over_a_number():
+    v = Vec(*jnp.arange(6.0).reshape(3, 2))
+    for divisor in (4.0, jnp.array([2.0, 0.5])):
+        np.testing.assert_array_equal(as_array(v / divisor), as_array(v * (1 / divisor)))
+
+
 def test_zeros_are_printed_without_a_sign():
     """Duff's formula leaves some negative zeros."""
     frame = hs.local_frame(jnp.array([0.0, 0.0, 1.0]))
