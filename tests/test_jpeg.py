@@ -34,6 +34,14 @@ def levels(picture):
     return np.round(codes).astype(int)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_passes_through_float32(compressed, dtype):
+    picture = relative(RNG.integers(0, 256, (9, 7, 3))).astype(dtype)
+    got, wide = (compressed(x, 90.0) for x in (picture, picture.astype(jnp.float32)))
+    assert got.dtype == dtype
+    np.testing.assert_array_equal(got, wide.astype(dtype))
+
+
 @pytest.fixture(scope="module")
 def compressed():
     """`jpeg`, compiled once for each shape and subsampling."""

@@ -112,7 +112,8 @@ def jpeg(
     """The picture as it comes back from a JPEG file.
 
     Args:
-        picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative.
+        picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative; half precision passes through
+            float32.
         quality: () no unit, cut to [1, 100].
         subsampling: "4:4:4" keeps the chroma; "4:2:0" halves it both ways (it is upsampled by
             libjpeg's triangle filter).
@@ -139,6 +140,8 @@ def jpeg(
         )
     check_choice("subsampling", subsampling, SUBSAMPLINGS)
     whole = _is_whole(rounding)
+    dtype = picture.dtype
+    picture = picture.astype(jnp.promote_types(dtype, jnp.float32))
     luma_table, chroma_table = (
         table.astype(picture.dtype) for table in quantisation_tables(quality, rounding=rounding)
     )
@@ -155,7 +158,7 @@ def jpeg(
 
     for _ in range(picture.ndim - 3):
         of_image = jax.vmap(of_image)
-    return of_image(picture)
+    return of_image(picture).astype(dtype)
 
 
 # ---------------------------------------------------------------- whole numbers
