@@ -141,7 +141,8 @@ def jpeg(
     check_choice("subsampling", subsampling, SUBSAMPLINGS)
     whole = _is_whole(rounding)
     dtype = picture.dtype
-    picture = picture.astype(jnp.promote_types(dtype, jnp.float32))
+    if dtype.itemsize < 4:
+        picture = picture.astype(jnp.float32)
     luma_table, chroma_table = (
         table.astype(picture.dtype) for table in quantisation_tables(quality, rounding=rounding)
     )
