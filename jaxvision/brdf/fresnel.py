@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from .._arguments import takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._shown import Shown
-from .._types import AMOUNT, Colour, Range, Scalar, as_float, check_fields
+from .._types import AMOUNT, Colour, Range, Scalar, as_float, check_fields, check_range
 
 
 class Dielectric(Shown):
@@ -114,8 +114,13 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     Returns:
         The reflectance, (bands,), no unit; 1 where g^2 <= 0 (total reflection).
 
+    Raises:
+        ValueError: for a known cosine outside [-1, 1], or an index that is not above 0.
+
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
     """
+    _check_cosine("fresnel_dielectric", cos_theta)
+    check_range("fresnel_dielectric: eta", eta, 0, above=True, finite=False, nan=True)
     c, eta = jnp.clip(cos_theta, 0, 1), _index(eta)
     square, contrast = eta * eta, (eta - 1) * (eta + 1)
     g_squared = contrast + c * c
@@ -130,6 +135,11 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     # the part that passes has the digits where little does: 1 - r_s^2 = 4 c g / (c + g)^2
     passed = 2 * ((c / s_sum) * (g / s_sum) + (square * c / p_sum) * (g / p_sum))
     return jnp.where(passes, jnp.where(reflected < 0.5, reflected, 1 - passed), 1)
+
+
+def _check_cosine(name: str, cos_theta: Scalar) -> None:
+    """`ValueError` for a known number that no rounding makes a cosine."""
+    check_range(f"{name}: cos_theta", cos_theta, -1.001, 1.001, nan=True)
 
 
 def _index(x: Colour) -> Colour:
@@ -152,8 +162,14 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     Returns:
         The reflectance, (bands,), no unit.
 
+    Raises:
+        ValueError: for a known cosine outside [-1, 1], or a negative part of the index.
+
     Source: Born & Wolf, Principles of Optics, section 14.2.
     """
+    _check_cosine("fresnel_conductor", cos_theta)
+    check_range("fresnel_conductor: eta", eta, 0, finite=False, nan=True)
+    check_range("fresnel_conductor: k", k, 0, finite=False, nan=True)
     c, eta, k = jnp.clip(cos_theta, 0, 1), _index(eta), _index(k)
     s_squared = (1 - c) * (1 + c)
     contrast, half_imaginary = (eta - 1) * (eta + 1) - k * k, eta * k

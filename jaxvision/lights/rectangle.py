@@ -6,11 +6,12 @@ irradiance; here is what any BRDF needs, sample by sample.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import dot, reciprocal
-from .._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields
+from .._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields, is_known
 from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light, Quad
@@ -51,6 +52,19 @@ class RectangleLight(Light):
         check_fields(self, radiance=AMOUNT)
         check_direction("RectangleLight.edge_u", self.edge_u)
         check_direction("RectangleLight.edge_v", self.edge_v)
+        _check_not_parallel(self.edge_u, self.edge_v)
+
+
+_FLAT = 1e-9  # sine of the angle between edges that are called parallel
+
+
+def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> None:
+    """`ValueError` for edges that are known and lie on a line: they have no area to shine."""
+    if not (is_known(one) and is_known(other)):
+        return
+    u, v = (np.asarray(x, float) / np.linalg.norm(np.asarray(x, float)) for x in (one, other))
+    if np.linalg.norm(np.cross(u, v)) < _FLAT:
+        raise ValueError("RectangleLight.edge_u and edge_v are parallel: it has no area.")
 
 
 def window_of(light: RectangleLight) -> Window:

@@ -37,10 +37,11 @@ def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Sc
     """
     first, second = _half_angles(distance, first_radius, second_radius)
     smaller = jnp.minimum(first_radius, second_radius)
+    larger = jnp.maximum(first_radius, second_radius)
     segments = first_radius * first_radius * _segment(first) + (
         second_radius * second_radius * _segment(second)
     )
-    inside = distance <= jnp.abs(first_radius - second_radius)
+    inside = distance - larger <= -smaller
     return jnp.where(inside, jnp.pi * smaller * smaller, segments)
 
 
@@ -121,9 +122,14 @@ def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars
     """Half the angle of each circle's arc that lies in the other disc: pi and 0 where one disc
     contains the other, pi / 2 where they coincide.
     """
-    # twice the semi-perimeter, and twice it less each side; negative values form no triangle
-    whole, beyond = r1 + r2 + d, jnp.maximum((r1 + r2) - d, 0)
-    less_first, less_second = jnp.maximum(d - (r1 - r2), 0), jnp.maximum(d + (r1 - r2), 0)
+    # twice the semi-perimeter, and twice it less each side; negative values form no triangle. The
+    # distance from the larger rim keeps its digits where the smaller disc lies on it.
+    larger, smaller = jnp.maximum(r1, r2), jnp.minimum(r1, r2)
+    gap = d - larger
+    whole, beyond = larger + smaller + d, jnp.maximum(smaller - gap, 0)
+    less_larger, less_smaller = jnp.maximum(gap + smaller, 0), jnp.maximum(d + larger - smaller, 0)
+    less_first = jnp.where(r1 >= r2, less_larger, less_smaller)
+    less_second = jnp.where(r1 >= r2, less_smaller, less_larger)
     same = (less_first == 0) & (less_second == 0)
     less_first, less_second = jnp.where(same, 1, less_first), jnp.where(same, 1, less_second)
     first = 2 * arctan2(safe_sqrt(beyond * less_first), safe_sqrt(whole * less_second))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
-from .._types import Scalar, Scalars
+from .._types import Scalar, Scalars, is_known
 from ..scene import Sensor
 from ._clipped_gaussian import (
     in_narrow_window,
@@ -185,12 +185,17 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         Mean and variance (...) after clipping, in the same units. Where the variance is 0, the
         clipped mean and variance 0.
 
+    Raises:
+        ValueError: for a known low end above a known high one.
+
     Example:
         >>> gaussian = jv.Moments(jnp.array(0.0), jnp.array(1.0))
         >>> half = jv.sensor.censored(gaussian, low=jnp.array(0.0))
         >>> round(float(half.mean), 6)  # 1 / sqrt(2 pi)
         0.398942
     """
+    if low is not None and high is not None and is_known(low) and is_known(high) and low > high:
+        raise ValueError(f"censored: low must not be above high, got {low} and {high}.")
     mean, variance = moments
     noisy = ~(variance <= 0)
     sigma = jnp.sqrt(jnp.where(noisy, variance, 1))

@@ -113,6 +113,9 @@ took three times and five, and left 6.5 and 2.3 units.
 - `normal_distribution` of GGX: the square of a sum of squares of quotients.
 - `parallel_rectangles` in float32: three terms of one size. Two of them are differences of angles,
   by a series where these are small.
+- `angle_between`, `angle_over_sine`, `hidden_cosine` and `visibility`: arcs, or roots, of quotients
+  of sums of squares: five roundings.
+- `perpendicular_rectangles`: as `parallel_rectangles`.
 - `log_curve`: XLA's logarithm of 1 + x is 2.5 units off about x = 0.4, and there are two.
 - `depth_of_field`: seven roundings.
 - `scaled_to_key`: the exponential of a mean of logarithms.

@@ -180,6 +180,20 @@ def test_overlap_of_touching_discs(dtype):
 
 
 @both_precisions
+@pytest.mark.parametrize("small", [1e-2, 1e-5, 1e-10])
+def test_a_small_disc_on_the_rim_of_a_large_one(small, dtype):
+    """From the rim, by parts of the small radius: the digits of what it shares are its own."""
+    one, radius = jnp.asarray(1.0, dtype), jnp.asarray(small, dtype)
+    for part in (-2, -0.9, -0.5, 0, 0.3, 0.8):
+        distance = one + jnp.asarray(part, dtype) * radius
+        expected = exact_overlap(distance, one, radius)
+        if expected > 0:
+            for pair in ((one, radius), (radius, one)):
+                got = optics.overlap_of_discs(distance, *pair)
+                assert exact.ulps(got, expected) <= 16, part
+
+
+@both_precisions
 def test_polygon_overlap_at_its_edges(dtype):
     """Corners on the circle, a side through the centre, no disc, no polygon."""
     x, y = (jnp.asarray(v, dtype) for v in ([1.0, 0, -1, 0], [0.0, 1, 0, -1]))
