@@ -164,7 +164,7 @@ def _of_hint(name: str, hint: Any) -> _Wanted | None:
         is_picture=is_picture,
         is_exact=is_vector or not (many or is_picture),
         may_be_absent=type(None) in get_args(hint),
-        is_direction=getattr(hint, "__name__", "") == "Direction",
+        is_direction=getattr(hint, "__name__", "") in ("Direction", "Directions"),
         is_wavelength=name == "wavelength",
         keeps_integers=not floating or is_picture,
         keeps_numbers=bool(numbers),
@@ -204,6 +204,18 @@ def _as_array(
     return array if given or whole else array.astype(dtype)
 
 
+def check_unit(name: str, vectors: Array | np.ndarray) -> None:
+    """`ValueError` for known vectors, (..., 3), that are neither of length 1 nor 0."""
+    lengths = np.linalg.norm(np.asarray(vectors, np.float64), axis=-1)
+    rounding = 4 * float(jnp.finfo(vectors.dtype).eps)
+    wrong = (lengths != 0) & (np.abs(lengths - 1) > max(UNIT_WITHIN, rounding))
+    if wrong.any():
+        raise ValueError(
+            f"{name} must be a unit vector, got one of length {lengths[wrong].flat[0]:.6g}; "
+            "divide it by its length (jaxvision.normalize)."
+        )
+
+
 def _check(
     function: Callable[..., Any], name: str, value: Array | np.ndarray, want: _Wanted
 ) -> None:
@@ -215,13 +227,7 @@ def _check(
         advice = "; for many at once take jax.vmap of the function" if several else ""
         check_shape(_place(function, name), value, *want.shapes, advice=advice)
     if want.is_direction and is_known(value):
-        length = float(np.linalg.norm(np.asarray(value, np.float64)))
-        rounding = 4 * float(jnp.finfo(value.dtype).eps)
-        if length != 0 and abs(length - 1) > max(UNIT_WITHIN, rounding):
-            raise ValueError(
-                f"{_place(function, name)} must be a unit vector, got one of length {length:.6g}; "
-                "divide it by its length (jaxvision.normalize)."
-            )
+        check_unit(_place(function, name), value)
     if want.is_wavelength and is_known(value):
         require_metres(_place(function, name), np.asarray(value))
 

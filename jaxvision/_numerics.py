@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._arguments import takes_numbers
 from ._types import Scalars
-from ._vector import Vec, Vec3, as_vec, scaled
+from ._vector import Directions, Vec, Vec3, as_vec, scaled
 
 Tree = TypeVar("Tree")
 
@@ -318,7 +318,7 @@ def _sine_cosine_jvp(primals, tangents):
 
 
 @takes_numbers
-def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
+def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Angle between unit vectors, with full relative accuracy near 0 and pi.
 
     2 atan2(|u - v|, |u + v|), where arccos of the inner product loses all digits.
@@ -345,7 +345,7 @@ def angle_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
 
 
 @takes_numbers
-def log_cos_between(u: Vec3, v: Vec3) -> Float[Array, "..."]:
+def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Logarithm of the cosine between unit vectors, accurate at small angles and near right angles.
 
     cos = 1 - |u - v|^2 / 2 below 60 degrees: the chord keeps the digits that the inner product

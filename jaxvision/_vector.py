@@ -64,7 +64,8 @@ class Vec(Shown):
 Vec3 = Float[Array, "... 3"] | Vec
 Vector = Float[Array, "3"] | Vec
 Direction = Float[Array, "3"] | Vec  # a unit vector
-print_by_name(globals(), "Vec3", "Vector", "Direction")
+Directions = Float[Array, "... 3"] | Vec  # unit vectors
+print_by_name(globals(), "Vec3", "Vector", "Direction", "Directions")
 
 
 @takes_numbers

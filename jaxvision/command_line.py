@@ -23,6 +23,7 @@ from .programs import kept_in
 
 UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
+_SIDE_BY_SIDE = 4  # records of a table
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
     list[str] | None,
@@ -216,7 +217,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
 
 
 def print_table(title: str, records: Sequence[Any]) -> None:
-    """Prints dataclasses of one kind as a table, a row each.
+    """Prints dataclasses of one kind as tables: a row a field, a column a record, as many side by
+    side as fit 80 columns.
 
     Args:
         title: above it.
@@ -225,14 +227,22 @@ def print_table(title: str, records: Sequence[Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for name in asdict(records[0]):
-        table.add_column(name.replace("_", " "), justify="left" if name == "name" else "right")
-    for record in records:
-        cells = asdict(record).values()
-        table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells))
     width = None if sys.stdout.isatty() else PLAIN_WIDTH
-    Console(width=width, highlight=False).print(table)
+    console = Console(width=width, highlight=False)
+    for first in range(0, len(records), _SIDE_BY_SIDE):
+        shown = [asdict(record) for record in records[first : first + _SIDE_BY_SIDE]]
+        table = Table(title=title if first == 0 else None, title_justify="left", title_style="bold")
+        table.add_column("")
+        for record in shown:
+            table.add_column(record["name"], justify="right", no_wrap=True)
+        for field in shown[0]:
+            if field != "name":
+                cells = (record[field] for record in shown)
+                table.add_row(
+                    field.replace("_", " "),
+                    *(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells),
+                )
+        console.print(table)
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:

@@ -26,9 +26,8 @@ def view():
     return jv.Pinhole([0, 0, 5], down, 1.0, 0.2, resolution=(6, 5))
 
 
-def paths(scene, view, strategy="balance", samples=6):
-    method = jv.Paths(samples, 3, strategy=strategy)
-    return jv.path_traced(KEY, scene, view, method=method)
+def paths(scene, view):
+    return jv.path_traced(KEY, scene, view, method=jv.Paths(6, 2))
 
 
 def one_path(scene, view):
@@ -64,10 +63,13 @@ def filtered(scene, view):
     return [filters.correlate(picture, kernel) for kernel in kernels]
 
 
-LONG = [pytest.param(f, marks=pytest.mark.slow) for f in (one_path, slope, from_the_lights)]
+LONG = [
+    pytest.param(f, marks=pytest.mark.slow)
+    for f in (one_path, slope, whole_and_trees, from_the_lights)
+]
 
 
-@pytest.mark.parametrize("compute", [paths, whole_and_trees, filtered, *LONG])
+@pytest.mark.parametrize("compute", [paths, filtered, *LONG])
 def test_an_accelerator_finds_the_same(compute, monkeypatch):
     jax.clear_caches()
     given = scene(), view()

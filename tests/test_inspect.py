@@ -160,6 +160,7 @@ def test_the_command_prints_a_table_and_draws(picture, tmp_path):
     assert status == 0
     assert "20 × 30 × 3, uint8" in stdout
     assert all(word in stdout for word in ("red", "saturated", "figure.png"))
+    assert all(len(line) <= 80 for line in stdout.splitlines() if "figure" not in line)
     assert (tmp_path / "new" / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -9,10 +9,10 @@ grazing angles too; at an angle of 90 degrees every interface reflects all.
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
+from .._arguments import in_range, takes_numbers
 from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
 from .._shown import Shown
-from .._types import AMOUNT, Colour, Range, Scalar, as_float, check_fields, check_range
+from .._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, check_fields
 
 
 class Dielectric(Shown):
@@ -76,6 +76,8 @@ class Schlick(Shown):
 
 Interface = Dielectric | Conductor | Schlick
 
+_COSINE = Range(-1.001, 1.001, nan=True)  # with its rounding
+
 
 @takes_numbers
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
@@ -98,6 +100,7 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 
 
 @takes_numbers
+@in_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     """Reflectance of a clear interface, (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
 
@@ -119,8 +122,6 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
     """
-    _check_cosine("fresnel_dielectric", cos_theta)
-    check_range("fresnel_dielectric: eta", eta, 0, above=True, finite=False, nan=True)
     c, eta = jnp.clip(cos_theta, 0, 1), _index(eta)
     square, contrast = eta * eta, (eta - 1) * (eta + 1)
     g_squared = contrast + c * c
@@ -137,17 +138,13 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     return jnp.where(passes, jnp.where(reflected < 0.5, reflected, 1 - passed), 1)
 
 
-def _check_cosine(name: str, cos_theta: Scalar) -> None:
-    """`ValueError` for a known number that no rounding makes a cosine."""
-    check_range(f"{name}: cos_theta", cos_theta, -1.001, 1.001, nan=True)
-
-
 def _index(x: Colour) -> Colour:
     """An index, or a part of one, at most as large as its fourth power can be held; no unit."""
     return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
 @takes_numbers
+@in_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     """Reflectance of a metal, (R_s + R_p) / 2, with (a + i b)^2 = (eta + i k)^2 - sin^2 and
 
@@ -167,9 +164,6 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 
     Source: Born & Wolf, Principles of Optics, section 14.2.
     """
-    _check_cosine("fresnel_conductor", cos_theta)
-    check_range("fresnel_conductor: eta", eta, 0, finite=False, nan=True)
-    check_range("fresnel_conductor: k", k, 0, finite=False, nan=True)
     c, eta, k = jnp.clip(cos_theta, 0, 1), _index(eta), _index(k)
     s_squared = (1 - c) * (1 + c)
     contrast, half_imaginary = (eta - 1) * (eta + 1) - k * k, eta * k
@@ -197,6 +191,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 
 
 @takes_numbers
+@in_range(cos_theta=_COSINE)
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
     """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5.
 
@@ -206,6 +201,9 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
 
     Returns:
         The reflectance, (bands,), no unit.
+
+    Raises:
+        ValueError: for a known cosine outside [-1, 1].
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
     """

@@ -6,14 +6,15 @@ Lengths are metres, directions unit vectors.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
-from .._arguments import takes_numbers
+from .._arguments import check_unit, takes_numbers
 from .._numerics import angle_between as angle_between
 from .._numerics import dot
 from .._numerics import log_cos_between as log_cos_between
 from .._shown import Shown
-from .._types import Scalar
+from .._types import Scalar, is_known
 from .._vector import Direction, Vec, Vec3, Vector, as_vec, scaled
 from ._size import largest_component, offset_length
 
@@ -33,6 +34,10 @@ class Ray(Shown):
 
     origin: Vec = eqx.field(converter=as_vec)
     direction: Vec = eqx.field(converter=as_vec)
+
+    def __check_init__(self) -> None:
+        if all(map(is_known, jax.tree.leaves(self.direction))):
+            check_unit("Ray.direction", np.stack(np.broadcast_arrays(*self.direction), axis=-1))
 
 
 class Encounter(Shown):
