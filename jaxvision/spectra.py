@@ -287,7 +287,8 @@ def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
     missing = missing + share + difference_of_products(per_wave, odds, value, one) / or_one(value)
     # where a number is so small that its lower half is not held, rounding is unknown
     known = (per_wave > float(jnp.finfo(x.dtype).tiny) * 2.0**48) & jnp.isfinite(missing)
-    return (value + jnp.where(known, value * missing, 0)) * scale * further
+    radiance = (value + jnp.where(known, value * missing, 0)) * scale * further
+    return jnp.where(left == 0, 0, radiance)  # also where the power of a short wave is infinite
 
 
 @_planck.defjvp

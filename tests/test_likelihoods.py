@@ -396,3 +396,15 @@ def test_the_slope_of_a_clipped_pixel_holds_in_the_far_tail(dtype):
             x = mp.mpf(x)
             true = mp.npdf(x) / mp.ncdf(x) if x > -1e5 else -x
             assert abs(slope / true - 1) < 64 * float(jnp.finfo(dtype).eps), x
+
+
+@pytest.mark.parametrize("beyond", [5.0, 11.9, 12.1, 20.0, 40.0])
+@pytest.mark.parametrize("chance", [0.01, 0.5, 0.99])
+def test_deviates_of_clipped_data_far_from_the_prediction(beyond, chance):
+    """Below them lies `chance` of what lies below the end, however little that is."""
+    ends = Censored(jnp.array(1.0), jnp.array(0.0), jnp.array(1.0))
+    low = ends.residuals(jnp.array(beyond), jnp.array(0.0), jnp.array(chance))
+    high = ends.residuals(jnp.array(1 - beyond), jnp.array(1.0), jnp.array(chance))
+    assert float(low) == pytest.approx(-float(high), rel=1e-12)
+    share = mp.ncdf(mp.mpf(float(low))) / mp.ncdf(mp.mpf(-beyond))
+    assert float(share) == pytest.approx(chance, rel=3e-4)

@@ -204,6 +204,9 @@ class StudentT(eqx.Module):
         return jnp.clip(prediction + self.scale * noise, self.low, self.high)
 
 
+_FAR = -12.0  # deviations; beyond, float32 and then float64 lose the normal distribution's tail
+
+
 class Censored(eqx.Module):
     """A Gaussian signal that saturates: a datum at an end says only that the signal lies beyond.
 
@@ -250,16 +253,28 @@ class Censored(eqx.Module):
         data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))
         z = (data - prediction) / sd
         if self.low is not None:
-            share = chance * special.ndtr((xp.asarray(self.low) - prediction) / sd)
-            z = xp.where(data <= self.low, special.ndtri(share), z)
+            beyond = _deviate_below((xp.asarray(self.low) - prediction) / sd, chance)
+            z = xp.where(data <= self.low, beyond, z)
         if self.high is not None:
-            share = chance * special.ndtr((prediction - xp.asarray(self.high)) / sd)
-            z = xp.where(data >= self.high, -special.ndtri(share), z)
+            beyond = _deviate_below((prediction - xp.asarray(self.high)) / sd, chance)
+            z = xp.where(data >= self.high, -beyond, z)
         return z
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, clipped."""
         return jnp.clip(Gaussian(self.sd).draw(key, prediction), self.low, self.high)
+
+
+def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
+    """The normal deviate below which lies `chance` of what lies below `end`, deviations."""
+    xp, special = numerics(end, chance)
+    far = end < _FAR
+    above = xp.where(far, -end, 1)
+    square = above * above - 2 * xp.log(chance)
+    beyond = xp.sqrt(square)
+    for _ in range(2):  # ln of the tail beyond z is -z^2 / 2 - ln z and a constant, nearly
+        beyond = xp.sqrt(square - 2 * xp.log(beyond / above))
+    return xp.where(far, -beyond, special.ndtri(chance * special.ndtr(end)))
 
 
 class Clustered(eqx.Module):

@@ -46,7 +46,8 @@ class Binning(NamedTuple):
 
 
 def as_stack(image: Pixels) -> Stack:
-    """An image as (n, h, w, bands); `ValueError` for a wrong rank, no pixels or another dtype."""
+    """An image as (n, h, w, bands), half precision in float32, which holds the counts; `ValueError`
+    for a wrong rank, no pixels or another dtype."""
     pixels = jnp.asarray(image)
     if pixels.ndim < 2 or 0 in pixels.shape:
         raise ValueError(
@@ -54,6 +55,8 @@ def as_stack(image: Pixels) -> Stack:
         )
     if pixels.dtype not in LEVELS and not jnp.issubdtype(pixels.dtype, jnp.floating):
         raise ValueError(f"an image is uint8, uint16 or floating, got {pixels.dtype}.")
+    if pixels.dtype not in LEVELS and pixels.dtype.itemsize < 4:
+        pixels = pixels.astype(jnp.float32)
     if pixels.ndim == 2:
         return pixels[None, :, :, None]
     return pixels.reshape(-1, *pixels.shape[-3:])
