@@ -33,6 +33,15 @@ GROUPS = {  # of the reference's front page; what no group names is machinery
     "Fitting": "fitting",
     "Machinery": "",
 }
+GALLERY = {  # the gallery's scripts by topic, in the order of the page
+    "Light and surfaces": "ball lobes sky black_bodies separation gradient",
+    "Shadows and global illumination": "soft_shadow cornell_box radiosity glass_and_mirror",
+    "Cameras and lenses": "defocus apertures vignetting shift_variant diffraction rolling_shutter",
+    "Sensors and files": "noise photon_transfer blooming demosaicing jpeg",
+    "Points and filters": "tone equalisation smoothing orientation borders",
+    "Compositing": "blue_screen pyramid_blend",
+    "Fitting and results": "own_fit results",
+}
 
 
 def public_modules(package):
@@ -162,23 +171,30 @@ def notebook_pages(folder):
 
 def gallery_pages(folder):
     """A page for each script of the gallery, its picture above its code, and one of them all."""
-    cards = []
-    for script in sorted(folder.glob("*.py")):
-        title, text = ast.get_docstring(ast.parse(script.read_text())).split("\n\n", 1)
-        page = f"# {title}\n\n{text}\n\n"
-        page += f"```{{image}} {script.stem}.png\n:alt: {title}\n:class: dark-light\n```\n\n"
-        page += f"```{{literalinclude}} {script.name}\n:lines: {after_docstring(script)}-\n```\n"
-        write(folder / f"{script.stem}.md", page)
-        cards.append(
-            f":::{{grid-item-card}} {title}\n:link: gallery/{script.stem}\n:link-type: doc\n"
-            f":img-top: gallery/{script.stem}.png\n:img-alt: {title}\n:::\n"
+    order = [name for names in GALLERY.values() for name in names.split()]
+    assert sorted(order) == sorted(script.stem for script in folder.glob("*.py"))
+    text = f"# Gallery\n\n{len(order)} pictures, each with the script that drew it.\n\n"
+    for topic, names in GALLERY.items():
+        cards = [gallery_page(folder / f"{name}.py") for name in names.split()]
+        text += (
+            f"## {topic}\n\n::::{{grid}} 1 2 3 4\n:gutter: 3\n\n" + "\n".join(cards) + "::::\n\n"
         )
-    text = (
-        f"# Gallery\n\n{len(cards)} pictures, each with the script that drew it.\n\n"
-        "::::{grid} 1 2 3 4\n:gutter: 3\n\n" + "\n".join(cards) + "::::\n\n"
-        "```{toctree}\n:hidden:\n:glob:\n\ngallery/*\n```\n"
-    )
+    listed = "\n".join(f"gallery/{name}" for name in order)
+    text += f"```{{toctree}}\n:hidden:\n\n{listed}\n```\n"
     write(folder.parent / "gallery.md", text)
+
+
+def gallery_page(script):
+    """Writes the page of one script; returns its card on the gallery's front page."""
+    title, text = ast.get_docstring(ast.parse(script.read_text())).split("\n\n", 1)
+    page = f"# {title}\n\n{text}\n\n"
+    page += f"```{{image}} {script.stem}.png\n:alt: {title}\n:class: dark-light\n```\n\n"
+    page += f"```{{literalinclude}} {script.name}\n:lines: {after_docstring(script)}-\n```\n"
+    write(script.with_suffix(".md"), page)
+    return (
+        f":::{{grid-item-card}} {title}\n:link: gallery/{script.stem}\n:link-type: doc\n"
+        f":img-top: gallery/{script.stem}.png\n:img-alt: {title}\n:::\n"
+    )
 
 
 def after_docstring(script):

@@ -131,6 +131,14 @@ def test_the_gallery_is_no_smaller_than_promised_and_light():
     assert sum(s.with_suffix(".png").stat().st_size for s in SCRIPTS) < 3e6
 
 
+def test_the_gallery_shows_every_script_under_one_topic():
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("the `docs` extra is not installed")
+    topics = module("site_pages").GALLERY
+    shown = [name for names in topics.values() for name in names.split()]
+    assert sorted(shown) == [script.stem for script in SCRIPTS]
+
+
 def coarse(picture):
     """Means over 4 x 4 pixels, in which the edges of letters hardly count."""
     pixels = plt.imread(picture)[..., :3]
