@@ -20,6 +20,7 @@ import fitting
 import jaxvision
 
 HERE = Path(__file__).parent
+ROOTS = jaxvision, fitting
 BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
 GROUPS = {  # of the reference's front page; what no group names is machinery
     "Scenes and surfaces": "scene geometry brdf lifted_scene rendering transport shading shadows "
@@ -42,6 +43,15 @@ GALLERY = {  # the gallery's scripts by topic, in the order of the page
     "Compositing": "blue_screen pyramid_blend",
     "Fitting and results": "own_fit results",
 }
+ROOT_HEADS = {"Machinery": "Arrays, vectors and machinery", "Fitting": "Problems and fits"}
+
+# A dot, blanks and a capital; not the dot of an initial or of a word that is cut short.
+SENTENCE_END = re.compile(
+    r"(?<=\.)(?<!\b[A-Z]\.)(?<!\bal\.)(?<!\be\.g\.)(?<!\bi\.e\.)(?<!\b[Ff]ig\.)(?<!\b[Ee]q\.)"
+    r"(?<!\bcf\.)(?<!\bvs\.)(?<!\bDr\.)\s+(?=[A-Z`])"
+)
+# What stands around names of types as they print themselves.
+OF_TYPES = re.compile(r"<class '|'>|\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
 
 
 def public_modules(package):
@@ -87,9 +97,12 @@ def page_of(name, value):
 
 
 def summary(thing):
-    """The first sentence of a docstring, for a page's head."""
-    first = re.split(r"(?<=\.)\s|\n\n", inspect.getdoc(thing) or "", maxsplit=1)[0]
-    return " ".join(first.split())
+    """The first sentence of a docstring, or what an alias of types stands for."""
+    text = inspect.getdoc(thing) or ""
+    if alias := re.fullmatch(r"\w+ = (.*)", text):  # by the name that types print themselves by
+        return f"`{OF_TYPES.sub('', alias[1])}`"
+    first = SENTENCE_END.split(text.partition("\n\n")[0], maxsplit=1)[0]
+    return " ".join(first.split()).removesuffix(":")
 
 
 def exported(names):
@@ -113,7 +126,7 @@ def reference_pages(folder):
     """One page a module: what it exports first, then what its submodules define."""
     folder.mkdir(exist_ok=True)
     pages = defaultdict(dict)
-    for package in (jaxvision, fitting):
+    for package in ROOTS:
         for name, value in entries(package).items():
             pages[page_of(name, value)][name] = value
     offered = exported([name for page in pages.values() for name in page])
@@ -128,24 +141,51 @@ def reference_pages(folder):
         if inner:
             text += ["Submodules", "-" * 10, "", *inner]
         write(folder / f"{page}.rst", "\n".join(text))
+    for package in ROOTS:
+        write(folder / f"{package.__name__}.rst", root_page(package, pages))
     for page in folder.glob("*.rst"):
-        if page.stem not in pages:
+        if page.stem not in {*pages, *(package.__name__ for package in ROOTS)}:
             page.unlink()  # of a module that is no more
     write(folder / "modules.txt", grouped(pages))
     return pages
 
 
+def root_page(package, pages):
+    """What a package offers by itself, such as `jaxvision.Sphere`, by topic: a line for each name,
+    which leads to the entry on the page of its module."""
+    places = {id(value): (name, page) for page in pages for name, value in pages[page].items()}
+    names = {topic: [] for topic in (*GROUPS, "Modules")}
+    for name in sorted(package.__all__, key=str.lower):
+        value = getattr(package, name)
+        if inspect.ismodule(value):
+            topic, place = "Modules", f":doc:`{name} </reference/{value.__name__}>`"
+        else:
+            entry, page = places[id(value)]
+            topic = "Fitting" if package is fitting else group_of(page)
+            place = f":py:obj:`{name} <{entry}>`"
+        names[topic].append(f"* {place}: {escaped(summary(value))}")
+    text = [package.__name__, "=" * len(package.__name__), "", escaped(summary(package)), ""]
+    for topic, lines in names.items():
+        head = ROOT_HEADS.get(topic, topic)
+        text += [head, "-" * len(head), "", *lines, ""] if lines else []
+    return "\n".join(text)
+
+
+def group_of(page):
+    """The group of `GROUPS` that a page of the reference is listed in."""
+    package, _, name = page.partition(".")
+    groups = (group for group, names in GROUPS.items() if name in names.split())
+    return "Fitting" if package == "fitting" else next(groups, "Machinery")
+
+
 def grouped(pages):
     """Lists of modules by `GROUPS`, each with the first sentence of its docstring."""
-    of = {name: group for group, names in GROUPS.items() for name in names.split()}
     lists = {group: [] for group in GROUPS}
     for page in sorted(pages, key=lambda page: page.endswith(f".{BASICS}")):
-        package, _, name = page.partition(".")
-        if name == BASICS:
+        if page.endswith(f".{BASICS}"):
             lists["Machinery"].append((page, "Arrays and vectors: types, norms and conversions."))
             continue
-        group = "Fitting" if package == "fitting" else of.get(name, "Machinery")
-        lists[group].append((page, summary(importlib.import_module(page))))
+        lists[group_of(page)].append((page, summary(importlib.import_module(page))))
     for name in GROUPS["Pictures"].split(), GROUPS["Light"].split():
         assert all(f"jaxvision.{module}" in pages for module in name)
     text = []

@@ -173,6 +173,33 @@ def test_every_public_name_has_one_entry():
         )
 
 
+def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("the `docs` extra is not installed")
+    module("site_pages").reference_pages(tmp_path)
+    for package in (jaxvision, fitting):
+        page = (tmp_path / f"{package.__name__}.rst").read_text()
+        named = re.findall(r"^\* .*?`(\w+) <", page, re.MULTILINE)
+        assert sorted(named) == sorted(package.__all__)
+
+
+@pytest.mark.parametrize(
+    ("text", "first"),
+    [
+        ("An image (Szeliski, fig. 3.3), drawn. More.", "An image (Szeliski, fig. 3.3), drawn."),
+        ("As J. Kajiya has it, e.g. here.\n\nMore.", "As J. Kajiya has it, e.g. here."),
+        ("Of Astier et al. (2019)\nin two lines. `x` is.", "Of Astier et al. (2019) in two lines."),
+        ("Of the room, by definition:", "Of the room, by definition"),
+        ("X = <class 'jaxtyping.Float[jaxlib._jax.Array, 'a']'>", "`Float[Array, 'a']`"),
+    ],
+)
+def test_summaries_are_whole_sentences(text, first):
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("the `docs` extra is not installed")
+    thing = type("Thing", (), {"__doc__": text})
+    assert module("site_pages").summary(thing) == first
+
+
 def test_hooks_before_a_commit_run_what_ci_runs():
     hooks = re.findall(r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text())
     run = (ROOT / ".ci" / "run").read_text()
