@@ -39,19 +39,34 @@ for i, block in enumerate(BLOCKS):
 """
 
 
-def run(python, folder, *, apart):
-    """Runs blocks in one process, each on its own or going on from the one before, and asserts what
-    they promise; returns how many numbers that were."""
+def printed(python, folder, *, apart):
+    """What blocks print, each: run in one process, each on its own or going on from the one
+    before."""
     program = PROGRAM.replace("BLOCKS", repr(python)).replace("APART", repr(apart))
     ended = subprocess.run(
         [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True
     )
     assert ended.returncode == 0, ended.stderr
+    return ended.stdout.split("<end>\n")[:-1]
+
+
+def kept_promises(python, said):
+    """How many numbers blocks promise; asserts that what they print keeps them."""
     kept = 0
-    for block, said in zip(python, ended.stdout.split("<end>\n"), strict=False):
-        printed = said.splitlines()
-        for promise, line in zip(promises(block), printed, strict=False):
+    for block, text in zip(python, said, strict=True):
+        for promise, line in zip(promises(block), text.splitlines(), strict=False):
             if promise:
                 assert abs(float(line.split()[0]) - promise[0]) <= promise[1], (block, line)
                 kept += 1
     return kept
+
+
+def run(python, folder, *, apart):
+    """Runs blocks and asserts what they promise; returns how many numbers that were."""
+    return kept_promises(python, printed(python, folder, apart=apart))
+
+
+def shown(page):
+    """What a page shows below each block of Python, where it shows what that prints."""
+    below = r"^```python\n.*?^```\n(?:\n```text\n(.*?)^```)?"
+    return re.findall(below, page, flags=re.MULTILINE | re.DOTALL)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
-from page_blocks import blocks, run
+from page_blocks import blocks, kept_promises, printed
+from page_blocks import shown as shown_below
 from public_names import defined
 
 import fitting
@@ -27,6 +29,7 @@ PAGES = sorted(
 )
 WITH_CODE = [page for page in PAGES if blocks((DOCS / page).read_text(), "python")]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
+NUMBER = re.compile(r"-?\b\d+(?:\.\d+)?\b")
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
@@ -43,7 +46,27 @@ def module(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_CODE)
 def test_code_runs_and_keeps_its_promises(page, tmp_path):
-    assert run(blocks((DOCS / page).read_text(), "python"), tmp_path, apart=False)
+    """Also: it prints what the page shows below it, and draws the pictures that the page shows."""
+    text = (DOCS / page).read_text()
+    python = blocks(text, "python")
+    said = printed(python, tmp_path, apart=False)
+    assert kept_promises(python, said)
+    for one, print_out in zip(shown_below(text), said, strict=True):
+        if one:
+            assert NUMBER.sub("#", one) == NUMBER.sub("#", print_out)
+            numbers, found = (np.array(NUMBER.findall(x), float) for x in (one, print_out))
+            np.testing.assert_allclose(found, numbers, rtol=0.02)
+    for picture in re.findall(r"_static/(\w+\.png)", text):
+        assert_alike(tmp_path / picture, DOCS / "_static" / picture)
+
+
+def assert_alike(drawn, kept):
+    """Two pictures, but for the edges of letters."""
+    ours, theirs = coarse(drawn), coarse(kept)
+    assert ours.shape == theirs.shape
+    apart = abs(ours - theirs)
+    assert apart.mean() < 0.01
+    assert (apart > 0.1).mean() < 0.003
 
 
 def test_pages_are_found():
@@ -151,11 +174,7 @@ def coarse(picture):
 def test_pictures_are_drawn(script, tmp_path):
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as a user
         drawn = module("draw_gallery").draw(script, tmp_path)
-    ours, kept = coarse(drawn), coarse(script.with_suffix(".png"))
-    assert ours.shape == kept.shape
-    apart = abs(ours - kept)
-    assert apart.mean() < 0.01
-    assert (apart > 0.1).mean() < 0.003
+    assert_alike(drawn, script.with_suffix(".png"))
 
 
 def test_every_public_name_has_one_entry():
