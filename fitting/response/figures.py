@@ -1,22 +1,24 @@
 """Pictures of a response calibration: curves, departures from gamma, exposure offsets, the merged
 map and its coverage."""
 
-import jax
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxvision.colour_spaces import luminance
-from jaxvision.point_ops import reinhard, scaled_to_key, srgb_encode, with_luminance
+from jaxvision.point_ops import srgb_encode
 
 from ..inference.formatting import format_value
 from ..report.colours import OF_CHANNEL
-from .calibration import ChannelResponse, ResponseCalibration
+from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .findings import DRAWN, PURE, largest_departure
 
 MOST_GROUPS = 9
+MOST_MAPS = 4  # groups whose maps are drawn
+MIDDLE_GREY = 0.18  # of white
 DOTS = 1500  # pixels drawn per channel
 LEGEND = 0.2  # of the height of an axis, that its legend takes
 
@@ -131,7 +133,8 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> Figure:
-    """The tone-mapped map of each group beside its middle exposure.
+    """The map of each group beside its middle exposure alone, first at the map's white and then
+    brightened, so that its shadows are seen. Both are radiance, drawn by one curve.
 
     Args:
         calibration: of a stack.
@@ -140,19 +143,28 @@ def radiance_figure(
     Returns:
         The figure.
     """
-    shown = list(images.items())[:MOST_GROUPS]
+    shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
-    figure = Figure(figsize=(8, 4 * tall * len(shown) + 0.6), layout="constrained")
-    axes = figure.subplots(len(shown), 2, squeeze=False)
-    for (left, right), (group, image) in zip(axes, shown, strict=True):
-        left.imshow(tone_mapped(image), cmap="gray", vmin=0, vmax=1)
+    figure = Figure(figsize=(5.2, 2 * len(shown) * (2.6 * tall + 0.3)), layout="constrained")
+    axes = figure.subplots(2 * len(shown), 2, squeeze=False)
+    for i, (group, image) in enumerate(shown):
         single, seconds = _middle_exposure(calibration, group)
-        right.imshow(single, cmap="gray", vmin=0, vmax=1)
-        left.set_title(f"{group} merged map".strip(), fontsize=10)
-        right.set_title(f"{seconds:.4g} s alone", fontsize=10)
-        for axis in (left, right):
-            axis.set_axis_off()
+        white = float(np.nanquantile(image, 0.999))
+        for row, gain in zip(axes[2 * i : 2 * i + 2], (1, _shadow_gain(image, white)), strict=True):
+            brighter = f", {gain} times brighter" if gain > 1 else ""
+            for axis, light, name in zip(
+                row, (image, single), (f"{group} merged", f"{seconds:.4g} s alone"), strict=True
+            ):
+                axis.imshow(encoded(light, white / gain), cmap="gray", vmin=0, vmax=1)
+                axis.set_title(f"{name}{brighter}".strip(), fontsize=9)
+                axis.set_axis_off()
     return figure
+
+
+def _shadow_gain(image: Float[np.ndarray, "h w *rgb"], white: float) -> int:
+    """The power of two that brings the darkest fifth of a map up to middle grey; 4 at least."""
+    dark = max(float(np.nanquantile(image, 0.2)), 1e-4 * white)
+    return int(2 ** max(2, round(np.log2(MIDDLE_GREY * white / dark))))
 
 
 def coverage_figure(calibration: ResponseCalibration) -> Figure:
@@ -175,33 +187,30 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
     return figure
 
 
-def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Reinhard's global operator on the luminance over its log average, the brightest per mille
-    white, so that colours keep their ratios; encoded as sRGB, in 0..1, a NaN drawn black."""
-    return np.nan_to_num(np.asarray(_tone_mapped(radiance)))
+def encoded(radiance: Float[np.ndarray, "h w *rgb"], white: float) -> np.ndarray:
+    """Radiance up to white as sRGB in 0..1; a NaN is drawn black."""
+    return np.nan_to_num(np.asarray(srgb_encode(jnp.asarray(np.clip(radiance / white, 0, 1)))))
 
 
-@jax.jit
-def _tone_mapped(radiance: Array) -> Array:
-    bands = radiance if radiance.ndim == 3 else radiance[..., None]
-    bright = luminance(bands) if bands.shape[-1] == 3 else bands[..., 0]
-    relative = scaled_to_key(bright, key_value=0.18)
-    wanted = reinhard(relative, white=jnp.nanquantile(relative, 0.999))
-    shown = srgb_encode(jnp.clip(with_luminance(bands, bright, wanted), 0, 1))
-    return shown.reshape(radiance.shape)
+def _middle_exposure(
+    calibration: ResponseCalibration, group: str
+) -> tuple[Float[np.ndarray, "h w *rgb"], float]:
+    """The radiance that the middle exposure of a group alone tells, and its time in s; what clips
+    has the radiance of the brightest code."""
+    channels = [channel for channel in calibration.channels if channel.plane.group == group]
+    exposures = channels[0].plane.exposures
+    alone = replace(calibration, channels=tuple(map(_by_middle_exposure, channels)))
+    images = radiance_images(alone) or {group: alone.channels[0].radiance.radiance}
+    return images[group], float(exposures[len(exposures) // 2])
 
 
-def _middle_exposure(calibration: ResponseCalibration, group: str) -> tuple[np.ndarray, float]:
-    planes = [p for p in calibration.stack.planes if p.group == group]
-    middle = len(planes[0].exposures) // 2
-    by_name = {
-        plane.channel: plane.codes[middle] / calibration.stack.full_scale for plane in planes
-    }
-    seconds = float(planes[0].exposures[middle])
-    if "grey" in by_name:
-        return by_name["grey"], seconds
-    green = by_name["green"] if "green" in by_name else by_name["green 1"]
-    return np.clip(np.stack([by_name["red"], green, by_name["blue"]], axis=-1), 0, 1), seconds
+def _by_middle_exposure(channel: ChannelResponse) -> ChannelResponse:
+    """A channel whose map rests on one exposure."""
+    plane, curve = channel.plane, channel.curve
+    middle = len(plane.exposures) // 2
+    log_exposure = np.interp(plane.codes[middle], curve.codes, curve.log_exposure)
+    radiance = np.exp(log_exposure) / plane.exposures[middle]
+    return replace(channel, radiance=replace(channel.radiance, radiance=radiance))
 
 
 def _groups(calibration: ResponseCalibration) -> list[tuple[str, list[ChannelResponse]]]:

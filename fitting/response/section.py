@@ -222,9 +222,12 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
         Picture(
             "radiance_map",
             "Merged radiance map",
-            "The map merged from all exposures, its luminance tone-mapped by Reinhard's operator, "
-            "beside the middle exposure alone, which lacks what clips in it.",
+            "Radiance merged from all exposures, beside what the middle exposure alone says of it, "
+            "in sRGB up to the same white. Where that exposure clips, its light ends at that of "
+            "the brightest code. Below, both are brightened alike: the shadows of the map rest on "
+            "longer exposures, which have less noise.",
             partial(figures.radiance_figure, calibration, images),
+            is_whole=True,
         ),
         Picture(
             "coverage",
