@@ -192,18 +192,18 @@ def test_sentences_of_channels_are_said_once():
     found = said_once(
         (
             "red: 290 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
-            "red: Residuals err (chi-square 1.31); an error of 0.81% explains them.",
+            "red: Residuals err (chi-square 1.31); an error of 0.81 % explains them.",
             "A finding of all: 3 lights.",
             "blue: 12 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
-            "blue: Residuals err (chi-square 1.14); an error of 0.81% explains them.",
+            "blue: Residuals err (chi-square 1.14); an error of 0.81 % explains them.",
             "blue: its own.",
         )
     )
     assert found == (
-        "red / blue: 290 / 12 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
-        "red / blue: Residuals err (chi-square 1.31 / 1.14); an error of 0.81% explains them.",
+        "Red / blue: 290 / 12 of 1578 samples are saturated; they count as 'at least 3750 DN'.",
+        "Red / blue: Residuals err (chi-square 1.31 / 1.14); an error of 0.81 % explains them.",
         "A finding of all: 3 lights.",
-        "blue: its own.",
+        "Blue: its own.",
     )
 
 

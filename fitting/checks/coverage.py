@@ -14,6 +14,8 @@ from jaxtyping import Float
 from scipy.special import ndtri
 from scipy.stats import binom, kstwo
 
+from ..inference.formatting import format_percent
+
 LEVELS = (0.50, 0.68, 0.95)
 CHANCE = 0.01  # of flagging a right fit, over all parameters and tests together
 EDGE = 1e-12  # places this close to 0 and 1 count as there
@@ -81,7 +83,7 @@ def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
     departure = float(np.max(np.maximum(steps[1:] - ranked, ranked - steps[:-1]), initial=0.0))
     allowed = float(kstwo.ppf(1 - chance, max(count, 1)))
     faults = [
-        f"{q:.0%} intervals hold {share:.0%}".replace("%", " %")
+        f"{format_percent(q)} intervals hold {format_percent(share)}"
         for q, share, (low, high) in zip(LEVELS, held, band, strict=True)
         if count and not low <= share <= high
     ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from ..inference.formatting import format_percent
 from ..report.section import Section, Table
 from .coverage import LEVELS, Coverage
 
@@ -9,8 +10,8 @@ from .coverage import LEVELS, Coverage
 def line(one: Coverage) -> str:
     """Coverage of one parameter in one line of text."""
     shares = ", ".join(
-        f"{q:.0%}: {share:.3f}" for q, share in zip(LEVELS, one.held, strict=True)
-    ).replace("%", " %")
+        f"{format_percent(q)}: {share:.3f}" for q, share in zip(LEVELS, one.held, strict=True)
+    )
     return (
         f"{one.name}: {one.simulations} fits; {shares}; z {one.z_mean:+.2f} ± {one.z_sd:.2f}"
         f"{'' if not one.faults else '  OUTSIDE'}"

@@ -52,6 +52,19 @@ def format_p(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
 
 
+def format_percent(share: float, decimals: int = 0) -> str:
+    """A share in per cent: 0.125 as "12.5 %" with one decimal.
+
+    Args:
+        share: of one.
+        decimals: places.
+
+    Returns:
+        The number and its sign.
+    """
+    return f"{100 * share:.{decimals}f} %"
+
+
 def format_spread(values: np.ndarray) -> tuple[str, str]:
     """The median, and the interval that holds the middle 90 %.
 

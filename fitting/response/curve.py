@@ -34,6 +34,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 
+from ..inference.formatting import format_percent
 from .code_bins import MAX_BINS, CodeBins, code_bins
 from .code_pairs import PairStatistics, pair_statistics, total
 from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
@@ -221,7 +222,8 @@ def fit_response_curve(
         tau = _shutter_error(found, log_t, least_error)
         if tau is not None and tau >= SHAKIEST:
             raise InputError(
-                f"the images contradict their exposure times by {SHAKIEST:.0%} or more; check the "
+                f"the images contradict their exposure times by {format_percent(SHAKIEST)} or "
+                "more; check the "
                 "times and the black level."
             )
         noise = next(noise for noise in pilot.noises if noise is not None)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..inference.formatting import format_with_error
+from ..inference.formatting import format_percent, format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
@@ -108,19 +108,20 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     if size <= PURE:
         return (
             f"A pure gamma describes the response over {_judged_in_words(channels)}: the measured "
-            f"curve departs from it by at most {100 * np.expm1(size):.2g}% in exposure ({where}, "
+            f"curve departs from it by at most {100 * np.expm1(size):.2g} % in exposure ({where}, "
             f"code {code:g})."
         )
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
-        f"; the sRGB curve fits better, to within {100 * np.expm1(srgb):.2g}%"
+        f"; the sRGB curve fits better, to within {100 * np.expm1(srgb):.2g} %"
         if srgb < size / 2
         else ""
     )
     many = sum(s > PURE for s, _ in sizes)
     return (
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
-        f"curve departs by up to {np.expm1(size):.0%} in exposure ({where}, code {code:g})"
+        f"curve departs by up to {format_percent(np.expm1(size))} in exposure ({where}, code "
+        f"{code:g})"
         f"{better}. Use the curve rather than gamma."
     )
 
@@ -131,7 +132,7 @@ def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
     ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
     each = "it is" if len(ends) == 1 else "each channel is"
-    return f"codes {low:g} to {high:g}, as far as {each} known to {SURE:.0%}"
+    return f"codes {low:g} to {high:g}, as far as {each} known to {format_percent(SURE)}"
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -153,9 +154,10 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
     channel = channels[worst]
     place = int(np.argmin(np.abs(channel.curve.codes - code)))
     return (
-        f"Beyond the codes that are judged, the figure shows a departure of {np.expm1(size):.0%} "
+        "Beyond the codes that are judged, the figure shows a departure of "
+        f"{format_percent(np.expm1(size))} "
         f"({channel.plane.label or 'the grey channel'}, code {code:g}, known to "
-        f"{channel.curve.standard_error[place]:.0%})."
+        f"{format_percent(channel.curve.standard_error[place])})."
     )
 
 
@@ -204,7 +206,8 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
     return (
         "All exposures lie more than two stops from each other, and no pixel tells a ripple of "
-        f"that period from a response that bends ({names}): the bands allow for {max(sizes):.1%}. "
+        f"that period from a response that bends ({names}): the bands allow for "
+        f"{format_percent(max(sizes), 1)}. "
         "One more exposure, a stop from another, would tell."
     )
 
@@ -229,7 +232,7 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
         found.append(
             f"In {len(shaky)} of {len(channels)} channels the images disagree on their exposure "
             "times by more than pixel noise, at most "
-            f"{100 * (worst.curve.shutter_error or 0.0):.2g}% rms "
+            f"{100 * (worst.curve.shutter_error or 0.0):.2g} % rms "
             f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
             "misfit of the curve. The intervals include it, and channels of one image share it."
         )

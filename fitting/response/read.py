@@ -15,6 +15,7 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 from ..copies import Copies
+from ..inference.formatting import format_percent
 from ..observation import Load, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, as_rig, require
 
@@ -143,7 +144,8 @@ def _planes(
     if darker > MOSTLY and np.mean(frames[-1] > frames[0]) < 1 - MOSTLY:
         raise InputError(
             f"{where}: {entries[-1].file}, the longest, is darker than {entries[0].file}, the "
-            f"shortest, at {darker:.0%} of the pixels; check the order of the times, and that the "
+            f"shortest, at {format_percent(darker)} of the pixels; check the order of the times, "
+            "and that the "
             "images are no negatives."
         )
     scene = _scene_mask(mask, frames[0].shape[:2], where)

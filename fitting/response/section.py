@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
-from ..inference.formatting import format_with_error
+from ..inference.formatting import format_percent, format_with_error
 from ..report.left_out import left_out_tables
 from ..report.section import Columns, Picture, Section, Table
 from . import figures
@@ -91,7 +91,7 @@ def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
         f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, misses the "
-        f"measured curve by up to {np.expm1(size):.0%} in exposure; use the curve"
+        f"measured curve by up to {format_percent(np.expm1(size))} in exposure; use the curve"
     )
     label = channel.plane.label
     return [
@@ -112,11 +112,11 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
                 len(channel.curve.exposures),
                 channel.curve.statistics.pixels,
                 f"{channel.plane.black:g}",
-                f"{np.expm1(gap):.1%}",
-                f"{np.expm1(srgb):.1%}",
+                format_percent(np.expm1(gap), 1),
+                format_percent(np.expm1(srgb), 1),
                 f"{channel.gamma.dispersion:.2f}",
                 _held_out(channel),
-                f"{clean:.1%}",
+                format_percent(clean, 1),
             )
         )
     return Table(

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...inference.diagnostics import listed
+from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
 from ..names import Axis, Model, Objective
@@ -106,7 +107,7 @@ def _weight(calibration: BRDFCalibration) -> list[str]:
     if shares[most] <= MOST_WEIGHT:
         return []
     return [
-        f"{shares[most]:.0%} of the weight of the fit lies at one incidence, "
+        f"{format_percent(shares[most])} of the weight of the fit lies at one incidence, "
         f"{np.degrees(calibration.measured.incidences[most]):.0f}°: what it says is about that one."
     ]
 

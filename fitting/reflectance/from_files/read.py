@@ -25,6 +25,8 @@ from jaxvision.errors import InputError
 from jaxvision.measured_files import read_measured
 from jaxvision.scene import Material
 
+from ...inference.formatting import format_percent
+
 NANOMETRES = 1e9
 LIGHT_ELEVATIONS = np.radians(np.arange(10, 90, 10.0))
 LIGHT_AZIMUTHS = np.radians([0.0, 45.0, 90.0, 135.0])  # of anisotropic materials
@@ -207,7 +209,8 @@ def from_samples(
     negative = float(np.mean(values[seen] < 0))
     if negative:
         findings += (
-            f"{negative:.1%} of the values are negative, noise about zero; the cosine-weighted fit "
+            f"{format_percent(negative, 1)} of the values are negative, noise about zero; the "
+            "cosine-weighted fit "
             "takes them as they are, the cube root as zero.",
         )
     wi, wo = sample_directions(samples)

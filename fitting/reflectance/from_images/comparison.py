@@ -301,7 +301,9 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     sentence += "."
     if len(equal) > 1:
         others = ", ".join(f"{LABELS[m]} ({_gaps(by_model[m], by_model[best])})" for m in equal[1:])
-        sentence += f" Not distinguishable from it by these lights: {others} points more."
+        sentence += (
+            f" Not distinguishable from it by these lights: {others} percentage points more."
+        )
         lead = min(costs[m] - costs[cheapest] for m in costs if m != cheapest)
         if lead > DECISIVE:
             sentence += (
@@ -315,7 +317,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
         runner = _least(rest)
         sentence += (
             f" The next, {LABELS[runner]}, errs by {_gaps(by_model[runner], by_model[best])} "
-            "points more."
+            "percentage points more."
         )
     return sentence
 

@@ -18,6 +18,7 @@ from jaxvision.errors import InputError
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
+from ...inference.formatting import format_percent
 from ...observation import Load, read_mask, read_stack
 from ...rig import Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
 
@@ -350,7 +351,8 @@ def _refuse_clipped_or_dark(
     clipped = float(np.mean(lit_dn >= observation.clip))
     if clipped > 0.9:
         raise InputError(
-            f"{rig.folder}: {clipped:.0%} of the lit pixels of the {channel} channel are saturated "
+            f"{rig.folder}: {format_percent(clipped)} of the lit pixels of the {channel} channel "
+            "are saturated "
             f"(at or above {observation.clip:g} DN); expose less, or correct camera.saturation."
         )
     if np.median(lit_dn) - observation.black < 1:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
 from ...copies import Copies
+from ...inference.formatting import format_percent
 from .read import ReflectanceObservation
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
@@ -175,7 +176,8 @@ def _of_outline(observation: ReflectanceObservation) -> list[str]:
     if share < SHARE:
         return []
     return [
-        f"{share:.0%} of the object's pixels stay dark under every light, although they face one: "
+        f"{format_percent(share)} of the object's pixels stay dark under every light, although "
+        "they face one: "
         "its outline (the sphere's centre and radius, or the mask) reaches too far, or it is black "
         "there."
     ]
