@@ -15,7 +15,7 @@ from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
 from ._quadrature import gauss_legendre
 from ._shown import Shown
 from ._types import Scalars
-from ._vector import Vec, Vec3, as_array, as_vec, where
+from ._vector import Directions, Vec, Vec3, as_array, as_vec, where
 
 
 class Frame(Shown):
@@ -45,7 +45,7 @@ def cross(u: Vec3, v: Vec3) -> Vec:
 
 
 @takes_numbers
-def local_frame(normal: Vec3, *, tangent: Vec3 | None = None) -> Frame:
+def local_frame(normal: Directions, *, tangent: Vec3 | None = None) -> Frame:
     """The frame about a normal.
 
     Args:
@@ -143,7 +143,7 @@ def cosine_direction(u: Float[Array, "2"]) -> Vec:
 
 
 @takes_numbers
-def cosine_pdf(w: Vec3) -> Scalars:
+def cosine_pdf(w: Directions) -> Scalars:
     """cos+(theta) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
     return jnp.maximum(as_vec(w).z, 0) / jnp.pi
 

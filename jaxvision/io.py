@@ -242,6 +242,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
         attributes["compression"] = f"jpeg:{quality}"
         attributes["jpeg:subsampling"] = "4:2:0" if quality < 90 else "4:4:4"
     if np.issubdtype(array.dtype, np.floating):
+        if (np.isfinite(array) & (np.abs(array) > np.finfo(np.float32).max)).any():
+            raise InputError(f"{file}: float32, which it holds, ends at 3.4e38; scale the image.")
         array = array.astype(np.float32)
     shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:

@@ -26,7 +26,6 @@ from .scene import (
     View,
 )
 
-_FLAT = 1e-9  # area over squared length, below which a rectangle is a line
 _ROUNDING = 1e-6  # of a length in float32
 
 
@@ -74,7 +73,6 @@ def scene_problems(
         if _shines(surface)
     ]
     for name, light in zip(lights, scene.lights, strict=True):
-        found += [f"{name}: {problem}" for problem in _light_problems(light)]
         shining.append((name, _places(light)))
         found += [
             f"{name}: lies on {under}, which it cannot light from there; move it off."
@@ -177,15 +175,6 @@ def _is_inside_out(shape: Shape) -> bool:
         return False
     a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
     return bool(np.einsum("ij,ij->", a, np.cross(b, c)) < 0)
-
-
-def _light_problems(light: Light) -> list[str]:
-    if isinstance(light, RectangleLight):
-        u, v = _array(light.edge_u), _array(light.edge_v)
-        longest = max(np.linalg.norm(u), np.linalg.norm(v))
-        if np.linalg.norm(np.cross(u, v)) <= _FLAT * longest**2:
-            return ["its edges span no area; use a point light instead."]
-    return []
 
 
 def _places(light: Light) -> list[np.ndarray]:

@@ -72,7 +72,8 @@ def interpolate_spectrum(
         (..., wanted) in the unit of `values`.
 
     Raises:
-        ValueError: an unknown option or too few bands.
+        ValueError: an unknown option, too few bands, or known wavelengths that do not ascend or
+            are no lengths in m.
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
@@ -82,6 +83,9 @@ def interpolate_spectrum(
         raise ValueError(
             f"{method} interpolation needs at least {least[method]} bands, got {bands}."
         )
+    if is_known(known):
+        require_metres("interpolate_spectrum: known", np.asarray(known))
+    _check_ascending("interpolate_spectrum: known", known)
     interval = jnp.clip(jnp.searchsorted(known, wanted, side="right") - 1, 0, bands - 2)
     start, end = known[interval], known[interval + 1]
     t = jnp.clip((wanted - start) / (end - start), 0, 1)
@@ -98,6 +102,12 @@ def interpolate_spectrum(
     return jnp.sum(jnp.broadcast_to(weights, neighbours.shape) * neighbours, axis=-2)
 
 
+def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
+    """`ValueError` for known wavelengths that do not ascend."""
+    if is_known(wavelengths) and (np.diff(np.asarray(wavelengths)) <= 0).any():
+        raise ValueError(f"{name} must ascend.")
+
+
 @takes_numbers
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     """Width of the interval that each sample of a spectrum represents.
@@ -112,10 +122,11 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
         (bands,) m.
 
     Raises:
-        ValueError: fewer than two wavelengths.
+        ValueError: fewer than two wavelengths, or known ones that do not ascend.
     """
     if wavelengths.shape[0] < 2:
         raise ValueError(f"wavelengths must hold at least two values, got {wavelengths.shape[0]}.")
+    _check_ascending("band_widths: wavelengths", wavelengths)
     step = jnp.diff(wavelengths)
     padded = jnp.concatenate([step[:1], step, step[-1:]])
     return (padded[1:] + padded[:-1]) / 2

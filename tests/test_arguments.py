@@ -11,7 +11,7 @@ from examples import ROOMS, examples_of
 from public_names import traced
 
 import jaxvision as jv
-from jaxvision.brdf.fresnel import Schlick
+from jaxvision.brdf.fresnel import Schlick, fresnel_conductor, fresnel_dielectric
 from jaxvision.brdf.phong import phong_shading
 from jaxvision.camera_files import read_camera
 from jaxvision.development import fit_colour_matrix
@@ -238,6 +238,46 @@ SENTENCES = {
         lambda: jv.development.grey_world_gains(np.ones((2, 2, 3)), norm=0.5),
         "grey_world_gains: norm must be at least 1, got 0.5",
     ),
+    "a ray of two lengths": (
+        lambda: jv.Ray(UP, [0, 0, 2.0]),
+        "Ray.direction must be a unit vector, got one of length 2",
+    ),
+    "an angle of vectors": (
+        lambda: jv.angle_between([1.0, 0, 0], [2.0, 2, 0]),
+        r"angle_between: v must be a unit vector, got one of length 2\.828",
+    ),
+    "a mirror's normal twice as long": (
+        lambda: jv.mirror_direction([0, 0, 2.0], UP),
+        "mirror_direction: normal must be a unit vector",
+    ),
+    "a cosine of 2": (
+        lambda: fresnel_dielectric(2.0, [1.5]),
+        "fresnel_dielectric: cos_theta must be .*at most 1.001, got 2",
+    ),
+    "an absorption that gives light": (
+        lambda: fresnel_conductor(0.5, [1.0], [-3.0]),
+        "fresnel_conductor: k must be at least 0, got -3",
+    ),
+    "a lamp that is a line": (
+        lambda: jv.RectangleLight(UP, [1, 0, 0], [2, 0, 0], [1.0]),
+        "RectangleLight.edge_u and edge_v are parallel",
+    ),
+    "a window upside down": (
+        lambda: jv.sensor.censored(jv.Moments(jnp.zeros(()), jnp.ones(())), low=1.0, high=0.0),
+        "censored: low must not be above high",
+    ),
+    "wavelengths from long to short": (
+        lambda: jv.spectra.band_widths([6e-7, 5e-7, 4e-7]),
+        "band_widths: wavelengths must ascend",
+    ),
+    "a table in nm": (
+        lambda: jv.spectra.interpolate_spectrum([0.1, 0.2], [400.0, 500.0], [4.5e-7]),
+        "interpolate_spectrum: known is in metres, got 500",
+    ),
+    "a picture beyond float32": (
+        lambda: jv.write_image("never.exr", np.full((1, 1), 1e39)),
+        "ends at 3.4e38",
+    ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
 }
 
@@ -262,3 +302,19 @@ def test_what_is_traced_is_not_looked_at():
     jax.eval_shape(lambda f: jv.Pinhole(UP, np.eye(3), f, 1e-6, resolution=(2, 2)), 50.0)
     with pytest.raises(ValueError, match="normal must have shape"):
         jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.ones((2, 3)))
+
+
+def test_half_precision_counts_and_sums_in_float32():
+    """Half precision counts to 2048 one by one, and ends at 65504."""
+    picture = jnp.linspace(0, 1, 4096).reshape(64, 64).astype(jnp.float16)
+    as_single = picture.astype(jnp.float32)
+    np.testing.assert_array_equal(equalise(picture), equalise(as_single))
+    counted, expected = exact_histogram(picture, bins=16), exact_histogram(as_single, bins=16)
+    np.testing.assert_array_equal(counted.edges, expected.edges)
+    fractions = jv.histogram.cumulative_distribution(counted)
+    np.testing.assert_array_equal(fractions, jv.histogram.cumulative_distribution(expected))
+    np.testing.assert_array_equal(jv.to_integers(jnp.ones(2, jnp.float16) / 2, bits=16), 32768)
+    whole = jv.filters.integral_image(jnp.ones((400, 400), jnp.float16))
+    assert float(jv.filters.box_sum(whole, 398, 398, 400, 400)) == 4
+    grey = jnp.ones((512, 512, 3), jnp.float16)
+    assert jnp.all(jv.development.grey_world_gains(grey) == 1)

@@ -52,7 +52,7 @@ def format_p(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
 
 
-def format_percent(share: float, decimals: int = 0) -> str:
+def format_percent(share: float, *, decimals: int = 0) -> str:
     """A share in per cent: 0.125 as "12.5 %" with one decimal.
 
     Args:

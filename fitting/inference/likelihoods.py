@@ -249,7 +249,7 @@ class Censored(eqx.Module):
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
         """Normal deviates; of a clipped datum, one of those that it may stand for."""
-        xp, special = numerics(prediction, data, self)
+        xp, _ = numerics(prediction, data, self)
         data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))
         z = (data - prediction) / sd
         if self.low is not None:
@@ -269,11 +269,12 @@ def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
     """The normal deviate below which lies `chance` of what lies below `end`, deviations."""
     xp, special = numerics(end, chance)
     far = end < _FAR
-    above = xp.where(far, -end, 1)
+    above = xp.where(far, -end, 2)
     square = above * above - 2 * xp.log(chance)
     beyond = xp.sqrt(square)
-    for _ in range(2):  # ln of the tail beyond z is -z^2 / 2 - ln z and a constant, nearly
-        beyond = xp.sqrt(square - 2 * xp.log(beyond / above))
+    for _ in range(2):  # the tail beyond z is exp(-z^2 / 2) / z (1 - 1 / z^2) times a constant
+        ratio = beyond / above * (1 - above**-2.0) / (1 - beyond**-2.0)
+        beyond = xp.sqrt(square - 2 * xp.log(ratio))
     return xp.where(far, -beyond, special.ndtri(chance * special.ndtr(end)))
 
 

@@ -96,14 +96,14 @@ def _gain_findings(fit: JointFit, *, stated: bool) -> list[str]:
         return [
             "The variance of pixels grows with the square of their signal, which neither photons "
             "nor read-out make: unequal pixels, or a texture, of about "
-            f"{format_percent(seen.size, 2)} "
+            f"{format_percent(seen.size, decimals=2)} "
             f"({seen.deviations:.0f} standard errors from none). They hide the gain and the "
             f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
         ]
     if seen.hide_noise(stated):
         return [
-            f"Unequal pixels of {format_percent(seen.most, 2)}, which these images cannot tell "
-            "from photons and "
+            f"Unequal pixels of {format_percent(seen.most, decimals=2)}, which these images "
+            "cannot tell from photons and "
             f"read-out, would move the gain or the read noise by {seen.moved:.1f} standard errors: "
             "neither is printed. Give the rig camera.prnu_sd (0 if pixels are alike and the "
             "surface is smooth), or flats and darks."
@@ -123,8 +123,8 @@ def _misfit_in_words(fit: JointFit) -> str:
         for level in np.quantile(digital, (0.1, 0.9))
     )
     return (
-        f"{format_percent(dark, 1)} of the signal where it is dark and "
-        f"{format_percent(bright, 1)} where it is bright"
+        f"{format_percent(dark, decimals=1)} of the signal where it is dark and "
+        f"{format_percent(bright, decimals=1)} where it is bright"
     )
 
 
@@ -153,8 +153,8 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
         return []
     word = "brighter" if relative[worst] > 0 else "darker"
     return [
-        f"{files[worst]} is {format_percent(abs(relative[worst]), 1)} {word} than its intensity "
-        "says, "
+        f"{files[worst]} is {format_percent(abs(relative[worst]), decimals=1)} {word} than its "
+        "intensity says, "
         f"{abs(mean[worst]):.1f} times the usual error of a light."
     ]
 

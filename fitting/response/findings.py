@@ -207,7 +207,7 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
     return (
         "All exposures lie more than two stops from each other, and no pixel tells a ripple of "
         f"that period from a response that bends ({names}): the bands allow for "
-        f"{format_percent(max(sizes), 1)}. "
+        f"{format_percent(max(sizes), decimals=1)}. "
         "One more exposure, a stop from another, would tell."
     )
 

@@ -112,11 +112,11 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
                 len(channel.curve.exposures),
                 channel.curve.statistics.pixels,
                 f"{channel.plane.black:g}",
-                format_percent(np.expm1(gap), 1),
-                format_percent(np.expm1(srgb), 1),
+                format_percent(np.expm1(gap), decimals=1),
+                format_percent(np.expm1(srgb), decimals=1),
                 f"{channel.gamma.dispersion:.2f}",
                 _held_out(channel),
-                format_percent(clean, 1),
+                format_percent(clean, decimals=1),
             )
         )
     return Table(

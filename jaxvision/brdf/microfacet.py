@@ -45,7 +45,7 @@ def half_vector(wi: Direction, wo: Direction) -> Vec:
 
 
 @takes_numbers
-def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
+def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0
     below it. With the slopes p = h.x / h.z, q = h.y / h.z over their alphas:
 
@@ -74,7 +74,7 @@ def normal_distribution(h: Vector, alpha: Alpha, *, distribution: Distribution) 
 
 
 @takes_numbers
-def hidden_cosine(w: Vector, alpha: Alpha, *, distribution: Distribution) -> Scalar:
+def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
     surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
     Lambda is not. Source: Heitz (2014), equations 68 to 72."""

@@ -99,6 +99,8 @@ def grey_world_gains(
     "Shades of gray and colour constancy", CIC 2004.
     """
     image = as_relative(image)
+    if image.dtype.itemsize < 4:  # half precision does not hold the sums
+        image = image.astype(jnp.float32)
     if image.ndim < 3 or image.size == 0:
         raise ValueError(
             f"image must be (..., h, w, bands) with at least one pixel, got shape {image.shape}."

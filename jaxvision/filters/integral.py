@@ -59,6 +59,8 @@ def integral_image(image: Picture) -> IntegralImage:
     """
     check_picture(image)
     pixels = as_float(image)
+    if pixels.dtype.itemsize < 4:  # half precision does not hold the sums
+        pixels = pixels.astype(jnp.float32)
     rows = _row_axis(pixels.ndim, "an image")
     margin = [(int(axis in (rows, rows + 1)), 0) for axis in range(pixels.ndim)]
     return IntegralImage(*(jnp.pad(part, margin) for part in _summed(pixels, rows)))

@@ -15,7 +15,7 @@ from .._numerics import dot
 from .._numerics import log_cos_between as log_cos_between
 from .._shown import Shown
 from .._types import Scalar, is_known
-from .._vector import Direction, Vec, Vec3, Vector, as_vec, scaled
+from .._vector import Direction, Directions, Vec, Vec3, Vector, as_vec, scaled
 from ._size import largest_component, offset_length
 
 
@@ -85,7 +85,7 @@ class Hit(Shown):
 
 
 @takes_numbers
-def mirror_direction(normal: Vec3, w: Vec3) -> Vec3:
+def mirror_direction(normal: Directions, w: Directions) -> Vec3:
     """The mirror direction s = (2 n n^T - I) w.
 
     Args:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._types import Colour
-from .._vector import Direction, Vec, Vec3, as_vec
+from .._vector import Direction, Directions, Vec, as_vec
 from .environment import EnvironmentMap, _to_map
 
 # The clamped cosine's coefficients A_l: pi, 2 pi / 3, pi / 4, for each (l, m).
@@ -18,7 +18,7 @@ _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 
 @takes_numbers
-def harmonics(direction: Vec3) -> Float[Array, "9 ..."]:
+def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
     """The nine real spherical harmonics of order <= 2, orthonormal.
 
     Args:

@@ -64,7 +64,7 @@ def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> Non
         return
     u, v = (np.asarray(x, float) / np.linalg.norm(np.asarray(x, float)) for x in (one, other))
     if np.linalg.norm(np.cross(u, v)) < _FLAT:
-        raise ValueError("RectangleLight.edge_u and edge_v are parallel: it has no area.")
+        raise ValueError("RectangleLight.edge_u and edge_v are parallel: these edges span no area.")
 
 
 def window_of(light: RectangleLight) -> Window:

@@ -209,8 +209,8 @@ def from_samples(
     negative = float(np.mean(values[seen] < 0))
     if negative:
         findings += (
-            f"{format_percent(negative, 1)} of the values are negative, noise about zero; the "
-            "cosine-weighted fit "
+            f"{format_percent(negative, decimals=1)} of the values are negative, noise about zero; "
+            "the cosine-weighted fit "
             "takes them as they are, the cube root as zero.",
         )
     wi, wo = sample_directions(samples)

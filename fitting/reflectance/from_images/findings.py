@@ -100,8 +100,8 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"{name}Residuals are larger than the sensor's noise (chi-square per degree of freedom "
             f"{fit.sensor_chi_square:.2f}); "
             + (
-                f"an error of {format_percent(fit.spread.relative, 2)} of the signal explains "
-                "them: unequal "
+                f"an error of {format_percent(fit.spread.relative, decimals=2)} of the signal "
+                "explains them: unequal "
                 "pixels (PRNU), uneven light or a surface that is not the model's."
                 if fit.spread.relative < HOPELESS
                 else "they are larger than the signal: the images do not show such a surface under "
@@ -238,7 +238,7 @@ def _part_findings(calibration: ReflectanceCalibration) -> list[str]:
     told = [part for part in ("outline", *worst) if abs(means.get(part, 0.0)) > NOTABLE_RESIDUAL]
     return [
         f"Averaged over all lights, the {part} of the object is "
-        f"{format_percent(abs(means[part]), 1)} "
+        f"{format_percent(abs(means[part]), decimals=1)} "
         + (
             "brighter than predicted: light that the rig does not name (inter-reflection from a "
             "stand or table, stray light) or a surface that is not the model's."
