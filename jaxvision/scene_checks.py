@@ -36,8 +36,8 @@ def scene_problems(
 
     Reports: the problems of each shape (`geometry.problems`); closed meshes turned inside out;
     emitters without area and lights without direction; a scene without any light; a light, an
-    emitter or the camera inside an opaque closed surface with a hidden inside; a point light on a surface
-    other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
+    emitter or the camera inside an opaque closed surface with a hidden inside; a point light on a
+    surface other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
     surface: there the inside is seen, and a ray that starts in glass is taken to be in it.
 
     Args:

@@ -13,6 +13,7 @@ Blooming has no closed form and is left out.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from .._arguments import takes_numbers
 from .._types import Scalar, Scalars, is_known
@@ -194,7 +195,7 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         >>> round(float(half.mean), 6)  # 1 / sqrt(2 pi)
         0.398942
     """
-    if low is not None and high is not None and is_known(low) and is_known(high) and low > high:
+    if low is not None and high is not None and _are_crossed(low, high):
         raise ValueError(f"censored: low must not be above high, got {low} and {high}.")
     mean, variance = moments
     noisy = ~(variance <= 0)
@@ -210,6 +211,10 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
     else:
         moved, spread = _at_both_ends(mean, sigma, clipped, low, high)
     return Moments(jnp.where(noisy, moved, clipped), jnp.where(noisy, spread, 0))
+
+
+def _are_crossed(low: Scalar, high: Scalar) -> bool:
+    return is_known(low) and is_known(high) and bool(np.any(np.asarray(low) > np.asarray(high)))
 
 
 def _at_one_end(
