@@ -74,7 +74,8 @@ def correlate(
         kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
             or any.
         anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
-        border: a key of `padding.BORDERS`.
+        border: a key of `padding.BORDERS`. The default, "mirror", is OpenCV's BORDER_REFLECT;
+            OpenCV's own default, BORDER_REFLECT_101, is "reflect_101".
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: "auto", "separable", "conv", "direct" or "fft".
 

@@ -61,7 +61,8 @@ def gaussian(
         truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
         order: order of the derivative down and across; (0, 0) is the Gaussian itself.
         sampling: "sampled" or "integrated".
-        border: a key of `padding.BORDERS`.
+        border: a key of `padding.BORDERS`. The default, "mirror", is OpenCV's BORDER_REFLECT;
+            OpenCV's own default, BORDER_REFLECT_101, is "reflect_101".
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate_separable`.
 

@@ -22,6 +22,9 @@ from .._types import DIVISOR, Scalars, as_relative, check_choice
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """linear^(1 / gamma); values below 0 count as 0, where the gradient is 0.
 
+    Textbooks call this gamma correction: it compensates the power law of a display. Some
+    (Szeliski, Computer Vision, section 3.1.1) write the same formula for inverting a gamma.
+
     Args:
         linear: (...) relative.
         gamma: no unit, above 0.
