@@ -16,8 +16,8 @@ class Lambert(Material):
     """Ideal diffuse reflection.
 
     Attributes:
-        diffuse: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi. Above 1 / pi it
-            reflects more than it receives, which is taken: fits may have another unit of light.
+        diffuse: (bands,) k_d in sr^-1; a surface of albedo rho has k_d = rho / pi. Values above
+            1 / pi are accepted, since a fit may use an arbitrary unit of light.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. The k_a
             of the same surface is rho; textbooks often use one number for k_a and k_d.
 

@@ -175,7 +175,7 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
     if onward.depth is not None:
-        why = "paths meet every surface: their shadows are not an effect of their own"
+        why = "path tracing includes shadows; they cannot be dropped separately"
         return _row(f"shadows[{k}]", amount + np.inf, None, why, part_of=f"lights[{k}]")
 
     def drop(draft: Draft) -> Draft:

@@ -54,8 +54,10 @@ number may be 0.
   logarithm but for those from 0; ± of either sign; "3 of" for the components of a vector. Of
   arguments outside of these a row knows only its hard cases.
 - Functions of one variable are measured at every float32 of their domain, too: see below.
-- Where an oracle itself takes a difference, its 64 digits are too few for the mean in float64,
-  which is then left out; the worst is by 60 digits.
+- Which oracle: *mean* is against the oracle in 64 binary digits (60 decimal ones where it needs
+  mpmath), *worst* against the oracle in 60 decimal digits, at the hard cases and at the three worst
+  points. Where an oracle itself takes a difference, 64 binary digits are too few for the mean in
+  float64, which is then left out.
 
 ## Beside an oracle
 
