@@ -28,4 +28,4 @@ hist2d(result.draws["x"], result.draws["z"], levels=(0.68, 0.95), plot_datapoint
 plt.plot(-1.0, 2.5, "o", color="tab:red", label="truth")
 plt.xlabel("x of the lamp [m]")
 plt.ylabel("z of the lamp [m]")
-plt.legend()
+plt.legend(loc="lower right")
