@@ -16,7 +16,7 @@ from fitting.response import from_stack
 from fitting.response.calibration import calibrate as calibrate_response
 from fitting.response.calibration import radiance_images
 from fitting.response.curve import fit_response_curve
-from fitting.response.figures import curve_figure
+from fitting.response.figures import curve_figure, radiance_figure
 from fitting.response.findings import findings
 from fitting.response.radiance_map import merge
 from fitting.response.read import read_exposure_stack
@@ -138,6 +138,19 @@ def test_pictures_are_drawn(calibration, tmp_path):
     for picture in response_section(calibration).pictures:
         picture.draw().savefig(tmp_path / f"{picture.name}.png", dpi=40)
         assert (tmp_path / f"{picture.name}.png").stat().st_size > 2000
+
+
+def test_one_exposure_is_drawn_as_the_map_is_where_it_does_not_clip(calibration):
+    """By one white and one curve: the two pictures then differ by noise alone."""
+    merged, single = (
+        np.asarray(axes.images[0].get_array())
+        for axes in radiance_figure(calibration, radiance_images(calibration)).axes[:2]
+    )
+    brightest = single.max((0, 1))
+    within = (single > 0.2) & (single < 0.95 * brightest)
+    assert within.mean() > 0.1
+    assert np.median(abs(single - merged)[within]) < 0.01
+    assert np.median((merged - single)[single == brightest]) >= 0
 
 
 def test_merged_map_is_the_scene():

@@ -200,8 +200,7 @@ def _middle_exposure(
     channels = [channel for channel in calibration.channels if channel.plane.group == group]
     exposures = channels[0].plane.exposures
     alone = replace(calibration, channels=tuple(map(_by_middle_exposure, channels)))
-    images = radiance_images(alone) or {group: alone.channels[0].radiance.radiance}
-    return images[group], float(exposures[len(exposures) // 2])
+    return radiance_images(alone)[group], float(exposures[len(exposures) // 2])
 
 
 def _by_middle_exposure(channel: ChannelResponse) -> ChannelResponse:

@@ -105,7 +105,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
     for channel in channels:
         gap, _ = largest_departure(channel.curve, channel.gamma.departure)
         srgb, _ = largest_departure(channel.curve, channel.gamma.srgb_departure)
-        clean = np.mean(channel.radiance.coverage[channel.plane.mask] > 0)
+        clean = float(np.mean(channel.radiance.coverage[channel.plane.mask] > 0))
         rows.append(
             (
                 channel.plane.label or "grey",
