@@ -223,8 +223,7 @@ def fit_response_curve(
         if tau is not None and tau >= SHAKIEST:
             raise InputError(
                 f"the images contradict their exposure times by {format_percent(SHAKIEST)} or "
-                "more; check the "
-                "times and the black level."
+                "more; check the times and the black level."
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)

@@ -145,8 +145,7 @@ def _planes(
         raise InputError(
             f"{where}: {entries[-1].file}, the longest, is darker than {entries[0].file}, the "
             f"shortest, at {format_percent(darker)} of the pixels; check the order of the times, "
-            "and that the "
-            "images are no negatives."
+            "and that the images are no negatives."
         )
     scene = _scene_mask(mask, frames[0].shape[:2], where)
     files = tuple(entry.file for entry in entries)

@@ -352,8 +352,8 @@ def _refuse_clipped_or_dark(
     if clipped > 0.9:
         raise InputError(
             f"{rig.folder}: {format_percent(clipped)} of the lit pixels of the {channel} channel "
-            "are saturated "
-            f"(at or above {observation.clip:g} DN); expose less, or correct camera.saturation."
+            f"are saturated (at or above {observation.clip:g} DN); expose less, or correct "
+            "camera.saturation."
         )
     if np.median(lit_dn) - observation.black < 1:
         raise InputError(

@@ -177,7 +177,6 @@ def _of_outline(observation: ReflectanceObservation) -> list[str]:
         return []
     return [
         f"{format_percent(share)} of the object's pixels stay dark under every light, although "
-        "they face one: "
-        "its outline (the sphere's centre and radius, or the mask) reaches too far, or it is black "
-        "there."
+        "they face one: its outline (the sphere's centre and radius, or the mask) reaches too "
+        "far, or it is black there."
     ]
