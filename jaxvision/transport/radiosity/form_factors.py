@@ -40,7 +40,7 @@ _LARGEST = 1e8  # side over distance: its square is far from overflow in float32
 def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     """F between two equal rectangles that face each other.
 
-    Written as a sum of positive terms, it keeps its digits for any sizes, however tiny.
+    Written as a sum of positive terms, it keeps its digits for any sizes down to those below.
 
     Args:
         width, height: () m each, of both rectangles; sides beyond 1e8 gaps count as 1e8.
