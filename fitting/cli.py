@@ -244,9 +244,12 @@ def init(
 
     path, found = write_rig(folder)
     print(f"Rig: {path}")
+    for sentence in found.left_out:
+        print(f"Left out: {sentence}")
     for sentence in found.missing:
         print(f"To do: {sentence}")
-    print(f"Then: jaxvision-fit {found.kind} {folder}")
+    if found.kind:
+        print(f"Then: jaxvision-fit {found.kind} {folder}")
 
 
 @sub_command(app, "jaxvision-fit study noise cameras/* --out study --workers 4")

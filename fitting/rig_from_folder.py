@@ -1,6 +1,7 @@
 """A first `rig.toml` of a folder of images, from their names and heads, asking nothing."""
 
 import json
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -42,9 +43,11 @@ _FRACTION, _COUNTED = (
     re.compile(rf"(?<![\d.,])(?<!\d[_-]){over}[_-]([1-9]\d*) ?(?:s|sec)(?![a-z])", re.IGNORECASE)
     for over in ("1", r"(?!1[_-])\d+")
 )
+_WAVELENGTH = re.compile(r"(?<![a-z\d.,])(\d+(?:\.\d+)?) ?nm(?![a-z])", re.IGNORECASE)
 _UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
 
-Key = tuple[float | None, float | None, float | None, str]  # exposure, ISO, temperature, stem
+Key = tuple[str, float | None, float | None, str]  # line of the exposure, ISO, temperature, stem
+UNKNOWN_EXPOSURE = "# exposure = ?  # s"
 
 
 @dataclass
@@ -54,11 +57,13 @@ class FoundRig:
     Attributes:
         text: TOML; what is missing stands in it as comments.
         missing: a sentence each.
-        kind: which calibration the images look like: noise, response or brdf.
+        left_out: images that are in no entry, a sentence each.
+        kind: which calibration the images look like: noise, response or brdf; "" for none.
     """
 
     text: str = ""
     missing: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     kind: str = ""
 
 
@@ -106,7 +111,8 @@ def rig_of(folder: Path) -> FoundRig:
     Images count by a word in their path: dark or bias; flat or bright; light or lamp (then
     `normals` and `mask` are the shape); the others are an exposure stack. IMAGETYP of a FITS header
     tells flats, darks and photographs as well. Times come from the files' heads, or from names such
-    as `flat_8ms` and `scene_1-8s`.
+    as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks. An
+    EXR or HDR file beside images of whole numbers is left out.
 
     Args:
         folder: of images, in it or one folder below.
@@ -131,12 +137,20 @@ def rig_of(folder: Path) -> FoundRig:
         check_utf8(file)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
-    images = [_image(folder, name, counted=counted) for name in names if name not in shape]
+    pictures = [name for name in names if name not in shape]
+    floating = [name for name in pictures if Path(name).suffix.lower() in FLOAT_FORMATS]
+    merged = floating if len(floating) < len(pictures) else []
+    images = [_image(folder, name, counted=counted) for name in pictures if name not in merged]
     dark, flat, light, stack = (
         [image for image in images if _kind(image) == kind]
         for kind in ("dark", "flat", "light", "")
     )
-    found = FoundRig(kind="noise" if flat else "brdf" if light else "response")
+    found = FoundRig(
+        kind="noise" if flat else "brdf" if light else "response" if stack else "",
+        left_out=[
+            f"{name}: holds floating numbers, and the other images whole ones." for name in merged
+        ],
+    )
     lines = _camera(folder, images, found)
     warmth = _warmth(flat + dark)
     isos = {image.settings.iso for image in flat + dark if image.settings.iso}
@@ -152,6 +166,11 @@ def rig_of(folder: Path) -> FoundRig:
         if doubts:
             others = f" {len(doubts) - 1} more names are alike." if len(doubts) > 1 else ""
             found.missing.append(doubts[0] + others)
+    if not found.kind:
+        found.missing.append(
+            "Nothing can be calibrated yet: add flats for the noise, a still scene at several "
+            "exposure times for the response, or images under known lights for the reflectance."
+        )
     if flat and not dark:
         found.missing.append("No name or header says dark: photon transfer needs darks.")
     found.text = "\n".join(lines) + "\n"
@@ -314,23 +333,23 @@ def _levels(
         for image in images:
             iso = image.settings.iso if several_gains else None
             stem = stems[image.name] if stem_counts else ""
-            groups[image.exposure, iso, warmth.get(image.name), stem].append(image.name)
+            groups[_seconds(image), iso, warmth.get(image.name), stem].append(image.name)
         return groups
 
     groups = grouped(several)
     if any(len(names) < 2 for names in groups.values()):  # numbers tell levels, not frames
         groups = grouped(False)
     lines = []
-    for (exposure, iso, kelvin, _), names in groups.items():
+    for (seconds, iso, kelvin, _), names in groups.items():
         listed = "".join(f"\n    {_quoted(name)}," for name in names)
-        lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", _seconds(exposure)]
+        lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", seconds]
         lines += [f"iso = {iso:g}"] if iso else []
         lines += [f"temperature = {kelvin:g}"] if kelvin else []
         if kind == "flat":
             lines.append("# photons = ?  # a pixel and exposure, for the quantum efficiency")
         if len(names) < 2:
             found.missing.append(f"{names[0]}: a {kind} level needs two images or more.")
-    if None in {exposure for exposure, *_ in groups}:
+    if UNKNOWN_EXPOSURE in {seconds for seconds, *_ in groups}:
         found.missing.append(f"Exposures of {kind}s are in neither files nor names; give them.")
     if kind == "flat" and groups:
         found.missing.append("photons of the flats: give them for the quantum efficiency.")
@@ -338,16 +357,42 @@ def _levels(
 
 
 def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
+    bands = {image.name: _band(image.name) for image in images}
+    if len(set(bands.values())) < 2:
+        bands = dict.fromkeys(bands, "")
     lines = []
     for image in images:
-        lines += ["", "[[exposure]]", f"file = {_quoted(image.name)}", _seconds(image.exposure)]
+        lines += ["", "[[exposure]]", f"file = {_quoted(image.name)}", _seconds(image)]
+        lines += [f'group = "{bands[image.name]}"'] if bands[image.name] else []
     if any(image.exposure is None for image in images):
         found.missing.append("Exposures are in neither files nor names; give them in seconds.")
+    for band in dict.fromkeys(bands.values()):
+        alone = [name for name, own in bands.items() if own == band]
+        if len(alone) < 2 and found.kind == "response":
+            of = f" of {band}" if band else ""
+            found.missing.append(
+                f"{alone[0]} is the only exposure{of}; a response needs two or more."
+            )
     return lines
 
 
-def _seconds(exposure: float | None) -> str:
-    return "# exposure = ?  # s" if exposure is None else f"exposure = {exposure:.6g}"
+def _band(name: str) -> str:
+    """The wavelength in a name, such as 450nm, or ""."""
+    said = _WAVELENGTH.search(Path(name).stem)
+    return f"{said[1]}nm" if said else ""
+
+
+def _seconds(image: _Image) -> str:
+    """The line of the exposure: a fraction where EXIF holds one, or where decimals would round."""
+    if image.exposure is None:
+        return UNKNOWN_EXPOSURE
+    decimals, under = f"{image.exposure:.6g}", round(1 / image.exposure)
+    is_fraction = under > 1 and math.isclose(under * image.exposure, 1, rel_tol=1e-7)
+    by_exif = image.settings.exposure and Path(image.name).suffix.lower() not in FITS_FORMATS
+    is_exact = math.isclose(float(decimals), image.exposure, rel_tol=1e-9)
+    if is_fraction and (by_exif or not is_exact):
+        return f'exposure = "1/{under}"'
+    return f"exposure = {decimals}"
 
 
 def _lights(images: Sequence[_Image], found: FoundRig) -> list[str]:

@@ -235,6 +235,62 @@ def test_a_number_before_the_time_counts_images_or_is_a_fraction(tmp_path):
     assert any("read as 1/5 s; correct it if that is 5 s." in said for said in found.missing)
 
 
+def test_a_merged_map_is_no_exposure(tmp_path):
+    """Its numbers, to 274, would count as those of the camera."""
+    for i, seconds in enumerate((0.5, 1.0)):
+        photograph(tmp_path / f"view{i}.jpg", seconds=seconds)
+    write_image(tmp_path / "merged.hdr", np.full((6, 8, 3), 274.0, np.float32))
+    status, stdout, _ = run("init", tmp_path)
+    assert status == 0
+    assert "Left out: merged.hdr: holds floating numbers, and the other images whole" in stdout
+    rig = load_rig(tmp_path)
+    assert [one.file for one in rig.exposure] == ["view0.jpg", "view1.jpg"]
+    assert rig.camera.bits == 8
+    for i in range(2):
+        (tmp_path / f"view{i}.jpg").unlink()
+    found = rig_of(tmp_path)
+    assert [one["file"] for one in tomllib.loads(found.text)["exposure"]] == ["merged.hdr"]
+    assert "merged.hdr is the only exposure; a response needs two or more." in found.missing
+
+
+def test_wavelengths_in_names_separate_stacks(tmp_path):
+    names = [f"chart30cm_{band}nm_{ms}ms.png" for band in (400, 450) for ms in (25, 100)]
+    for name in names:
+        write_image(tmp_path / name, np.full((4, 4), 7, np.uint8))
+    path, _ = write_rig(tmp_path)
+    assert [(one.group, one.exposure) for one in load_rig(path).exposure] == [
+        ("400nm", 0.025),
+        ("400nm", 0.1),
+        ("450nm", 0.025),
+        ("450nm", 0.1),
+    ]
+    (tmp_path / names[1]).unlink()
+    said = f"{names[0]} is the only exposure of 400nm; a response needs two or more."
+    assert said in rig_of(tmp_path).missing
+    (tmp_path / names[0]).unlink()
+    assert "group" not in rig_of(tmp_path).text
+
+
+def test_darks_alone_say_what_is_missing(tmp_path):
+    for frame in range(2):
+        write_image(tmp_path / f"dark_25ms_{frame}.png", np.full((4, 4), 7, np.uint8))
+    status, stdout, _ = run("init", tmp_path)
+    assert status == 0
+    assert "To do: Nothing can be calibrated yet: add flats for the noise" in stdout
+    assert "Then" not in stdout
+
+
+def test_a_fraction_of_a_second_is_written_as_one(tmp_path):
+    for name, seconds in (("a", 1 / 30), ("b", 1 / 125), ("c", 0.3), ("d", 2.0)):
+        photograph(tmp_path / f"{name}.jpg", seconds=seconds)
+    for name in ("e_1-60s", "f_8ms"):
+        write_image(tmp_path / f"{name}.png", np.full((4, 4), 7, np.uint8))
+    path, found = write_rig(tmp_path)
+    written = [one["exposure"] for one in tomllib.loads(found.text)["exposure"]]
+    assert written == ["1/30", "1/125", 0.3, 2, "1/60", 0.008]
+    assert load_rig(path).exposure[0].exposure == 1 / 30
+
+
 def test_names_are_quoted_as_toml_wants_them(tmp_path):
     name = 'a "b" c\\d\x7f.png'
     write_image(tmp_path / name, np.full((4, 4), 7, np.uint8))
