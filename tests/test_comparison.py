@@ -61,10 +61,25 @@ def test_what_is_said_is_what_the_lights_show():
     assert set(equally_good(scores)) == {"phong", "torrance-sparrow"}
     told = verdict(scores, 16)
     assert "equally" not in told
-    assert "Not distinguishable" in told
+    assert "Not distinguishable from it by these lights: Torrance-Sparrow (GGX) (" in told
+    assert " percentage points more). With 16 lights a difference counts from 2.1 standard" in told
     assert "BIC prefers Torrance-Sparrow (GGX) by 45743" in told
     apart = verdict((scores[0], scores[2]), 16)
     assert "The next, Lambert, errs by" in apart
+    assert " (grey), 75 % below the 30.0 % of Lambert. The next" in apart
+
+
+def test_a_difference_of_few_lights_counts_from_more_standard_errors():
+    """3.7 of them are chance with three lights: Student's t with two degrees of freedom."""
+    best = np.stack([[0.010, 0.012, 0.011], np.ones(3)], axis=1)
+    close = best * [[1.02, 1.0], [1.01, 1.0], [1.05, 1.0]]
+    scores = (score("lambert", best * [9, 1]), score("phong", close), score("blinn", best))
+    gap = difference(scores[1], scores[2])
+    assert 2 * gap.error < gap.value < gap.half_width
+    assert (
+        "With 3 lights a difference counts from 4.3 standard errors on, by Student's t with 2 "
+        "degrees of freedom at 95 %."
+    ) in verdict(scores, 3)
 
 
 def of(parts):

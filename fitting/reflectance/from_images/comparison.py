@@ -295,15 +295,17 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     if "lambert" not in equal:
         fall = 1 - errors[best] / errors["lambert"]
         sentence += (
-            f", against {_percentages(errors['lambert'])} for Lambert, "
-            f"{_percentages(fall, digits=0)} less"
+            f", {_percentages(fall, digits=0)} below the {_percentages(errors['lambert'])} of "
+            "Lambert"
         )
     sentence += "."
     if len(equal) > 1:
-        others = ", ".join(f"{LABELS[m]} ({_gaps(by_model[m], by_model[best])})" for m in equal[1:])
-        sentence += (
-            f" Not distinguishable from it by these lights: {others} percentage points more."
+        others = ", ".join(
+            f"{LABELS[m]} ({_gaps(by_model[m], by_model[best])} percentage points more)"
+            for m in equal[1:]
         )
+        sentence += f" Not distinguishable from it by these lights: {others}."
+        sentence += _criterion(by_model[equal[1]], by_model[best])
         lead = min(costs[m] - costs[cheapest] for m in costs if m != cheapest)
         if lead > DECISIVE:
             sentence += (
@@ -324,6 +326,16 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
 
 def _lights(count: int, kind: str = "") -> str:
     return f"{count} {kind}light{'' if count == 1 else 's'}"
+
+
+def _criterion(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
+    """From how many standard errors on a difference counts: few lights tell their scatter badly."""
+    freedom = min(difference(a, b).freedom for a, b in zip(own, best, strict=True))
+    return (
+        f" With {_lights(freedom + 1)} a difference counts from {stdtrit(freedom, LEVEL):.1f} "
+        f"standard errors on, by Student's t with {freedom} degree{'' if freedom == 1 else 's'} of "
+        "freedom at 95 %."
+    )
 
 
 def _gaps(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
