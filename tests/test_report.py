@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import (
@@ -34,8 +35,9 @@ from fitting.inference.formatting import (
 )
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
+from fitting.reflectance.from_images.comparison import ModelScore, comparison_table
 from fitting.report.chains import corner_figure
-from fitting.report.console import section_text
+from fitting.report.console import plain_tables, print_section, section_text
 from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.notebook import ShownInNotebooks, section_html
 from fitting.report.page import as_html, as_json, write_report
@@ -386,6 +388,31 @@ def test_a_notebook_prints_nothing_while_it_asks_for_text(section, monkeypatch):
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     monkeypatch.setattr("rich.jupyter.display", lambda *_: pytest.fail("shown"))
     assert section_text(section).startswith(section.title)
+
+
+@pytest.mark.parametrize("width", [60, 80, 110])
+def test_tables_fit_the_terminal_and_cut_no_name(width):
+    """At 80 columns a table of eight is printed in two, each beginning with the names."""
+    score = ModelScore("torrance-sparrow", "green", 0.02531, 0.02411, 5, 1234.5, 45743.1, 9e4, None)
+    section = Section("Reflectance", (), (), tables=(comparison_table([score] * 3, 3),))
+    console = Console(file=io.StringIO(), width=width)
+    print_section(console, section)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    parts = len(plain_tables(section.tables[0], width))
+    assert parts == {60: 3, 80: 2, 110: 1}[width]
+    printed = "\n".join(lines)
+    assert "…" not in printed
+    assert printed.count("Torrance-Sparrow") == 3 * parts
+    assert printed.count("Models compared") == printed.count("Relative RMS over") == 1
+    assert printed.count("45740") == 3
+
+
+def test_a_word_longer_than_the_terminal_is_broken():
+    table = Table("Files", ("file", "share"), (("a" * 90, 0.25),))
+    console = Console(file=io.StringIO(), width=40)
+    console.print(*plain_tables(table, 40))
+    assert console.file.getvalue().count("a") == 90 + 1  # and that of the head
 
 
 def test_a_section_finds_estimates_and_draws_pictures_by_name(section):

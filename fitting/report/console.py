@@ -2,8 +2,10 @@
 
 import io
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table as RichTable
 
@@ -34,7 +36,8 @@ def print_section(console: Console, section: Section) -> None:
                 f"({number}) Not determined: {reason}.", soft_wrap=not console.is_terminal
             )
     for table in section.tables:
-        console.print(plain_table(table))
+        for part in plain_tables(table, console.width):
+            console.print(part)
     for finding in said_once(section.findings):
         console.print(f"• {finding}", soft_wrap=not console.is_terminal)
 
@@ -60,7 +63,7 @@ def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
     table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
     heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
     for head in heads:
-        table.add_column(_escaped(head))
+        table.add_column(_escaped(head), overflow="fold")
     for _, rows in found.blocks:
         table.add_section()
         for row in rows:
@@ -76,20 +79,63 @@ def _cell(cell: Cell) -> str:
     return f"{cell.value}{note}\n{cell.interval}".rstrip()
 
 
-def plain_table(content: Table) -> RichTable:
-    """A results table as it stands, its caption under it."""
-    table = RichTable(
-        title=_escaped(content.title),
-        title_justify="left",
-        title_style="bold",
-        caption=_escaped(content.caption) or None,
-        caption_justify="left",
-    )
-    for column in content.columns:
-        table.add_column(_escaped(column))
-    for row in content.rows:
-        table.add_row(*(_escaped(format_cell(cell)) for cell in row))
-    return table
+def plain_tables(content: Table, width: int) -> list[RichTable]:
+    """A results table as it stands, its caption under it: in parts where it is too wide, each
+    beginning with the columns of names. Cells wrap between words; no word is cut where a part of a
+    single column fits.
+
+    Args:
+        content: of a section.
+        width: columns of the console.
+
+    Returns:
+        The parts.
+    """
+    rows = [[format_cell(cell) for cell in row] for row in content.rows]
+    texts = [*zip(content.columns, *rows, strict=True)]
+    least = [max(map(cell_len, " ".join(column).split()), default=0) for column in texts]
+    whole = [max(map(cell_len, column)) for column in texts]
+    names = _columns_of_names(content)
+    parts: list[list[int]] = []
+    for i in range(names, len(least)):
+        joined = [*(parts[-1] if parts else range(names)), i]
+        if parts and _spare(joined, least, width) < 0:
+            parts.append([*range(names), i])
+        else:
+            parts[-1:] = [joined]
+    tables = []
+    for chosen in parts:
+        table = RichTable(title_justify="left", title_style="bold", caption_justify="left")
+        spare = _spare(chosen, least, width)
+        is_narrow = 0 <= spare < sum(whole[i] - least[i] for i in chosen)
+        for i in chosen:
+            added = min(whole[i] - least[i], max(spare, 0))
+            spare -= added
+            table.add_column(
+                _escaped(content.columns[i]),
+                width=least[i] + added if is_narrow else None,
+                overflow="fold",
+            )
+        for row in rows:
+            table.add_row(*(_escaped(row[i]) for i in chosen))
+        tables.append(table)
+    tables[0].title = _escaped(content.title)
+    tables[-1].caption = _escaped(content.caption) or None
+    return tables
+
+
+def _columns_of_names(content: Table) -> int:
+    """How many columns name a row: of the first two, those of text."""
+    is_text = [
+        all(isinstance(cell, str) for cell in column) for column in zip(*content.rows, strict=True)
+    ]
+    count = 0 if not is_text or not is_text[0] else 1 + all(is_text[1:2])
+    return min(count, max(len(content.columns) - 1, 0))
+
+
+def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
+    """What the words of these columns and the frame leave of a width."""
+    return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 
 def _escaped(cell: str) -> str:
