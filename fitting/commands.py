@@ -90,7 +90,9 @@ class Options:
 Calibrate = Callable[[Reporter], "tuple[list[Section], dict[str, np.ndarray]]"]
 
 app = command_app(
-    COMMAND, "Calibrate camera noise, camera response and surface reflectance from images."
+    COMMAND,
+    "Calibrate camera noise, camera response and surface reflectance from images.",
+    elsewhere=dict.fromkeys(("inspect", "render", "effects"), "jaxvision"),
 )
 
 

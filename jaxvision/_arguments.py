@@ -17,7 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from ._types import Range, axes_of, check_range, check_shape, in_short, is_any_axes, is_known
+from ._types import (
+    Key,
+    Range,
+    axes_of,
+    check_key,
+    check_range,
+    check_shape,
+    in_short,
+    is_any_axes,
+    is_known,
+)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,8 +65,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
 
     They become arrays of the floating dtype that is beside them. A shape that the annotation
-    excludes, and a direction that is not unit, raise `ValueError`; optional arguments without their
-    names, `TypeError`.
+    excludes, a direction that is not unit and a number for a random key raise `ValueError`;
+    optional arguments without their names, `TypeError`.
 
     Args:
         function: whose annotations say which of its parameters are arrays.
@@ -85,6 +95,9 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
                 _check(function, name, value, want)
             elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
                 raise _no_numbers(function, name, value)
+        for name in _keys(function):
+            if name in values:
+                check_key(_place(function, name), values[name])
         return function(*args, **kwargs)
 
     return of_numbers
@@ -136,6 +149,17 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
 
 
 @cache
+def _keys(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Which parameters are random keys."""
+    hints = get_type_hints(function)
+    return tuple(n for n in signature(function).parameters if Key in _members(hints.get(n)))
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+@cache
 def _placed(function: Callable[..., Any]) -> int:
     """How many arguments it takes by their place."""
     kinds = [parameter.kind for parameter in signature(function).parameters.values()]
@@ -145,8 +169,7 @@ def _placed(function: Callable[..., Any]) -> int:
 
 
 def _of_hint(name: str, hint: Any) -> _Wanted | None:
-    union = get_origin(hint) in (Union, UnionType)
-    parts = [kind for p in (get_args(hint) if union else [hint]) for kind in _kinds(p)]
+    parts = [kind for part in _members(hint) for kind in _kinds(part)]
     numbers = {float, int} & set(parts)
     others = {np.ndarray, *numbers}
     arrays = [part for part in parts if part not in others and not _is_record(part)]

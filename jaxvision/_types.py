@@ -45,6 +45,7 @@ Colour = Float[Array, " bands"]
 Spectrum = Float[Array, "... bands"]
 Image = Float[Array, "*batch h w bands"]
 Key = PRNGKeyArray | Shaped[Array, "2"]
+_KEY_WORDS = ((2,), (4,))  # of keys without a type of their own
 print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key")
 
 Record = TypeVar("Record")
@@ -189,9 +190,29 @@ def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
         return
     wanted = " or ".join(kind.__name__ for kind in known)
     is_class = isinstance(value, type)
-    kind = f"the class {value.__name__}" if is_class else f"a {type(value).__name__}"
+    kind = f"the class {value.__name__}" if is_class else _with_article(type(value).__name__)
+    if isinstance(value, jax.Array | np.ndarray):
+        kind = "an array"
     got = repr(value) if np.isscalar(value) else kind
     raise ValueError(f"{name} must be a record, {wanted}, got {got}.")
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'AEIOaeio' else 'a'} {noun}"
+
+
+def check_key(name: str, value: Any) -> None:
+    """Raises `ValueError` unless `value` may be a random key, or several. None passes."""
+    if value is None:
+        return
+    if hasattr(value, "dtype"):
+        typed = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        if typed or jnp.shape(value)[-1:] in _KEY_WORDS:
+            return
+    seed = int(value) if isinstance(value, int | np.integer) else 0
+    raise ValueError(
+        f"{name} must be a random key, got {in_short(value)}; write jax.random.key({seed})."
+    )
 
 
 def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:

@@ -32,6 +32,7 @@ from .memory import keep_memory
 from .programs import keep_programs
 from .progress import progress_bar
 
+PERCENT_MEANT = 100.0  # a bare number from 1 to this was meant in per cent
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,
@@ -292,7 +293,15 @@ def _share(text: str) -> float:
     if goal.unit != "relative" or not goal.value > 0:
         raise InputError(f"--accuracy {text}: give a share of the picture above 0, as in 1%.")
     if goal.value >= 1:
-        raise InputError(f"--accuracy {text}: a black picture is as near; give less, as in 1%.")
+        if "%" not in text and goal.value < PERCENT_MEANT:
+            raise InputError(
+                f"--accuracy {text} is {100 * goal.value:g} %; write {text}% or "
+                f"{goal.value / 100:g}."
+            )
+        raise InputError(
+            f"--accuracy {text}: even a black picture errs by no more than 100 %; give less, as in "
+            "1%."
+        )
     return goal.value
 
 

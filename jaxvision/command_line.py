@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib import metadata
@@ -17,11 +17,12 @@ import typer
 from typer.core import TyperGroup
 
 from . import __version__
-from .errors import InputError, check_utf8, unwritable
+from .errors import InputError, check_utf8, nearest, unwritable
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
 UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
+_USAGE_ERROR: Any = typer.BadParameter.mro()[1]  # of every mistake in words; not exported
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 _SIDE_BY_SIDE = 4  # records of a table
 # Options of every command that measures accuracy.
@@ -57,13 +58,36 @@ class _Group(TyperGroup):
             leave(str(self.name), "the working folder was removed; change to another.", 2)
         return super().parse_args(ctx, args)
 
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except _USAGE_ERROR as error:
+            error.message = self._clearer(str(error.message), ctx)
+            raise
 
-def command_app(name: str, about: str) -> typer.Typer:
+    def _clearer(self, said: str, ctx: Any) -> str:
+        """What is wrong with a command line, and what to write."""
+        said = said.removeprefix("Value error, ")
+        if " is not one of " in said:
+            word, *known = re.findall(r"'([^']*)'", said)
+            return f"{word!r} is unknown; {nearest(word, known)}."
+        if re.match("No such option: (-v|--verbose)", said):
+            return f"-v stands before the command: {self.name} -v COMMAND."
+        unknown = re.match("No such command '(.*?)'", said)
+        if unknown and unknown[1] in (ctx.obj or {}):
+            return f"{said} Write {ctx.obj[unknown[1]]} {unknown[1]}."
+        return said
+
+
+def command_app(
+    name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
+) -> typer.Typer:
     """A command to which sub-commands are added.
 
     Args:
         name: as it is typed.
         about: one sentence, the head of its help.
+        elsewhere: the command that has a sub-command of that name, by the name.
 
     Returns:
         The command; it knows `--help`, `--version` and `--verbose`.
@@ -74,6 +98,7 @@ def command_app(name: str, about: str) -> typer.Typer:
         help=about,
         add_completion=False,
         no_args_is_help=True,
+        context_settings={"obj": elsewhere},
         pretty_exceptions_enable=False,
     )
     flag = typer.Option(

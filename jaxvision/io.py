@@ -6,6 +6,7 @@ on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their bi
 uint16); floating files come as float32. Every failure is an `InputError` of one sentence.
 """
 
+import errno
 import logging
 import os
 import tempfile
@@ -70,6 +71,8 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
+    if error.errno == errno.ENOENT:  # its folder is there, of a kind that takes none
+        return InputError(f"{path}: no file can be made there; choose another path.")
     return InputError(f"{path}: cannot be written: {unwritable(error)}.")
 
 

@@ -340,8 +340,12 @@ def test_the_command_measures_a_scene(scene, tmp_path):
         (["accuracy", "BALL", "--seconds", "0"], "give a time above 0"),
         (["accuracy", "BALL", "--out", "BALL"], "is a file"),
         (["render", "BALL", "--out", "x.exr", "--accuracy", "1DN"], "a share of the picture"),
-        (["render", "BALL", "--out", "x.exr", "--accuracy", "200%"], "a black picture is as near"),
-        (["render", "BALL", "--out", "x.exr", "--accuracy", "5"], "a black picture is as near"),
+        (
+            ["render", "BALL", "--out", "x.exr", "--accuracy", "200%"],
+            "a black picture errs by no more",
+        ),
+        (["render", "BALL", "--out", "x.exr", "--accuracy", "10"], "is 1000 %; write 10% or 0.1."),
+        (["render", "BALL", "--out", "x.exr", "--accuracy", "300"], "give less, as in 1%"),
         (
             ["render", "BALL", "--out", "x.exr", "--accuracy", "1%", "--samples", "4"],
             "--samples and a choice of settings exclude each other",

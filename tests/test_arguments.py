@@ -35,6 +35,37 @@ def shapes(call):
     return [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(jax.eval_shape(call))]
 
 
+@pytest.mark.parametrize(
+    ("key", "got", "advice"),
+    [
+        (0, "0", "0"),
+        (7, "7", "7"),
+        (np.int64(7), r"np.int64\(7\)", "7"),
+        (jnp.arange(3), "Array.*", "0"),
+        ("seed", "'seed'", "0"),
+    ],
+)
+def test_a_number_is_no_random_key(key, got, advice):
+    said = rf"key must be a random key, got {got}; write jax.random.key\({advice}\)."
+    light, noise = jnp.ones((2, 2, 1)), jv.PoissonShotNoise()
+    sensor = jv.Sensor(quantum_efficiency=[1.0], exposure_time=1.0, shot_noise=noise)
+    with pytest.raises(ValueError, match=f"^raw_image: {said}"):
+        jv.sensor.raw_image(key, sensor, light)
+    with pytest.raises(ValueError, match=f"^raw_image: die_{said}"):
+        jv.sensor.raw_image(jax.random.key(0), sensor, light, die_key=key)
+    for record in (jv.MonteCarlo, jv.Balanced, jv.PixelSamples):
+        with pytest.raises(ValueError, match=f"^{record.__name__}.{said}"):
+            record(key, 4)
+
+
+def test_keys_of_every_kind_are_keys():
+    for key in (jax.random.key(0), jax.random.PRNGKey(0), jax.random.key(0, impl="rbg")):
+        assert jv.MonteCarlo(key, 4).key is key
+        jax.jit(lambda key: jv.Balanced(key, 4).key)(key)
+    keys = jax.random.split(jax.random.key(0), 3)
+    assert jax.vmap(lambda key: jv.PixelSamples(key, 1).key)(keys).shape == (3,)
+
+
 @pytest.mark.sweep("geometry", "brdf", "sensor")
 @pytest.mark.parametrize("room", ROOMS)
 def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):

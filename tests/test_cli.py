@@ -61,6 +61,27 @@ def test_a_rig_without_the_section_a_command_needs(command, section, tmp_path):
     assert section in one_sentence(stderr)
 
 
+def test_mistaken_words_say_which_to_write(tmp_path):
+    """The error of a word stands in a frame, wrapped."""
+
+    def said(app, *words):
+        status, _, stderr = called(app, *words)
+        assert status == 2
+        return " ".join(re.sub("[│╭╮╰╯─]", " ", stderr).split())
+
+    error = said(app, "brdf", tmp_path, "--model", "pong")
+    assert error.endswith("Invalid value for '--model': 'pong' is unknown; the nearest is 'phong'.")
+    assert said(app, "inspect", "x").endswith("No such command 'inspect'. Write jaxvision inspect.")
+    for option in ("-v", "--verbose"):
+        error = said(jaxvision.cli.app, "render", "x.toml", option)
+        assert error.endswith("-v stands before the command: jaxvision -v COMMAND.")
+    own, others = (
+        {one.callback.__name__ for one in each.registered_commands}
+        for each in (app, jaxvision.cli.app)
+    )
+    assert {*app.info.context_settings["obj"]} == others - own
+
+
 def test_words_and_the_working_folder_are_text(tmp_path, monkeypatch):
     foreign = tmp_path / os.fsdecode(b"\xcf")
     status, _, stderr = run("noise", foreign)

@@ -1,12 +1,14 @@
 """Files read back as written: depth, values, and one sentence where that is impossible."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from jaxvision import io
 from jaxvision._png_chunks import png_fault
 from jaxvision.errors import InputError
-from jaxvision.io import LONGEST_REASON, read_image, write_exr, write_image
+from jaxvision.io import LONGEST_REASON, check_writable, read_image, write_exr, write_image
 
 RNG = np.random.default_rng(3)
 
@@ -20,6 +22,11 @@ def test_integer_files_keep_every_bit(tmp_path, suffix, dtype, shape):
     read = read_image(tmp_path / f"a{suffix}")
     assert read.dtype == dtype
     np.testing.assert_array_equal(read, pixels)
+
+
+def test_where_no_file_can_be_made_is_said():
+    with pytest.raises(InputError, match=r"^/proc/x\.exr: no file can be made there; choose"):
+        check_writable(Path("/proc/x.exr"))
 
 
 def test_sixteen_bit_png_is_sixteen_bit_on_disk(tmp_path):

@@ -5,6 +5,7 @@ The photographs are NumPy's (`oracles.sphere_photographs`); optima are checked a
 
 import dataclasses
 import json
+import re
 
 import jax
 import jax.numpy as jnp
@@ -416,3 +417,9 @@ def test_float32_is_kept(observation):
         assert found.samples.dn.dtype == jnp.float32
         z = np.log(found.natural / PHONG) / deviations(found)
     np.testing.assert_allclose(z, 0, atol=4)
+
+
+def test_a_setting_without_its_name_is_told_its_name():
+    said = "calibrate takes 1 of its arguments by their place; write model='torrance-sparrow'."
+    with pytest.raises(TypeError, match=re.escape(said)):
+        calibrate_reflectance(None, "torrance-sparrow")

@@ -86,6 +86,9 @@ def test_kinds_counts_and_choices_are_named():
     for value, got in ((2.0, "got 2.0"), ("a", "got 'a'"), (Lambert, "got the class Lambert")):
         with pytest.raises(ValueError, match=f"x must be a record, Phong or Sphere, {got}"):
             check_kind("x", value, Phong | Sphere)
+    for value, got in ((jnp.zeros(3), "an array"), (Sphere([0, 0, 0], 1.0), "a Sphere")):
+        with pytest.raises(ValueError, match=f"Phong or Lambert, got {got}"):
+            check_kind("x", value, Phong | Lambert)
     check_count("n", np.int32(3), 3, odd=True)
     for value in (3.0, True, "3", None, 2, jnp.asarray(3)):
         with pytest.raises(ValueError, match="n must be a whole number of at least 3, got"):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import wraps
+from inspect import Parameter, signature
 from typing import ParamSpec, TypeVar
 
 import jax
@@ -18,11 +19,21 @@ def in_double(function: Callable[P, T]) -> Callable[P, T]:
         function: takes no traced numbers.
 
     Returns:
-        The same function of the same numbers.
+        The same function of the same numbers; arguments that have no place raise `TypeError`.
     """
+    parameters = signature(function).parameters.values()
+    by_name = [one.name for one in parameters if one.kind is Parameter.KEYWORD_ONLY]
+    placed = len(parameters) - len(by_name)
 
     @wraps(function)
     def done(*args: P.args, **kwargs: P.kwargs) -> T:
+        if by_name and len(args) > placed:
+            given = zip(by_name, args[placed:], strict=False)
+            named = ", ".join(f"{name}={value!r:.60}" for name, value in given)
+            raise TypeError(
+                f"{getattr(function, '__name__', 'function')} takes {placed} of its arguments by "
+                f"their place; write {named}."
+            )
         if jax.dtypes.canonicalize_dtype(np.float64) == np.float64:
             return function(*args, **kwargs)  # a context that changes nothing would compile anew
         with jax.enable_x64(True):

@@ -8,7 +8,7 @@ which is the knob of accuracy.
 import equinox as eqx
 
 from .._shown import Shown
-from .._types import Key, check_count
+from .._types import Key, check_count, check_key
 
 
 class Quadrature(Shown):
@@ -76,6 +76,7 @@ class MonteCarlo(Shown):
     samples: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
+        check_key("MonteCarlo.key", self.key)
         check_count("MonteCarlo.samples", self.samples, 1)
 
 
@@ -104,6 +105,7 @@ class Balanced(Shown):
     samples: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
+        check_key("Balanced.key", self.key)
         check_count("Balanced.samples", self.samples, 1)
 
 

@@ -73,7 +73,7 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
 
     Args:
         first: (...) relative.
-        second: (...) relative.
+        second: (...) relative; axes of length 1 broadcast, as NumPy's do.
         fraction: no unit; outside [0, 1] it extrapolates.
 
     Returns:

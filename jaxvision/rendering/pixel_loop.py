@@ -21,7 +21,7 @@ from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._shown import Shown
 from .._staging import LANES, at_a_time
-from .._types import Key, Scalar, Spectrum, check_count, is_known
+from .._types import Key, Scalar, Spectrum, check_count, check_key, is_known
 from ..geometry import Ray
 from ..in_notebooks import preview_png, with_picture
 from ..optics import view_ray
@@ -64,6 +64,7 @@ class PixelSamples(Shown):
     count: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
+        check_key("PixelSamples.key", self.key)
         check_count("PixelSamples.count", self.count, 1)
 
 
