@@ -152,10 +152,11 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
 def _keys(function: Callable[..., Any]) -> tuple[str, ...]:
     """Which parameters are random keys."""
     hints = get_type_hints(function)
-    return tuple(n for n in signature(function).parameters if Key in _members(hints.get(n)))
+    return tuple(n for n in signature(function).parameters if Key in _parts(hints.get(n)))
 
 
-def _members(hint: Any) -> tuple[Any, ...]:
+def _parts(hint: Any) -> tuple[Any, ...]:
+    """What a union holds, aliases by their name; any other hint alone."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
@@ -169,7 +170,7 @@ def _placed(function: Callable[..., Any]) -> int:
 
 
 def _of_hint(name: str, hint: Any) -> _Wanted | None:
-    parts = [kind for part in _members(hint) for kind in _kinds(part)]
+    parts = [kind for part in _parts(hint) for kind in _kinds(part)]
     numbers = {float, int} & set(parts)
     others = {np.ndarray, *numbers}
     arrays = [part for part in parts if part not in others and not _is_record(part)]

@@ -29,14 +29,23 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Makes each alias of array types a class of that name, so that signatures, `help` and type
-    errors say `Scalar` instead of its definition. `aliases`: the `globals()` of its module."""
-    module = aliases["__name__"].partition("._")[0]
+    """Makes each alias of array types or records a class of that name, so that signatures, `help`
+    and type errors say `Scalar` instead of its definition. `aliases`: the `globals()` of its
+    module."""
+    module = aliases["__name__"].partition(".")[0]
     for name in names:
-        alias, kinds = aliases[name], get_args(aliases[name])
+        alias = aliases[name]
+        kinds = members_of(alias) if get_args(alias) else ()
         members = {"__module__": module, "__doc__": f"{name} = {alias}", "kinds": kinds}
         is_one = not kinds
         aliases[name] = (type(alias) if is_one else _OneOf)(name, (alias,) * is_one, members)
+
+
+def members_of(hint: Any) -> tuple[Any, ...]:
+    """What a union holds, those of unions with a name too; any other hint alone."""
+    named = getattr(hint, "kinds", ()) if isinstance(hint, _OneOf) else ()
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else named
+    return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)
 
 
 Scalar = Float[Array, ""]
@@ -185,7 +194,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
     """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
     passes."""
-    known: tuple[Any, ...] = tuple(kind for union in kinds for kind in get_args(union) or (union,))
+    known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
     if value is None or isinstance(value, known):
         return
     wanted = " or ".join(kind.__name__ for kind in known)
@@ -354,7 +363,7 @@ def _annotated(
     hints, found = get_type_hints(record), {}
     for field in fields(record):
         hint = hints[field.name]
-        parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        parts = members_of(hint)
         shapes = tuple(axes_of(part) for part in parts if hasattr(part, "dim_str"))
         kinds = tuple(p for p in parts if isinstance(p, type) and issubclass(p, eqx.Module))
         if shapes or kinds:

@@ -9,14 +9,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
-from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._types import members_of
 from .colour_filters import bayer
 from .errors import InputError, nearest
 from .io import read_arrays, replaced_on_success
@@ -199,16 +199,16 @@ def _chosen_record(place: str, where: str, annotation: Any, table: Mapping[str, 
 
 def _records(annotation: Any) -> tuple[type, ...]:
     """The records in an annotation, which may be a union."""
-    if get_origin(annotation) in (Union, UnionType):
-        return tuple(kind for part in get_args(annotation) for kind in _records(part))
-    is_record = isinstance(annotation, type) and issubclass(annotation, eqx.Module)
-    return (annotation,) if is_record else ()
+    return tuple(
+        kind
+        for kind in members_of(annotation)
+        if isinstance(kind, type) and issubclass(kind, eqx.Module)
+    )
 
 
 def _holds_records_only(annotation: Any) -> bool:
     """Whether a field, apart from None, holds nothing but records."""
-    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
-    return all(part is type(None) or _records(part) for part in parts)
+    return all(part is type(None) or _records(part) for part in members_of(annotation))
 
 
 def _number(place: str, where: str, value: Any) -> Any:

@@ -10,6 +10,7 @@ import pytest
 from beartype import beartype
 from jaxtyping import TypeCheckError, jaxtyped
 
+import fitting
 import jaxvision as jv
 from jaxvision._groups import group_by_structure, take
 from jaxvision._types import (
@@ -22,10 +23,14 @@ from jaxvision._types import (
     check_count,
     check_kind,
     check_shape,
+    members_of,
 )
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.phong import Phong
+from jaxvision.lights.rules import Rule
 from jaxvision.scene import Sphere
+from jaxvision.scene.shapes import Shape
+from jaxvision.scene.views import View
 
 
 def test_aliases_print_as_their_names_and_still_check():
@@ -78,6 +83,29 @@ def test_shape_checks_name_got_and_expected():
     check_shape("x", None, (3,))
     with pytest.raises(ValueError, match=r"x must have shape \(\) or \(bands,\), got \(2, 3\)"):
         check_shape("x", jnp.zeros((2, 3)), (), ("bands",))
+
+
+@pytest.mark.parametrize("root", [jv, fitting])
+def test_signatures_say_names_of_unions(root):
+    """None spells out the members of one, so that `help` can be read."""
+    for name in dir(root):
+        offered = getattr(root, name)
+        is_error = isinstance(offered, type) and issubclass(offered, Exception)
+        if name.startswith("_") or not callable(offered) or is_error:
+            continue
+        parameters = inspect.signature(offered).parameters.values()
+        assert all(len(str(one)) <= 170 for one in parameters), name
+        if not isinstance(offered, type):  # a record has as many fields as effects
+            assert len(str(inspect.signature(offered))) <= 700, name
+
+
+def test_a_union_of_records_with_a_name_is_still_a_union():
+    assert isinstance(Sphere([0, 0, 0], 1.0), Shape)
+    assert not isinstance(Lambert([0.3]), Shape)
+    assert "jaxvision.View" in str(inspect.signature(jv.render))
+    assert members_of(Rule | None) == (jv.Quadrature, jv.MonteCarlo, jv.Balanced, type(None))
+    with pytest.raises(ValueError, match="x must be a record, Orthographic or Pinhole or Thin"):
+        check_kind("x", 1.0, View)
 
 
 def test_kinds_counts_and_choices_are_named():

@@ -8,7 +8,7 @@ which is the knob of accuracy.
 import equinox as eqx
 
 from .._shown import Shown
-from .._types import Key, check_count, check_key
+from .._types import Key, check_count, check_key, print_by_name
 
 
 class Quadrature(Shown):
@@ -111,3 +111,4 @@ class Balanced(Shown):
 
 Random = MonteCarlo | Balanced
 Rule = Quadrature | Random
+print_by_name(globals(), "Random", "Rule")

@@ -20,6 +20,7 @@ from .._types import (
     check_range,
     check_tile,
     is_known,
+    print_by_name,
 )
 
 DEMOSAICINGS = ("bilinear", "malvar", "menon", "normalised")
@@ -116,6 +117,7 @@ class NeutralPatch(Shown):
 
 
 WhiteBalancing = WhiteBalance | GreyWorld | NeutralPatch
+print_by_name(globals(), "WhiteBalancing")
 
 
 class Bilateral(Shown):
@@ -170,6 +172,7 @@ class NonLocalMeans(Shown):
 
 
 Denoising = Bilateral | NonLocalMeans
+print_by_name(globals(), "Denoising")
 
 
 class Reinhard(Shown):
@@ -225,6 +228,7 @@ class ToneCurve(Shown):
 
 
 ToneMap = Reinhard | Filmic | ToneCurve
+print_by_name(globals(), "ToneMap")
 
 
 class Gamma(Shown):
@@ -256,6 +260,7 @@ class SRGB(Shown):
 
 
 ToneEncoding = Gamma | SRGB
+print_by_name(globals(), "ToneEncoding")
 
 
 class UnsharpMask(Shown):

@@ -15,6 +15,7 @@ from .._types import (
     as_optional_float,
     check_count,
     check_fields,
+    print_by_name,
 )
 
 # A thinner ring, relative to its radius, is closed.
@@ -90,6 +91,7 @@ class AnnularAperture(Shown):
 
 
 Aperture = CircularAperture | PolygonalAperture | RectangularAperture | AnnularAperture
+print_by_name(globals(), "Aperture")
 
 
 class Rim(Shown):

@@ -7,7 +7,7 @@ field, the value and the allowed range. Traced values pass unchecked and have a 
 import equinox as eqx
 
 from .._shown import Shown
-from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields
+from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields, print_by_name
 
 _OF_TEMPERATURE = {
     "rate": NOT_NEGATIVE,
@@ -132,6 +132,7 @@ class GaussianShotNoise(Shown):
 
 
 ShotNoise = PoissonShotNoise | FastPoissonShotNoise | GaussianShotNoise
+print_by_name(globals(), "ShotNoise")
 
 
 class ResetNoise(Shown):

@@ -7,7 +7,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._shown import Shown
-from .._types import AMOUNT, Scalar, as_float, as_optional_float, check_direction, check_fields
+from .._types import (
+    AMOUNT,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_direction,
+    check_fields,
+    print_by_name,
+)
 
 
 class Sphere(Shown):
@@ -170,3 +178,4 @@ class TriangleMesh(Shown):
 
 
 Shape = Sphere | Plane | Disc | Quad | Box | TriangleMesh
+print_by_name(globals(), "Shape")

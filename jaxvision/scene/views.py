@@ -16,6 +16,7 @@ from .._types import (
     check_fields,
     check_range,
     is_known,
+    print_by_name,
 )
 from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
 
@@ -136,6 +137,7 @@ class ThinLens(Shown):
 
 
 View = Orthographic | Pinhole | ThinLens
+print_by_name(globals(), "View")
 NARROWEST = (
     1e-6  # rad, of a pixel behind more than 1 m; rays in single precision tell no less apart
 )
