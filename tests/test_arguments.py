@@ -105,6 +105,9 @@ def test_nan_passes():
     assert np.isnan(jv.Sphere(UP, np.nan).radius)
 
 
+WINDOW = jv.Window([0, 0, 0], [1, 0, 0], [0, 1, 0])
+LAMP = jv.RectangleLight([0, 0, 1], [1, 0, 0], [0, 1, 0], [1.0])
+
 SENTENCES = {
     "radiance of a normal twice as long": (
         lambda: jv.lambert_shading([0, 0, 2], UP, [1.0]),
@@ -308,6 +311,26 @@ SENTENCES = {
     "a picture beyond float32": (
         lambda: jv.write_image("never.exr", np.full((1, 1), 1e39)),
         "ends at 3.4e38",
+    ),
+    "a light field without a sample": (
+        lambda: jv.LightFieldLight(np.ones((0, 1, 1, 1, 1)), WINDOW, WINDOW),
+        "LightFieldLight.radiance must have at least one sample along each axis",
+    ),
+    "two pictures of two sizes": (
+        lambda: jv.matting.triangulation_matte(
+            *map(np.ones, [(4, 5, 3), (4, 5, 3), (4, 3), (4, 5, 3)])
+        ),
+        "triangulation_matte: both pictures must have one shape",
+    ),
+    "no receiver": (
+        lambda: jv.adaptive_irradiance(LAMP, np.ones((0, 3)), np.array([0.0, 0, 1])),
+        "points must hold at least one receiver",
+    ),
+    "a table that is not square": (
+        lambda: jv.transport.radiosity.solve_radiosity(
+            np.ones((2, 3)), np.ones((2, 1)), np.ones((2, 1))
+        ),
+        r"solve_radiosity: table must have shape \(2, 2\)",
     ),
     "negative radius": (lambda: jv.Sphere(UP, -1.0), "Sphere.radius must be at least 0"),
 }

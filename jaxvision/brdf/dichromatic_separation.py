@@ -77,7 +77,12 @@ def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Sca
 
     Returns:
         A mask, (...).
+
+    Raises:
+        ValueError: for an image without bands.
     """
+    if image.ndim == 0 or image.shape[-1] == 0:
+        raise ValueError(f"image must be (..., bands), with at least one, got shape {image.shape}.")
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
 
 

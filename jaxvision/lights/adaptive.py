@@ -50,7 +50,7 @@ def adaptive_irradiance(
         The irradiance, (receivers, bands) W m^-2.
 
     Raises:
-        ValueError: if the tolerance is not above 0.
+        ValueError: if the tolerance is not above 0, or there is no receiver.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
@@ -62,6 +62,8 @@ def adaptive_irradiance(
     if not tolerance > 0:
         raise ValueError(f"tolerance must be above 0, got {tolerance}.")
     points, normals = as_vec(points), as_vec(normals)
+    if points.x.size == 0:
+        raise ValueError("adaptive_irradiance: points must hold at least one receiver, got none.")
 
     def by_nodes(order: int):
         def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:

@@ -57,6 +57,11 @@ class LightFieldLight(Light):
 
     def __check_init__(self) -> None:
         check_fields(self, radiance=AMOUNT)
+        if 0 in self.radiance.shape:
+            raise ValueError(
+                "LightFieldLight.radiance must have at least one sample along each axis, got shape "
+                f"{self.radiance.shape}."
+            )
         if all(is_known(x) for x in jax.tree.leaves((self.aperture, self.focal))):
             _check_windows(self.aperture, self.focal)
 

@@ -176,7 +176,16 @@ def triangulation_matte(
 
     Returns:
         (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for two pictures, or backgrounds, of different shapes.
     """
+    for one, other in ((image, image_2), (background, background_2)):
+        if one.shape != other.shape:
+            raise ValueError(
+                "triangulation_matte: both pictures must have one shape, and both backgrounds, got "
+                f"{one.shape} and {other.shape}."
+            )
     return least_squares_matte(jnp.stack([image, image_2]), jnp.stack([background, background_2]))
 
 

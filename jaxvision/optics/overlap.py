@@ -14,7 +14,7 @@ from .._numerics import arctan2, or_one, safe_sqrt, smallest_divisor
 from .._types import Scalar, Scalars
 
 
-@jax.custom_jvp
+@takes_numbers
 def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
     """Area that two discs share; elementwise.
 
@@ -35,6 +35,11 @@ def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Sc
         >>> round(float(jv.optics.overlap_of_discs(one, one, one)), 4)  # 2 pi / 3 - sqrt(3) / 2
         1.2284
     """
+    return _overlap(distance, first_radius, second_radius)
+
+
+@jax.custom_jvp
+def _overlap(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
     first, second = _half_angles(distance, first_radius, second_radius)
     smaller = jnp.minimum(first_radius, second_radius)
     larger = jnp.maximum(first_radius, second_radius)
@@ -45,15 +50,15 @@ def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Sc
     return jnp.where(inside, jnp.pi * smaller * smaller, segments)
 
 
-@overlap_of_discs.defjvp
-def _overlap_of_discs_jvp(primals, tangents):
+@_overlap.defjvp
+def _overlap_jvp(primals, tangents):
     """The area loses the common chord with the distance, and gains each arc with its radius."""
     distance, r1, r2 = primals
     along, d1, d2 = tangents
     first, second = _half_angles(distance, r1, r2)
     chord = 2 * jnp.minimum(r1 * jnp.sin(first), r2 * jnp.sin(second))
     change = 2 * r1 * first * d1 + 2 * r2 * second * d2 - chord * along
-    return overlap_of_discs(distance, r1, r2), change
+    return _overlap(distance, r1, r2), change
 
 
 @takes_numbers

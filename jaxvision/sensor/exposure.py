@@ -164,7 +164,7 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     """
     transmission = colour_filter.transmission
     check_pattern(colour_filter.pattern, bands=transmission.shape[0], name="ColourFilter.pattern")
-    if electrons.shape[-1] != transmission.shape[1]:
+    if electrons.ndim < 3 or electrons.shape[-1] != transmission.shape[1]:
         raise ValueError(
             f"ColourFilter.transmission is over {transmission.shape[1]} bands, the irradiance has "
             f"shape {electrons.shape}."

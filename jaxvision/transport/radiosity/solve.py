@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._numerics import divide, or_one
-from ..._types import Scalar, as_float, check_choice, print_by_name
+from ..._types import Scalar, as_float, check_choice, check_shape, print_by_name
 
 if TYPE_CHECKING:
     import lineax
@@ -65,7 +65,8 @@ def solve_radiosity(
         (patches, bands) B, W m^-2.
 
     Raises:
-        ValueError: for an unknown method, or one that needs the table itself.
+        ValueError: for an unknown method, or one that needs the table itself; for a table that is
+            not square.
 
     Example:
         Two patches that see only each other, albedo 1/2, one emitting 3: B = (4, 2).
@@ -78,6 +79,9 @@ def solve_radiosity(
     import lineax
 
     check_choice("method", method, ("direct", "iterative", "progressive"))
+    if not callable(table):
+        patches = jnp.shape(albedo)[0]
+        check_shape("solve_radiosity: table", table, (patches, patches))
     if callable(table):
         if method != "iterative":
             raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
