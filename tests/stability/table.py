@@ -142,8 +142,8 @@ or of another size. Of the last 2,090, of ten commands, 441 were done and 1,649 
 wrong. Before these, four were: a level that scatters by 1e11 DN (memory), a maker's name that is no
 text, a negative error of a table, and a chain of minutes that could not become long enough.
 `pytest -m fuzz tests/test_fuzz_arguments.py` gives public functions odd arguments. The last dozen
-for each of the rooms found eight sentences that were JAX's own (axes of size 0, pictures of two
-sizes, a table that is not square); they are the functions' now.
+for each, but for those of `transport`, found eight sentences that were JAX's own (axes of size 0,
+pictures of two sizes, a table that is not square); they are the functions' now.
 
 ## Commands that are ended
 
