@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
-from jaxvision import filters
+from jaxvision import _staging, filters
 from jaxvision.transport import light_traced
 
 KEY = jax.random.key(0)
@@ -74,6 +74,8 @@ def test_an_accelerator_finds_the_same(compute, monkeypatch):
     jax.clear_caches()
     given = scene(), view()
     ours = compute(*given)
+    program = str(jax.make_jaxpr(compute)(*given))
+    assert _staging.PLAIN or any(name in program for name in SPECIAL)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     jax.clear_caches()
     other = compute(*given)

@@ -116,7 +116,7 @@ def _channel_table(channels: Sequence[ChannelResponse]) -> Table:
                 format_percent(np.expm1(srgb), decimals=1),
                 f"{channel.gamma.dispersion:.2f}",
                 _held_out(channel),
-                format_percent(float(clean), decimals=1),
+                format_percent(clean, decimals=1),
             )
         )
     return Table(

@@ -167,7 +167,7 @@ def photograph(
             rays = jax.vmap(in_pixel, in_axes=(0, None))(pixels, k)
             return along(rays, Stream(pixels, k, seed))
 
-        room = max(1, at_a_time(BLOCK) // len(pixels)) if several else 1
+        room = max(1, at_a_time(1) // len(pixels)) if several else 1
         return mean_of_samples(sample, samples.count, first=first_sample, room=room)
 
     kept = keep if samples is None else None  # samples are checkpointed one by one
