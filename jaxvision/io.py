@@ -72,7 +72,7 @@ def replaced_on_success(path: Path) -> Iterator[Path]:
 
 def _unwritable(path: Path, error: OSError) -> InputError:
     if error.errno == errno.ENOENT:  # its folder is there, of a kind that takes none
-        return InputError(f"{path}: no file can be made there; choose another path.")
+        return InputError(f"{path}: cannot be written: no file can be made there.")
     return InputError(f"{path}: cannot be written: {unwritable(error)}.")
 
 
