@@ -40,7 +40,7 @@ def shapes(call):
     [
         (0, "0", "0"),
         (7, "7", "7"),
-        (np.int64(7), r"np.int64\(7\)", "7"),
+        (np.int64(7), r"(np\.int64\()?7\)?", "7"),  # as NumPy prints it
         (jnp.arange(3), "Array.*", "0"),
         ("seed", "'seed'", "0"),
     ],

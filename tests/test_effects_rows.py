@@ -2,11 +2,11 @@
 new one fails here until it has a row, or is said to be a quantity of what a row bounds."""
 
 from dataclasses import fields
-from typing import get_args
 
 import pytest
 
 import jaxvision as jv
+from jaxvision._types import members_of
 from jaxvision.brdf import _registry as materials
 from jaxvision.effects import bodies, illumination, reflection
 from jaxvision.lights import _registry as lights
@@ -17,7 +17,7 @@ def of_the_library(kinds):
     return {kind for kind in kinds if kind.__module__.startswith("jaxvision.")}
 
 
-SHAPES = set(get_args(shapes.Shape))
+SHAPES = set(members_of(shapes.Shape))
 KINDS = {
     kind.__name__: kind
     for kind in (

@@ -43,7 +43,7 @@ OTHER = words("""
 *.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
 *.calibrate_lab.draws *.folders.*.draws *.minimise_in_box.* *.commands.run.repeats
-*.format_within.width *.called_for.tolerance *.summed.terms *.bands.bands.draws
+*.format_within.width *.plain_tables.width *.called_for.tolerance *.summed.terms *.bands.bands.draws
 *.bands.thinned_draws.*
 """)
 
