@@ -1,8 +1,11 @@
 """The response curve against OpenCV 5's createCalibrateDebevec (300 samples) and
-createCalibrateRobertson on one RGB stack: time, and log-rms error of the curve.
+createCalibrateRobertson, and colour-hdri's Debevec (1000 samples), on one RGB stack: time, and
+log-rms error of the curve.
 
     pytest tests/benchmarks/bench_response.py -m benchmark -s
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -21,8 +24,23 @@ def log_rms(found: np.ndarray, codes: np.ndarray) -> float:
     return float(np.std(error - np.median(error)))
 
 
+def colour_hdri_debevec(images: np.ndarray) -> dict[str, Callable[[], np.ndarray]]:
+    """Its (256, 3) curves of a stack; nothing where it is not installed."""
+    try:
+        import colour_hdri
+    except ImportError:
+        return {}
+    stack = colour_hdri.ImageStack()
+    for image, time in zip(images, TIMES, strict=True):
+        # Its exposures are t ISO / (100 N^2), N the f-number.
+        taken = colour_hdri.Metadata(f_number=1.0, exposure_time=time, iso=100.0)
+        stack.append(colour_hdri.Image(data=image / 255, metadata=taken))
+    solve = colour_hdri.camera_response_functions_Debevec1997
+    return {"colour-hdri": lambda: np.asarray(solve(stack, normalise=False))}
+
+
 @pytest.mark.benchmark
-def test_against_opencv():
+def test_beside_others():
     cv2 = pytest.importorskip("cv2")
     rng = np.random.default_rng(0)
     channels = [
@@ -32,7 +50,7 @@ def test_against_opencv():
     times32 = TIMES.astype(np.float32)
     debevec = cv2.createCalibrateDebevec(300, 10.0, False)
     robertson = cv2.createCalibrateRobertson(30, 0.01)
-    rivals = {
+    rivals = colour_hdri_debevec(images) | {
         "ours": lambda: [fit_response_curve(codes, TIMES, bits=8) for codes in channels],
         "debevec": lambda: debevec.process(list(images), times32),
         "robertson": lambda: robertson.process(list(images), times32),
@@ -40,8 +58,8 @@ def test_against_opencv():
     _, seconds = in_turns(rivals, rounds=ROUNDS)
     curve = rivals["ours"]()[0]
     found = {"ours": np.interp(np.arange(256), curve.codes, curve.log_exposure)}
-    for name in ("debevec", "robertson"):
-        found[name] = np.log(np.maximum(rivals[name]()[:, 0, 0], 1e-12))
+    for name in set(rivals) - {"ours"}:
+        found[name] = np.log(np.maximum(rivals[name]().reshape(256, 3)[:, 0], 1e-12))
     middle, low = np.arange(20, 236), np.arange(5, 20)
     errors = {}
     for name, g in found.items():

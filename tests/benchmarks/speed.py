@@ -99,7 +99,7 @@ def _rows() -> list[Row]:
         test = f"bench_develop.py::test_demosaicing[size{number}]"
         peer = "opencv, bilinear, 16 bit"
         rows.append(Row(f"bilinear demosaicing, {size}", test, "ours, bilinear", peer))
-    response = "bench_response.py::test_against_opencv"
+    response = "bench_response.py::test_beside_others"
     rows.append(
         Row("response curve of all pixels; peer: Debevec of 300", response, "ours", "debevec")
     )
