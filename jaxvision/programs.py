@@ -1,5 +1,6 @@
-"""How the commands compile: not again what an earlier run has compiled, and quickly where most
-programs run once. JAX and XLA read all this from the environment, before their first use.
+"""How programs are compiled: by the commands not again what an earlier run has compiled, and
+quickly where most programs run once. JAX and XLA read this from the environment, before their first
+use.
 """
 
 import hashlib
@@ -11,37 +12,55 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-_QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
-_OLDER_EMITTERS = " --xla_cpu_use_fusion_emitters=false"
+Options = dict[str, bool | int]  # of the compiler, by XLA's names
+
+_QUICKLY: Options = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
+_OLDER_EMITTERS: Options = {"xla_cpu_use_fusion_emitters": False}
 _HAVE_OLDER_EMITTERS = ("0.10.", "0.11.0", "0.11.1")  # versions of jaxlib
 # XLA ends the process at a flag that it does not know, so it gets none in versions not tried yet.
 _TRIED = ("0.10.", "0.11.", "0.12.")
 _MOST_BYTES = 2**29
 
 
-def quick_flags() -> str:
-    """XLA's flags for programs that run once, of which compiling is most of the time: without
+def quick_options() -> Options:
+    """XLA's options for programs that run once, of which compiling is most of the time: without
     optimisation, and by the older emitters where this XLA still has them. Fits of 470,000 samples
-    run a fifth longer with them. Empty for a version that has not been tried."""
-    if not version("jaxlib").startswith(_TRIED):
-        return ""
-    return _QUICKLY + _OLDER_EMITTERS * version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
+    run a fifth longer with them. Empty for a version that has not been tried, and with an
+    accelerator's plugin."""
+    if not version("jaxlib").startswith(_TRIED) or find_spec("jax_plugins") is not None:
+        return {}
+    older = version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
+    return _QUICKLY | (_OLDER_EMITTERS if older else {})
+
+
+def quick_flags() -> str:
+    """`quick_options` as XLA_FLAGS has them."""
+    return " ".join(f"--{name}={str(x).lower()}" for name, x in quick_options().items())
 
 
 def compile_quickly() -> None:
-    """Compiles without optimisation on a processor, unless the user's XLA_FLAGS say how (even if
-    empty). With an accelerator's plugin nothing is changed."""
-    if quick_flags() and find_spec("jax_plugins") is None:
+    """Compiles all programs of this process by `quick_options`, unless the user's XLA_FLAGS say
+    how (even if empty)."""
+    if quick_flags():
         os.environ.setdefault("XLA_FLAGS", quick_flags())
 
 
-def thoroughly() -> dict[str, bool | int] | None:
+def briefly() -> Options | None:
+    """`compiler_options` of `jax.jit` for a program that computes for less time than XLA takes to
+    optimise it: `quick_options`, unless the user's XLA_FLAGS say how (even if empty)."""
+    return None if "XLA_FLAGS" in os.environ else quick_options() or None
+
+
+def thoroughly() -> Options | None:
     """`compiler_options` of `jax.jit` for a program that computes for so long that it is compiled
     with optimisation even where `compile_quickly` was asked for; read them after that."""
     flags = os.environ.get("XLA_FLAGS", "")
     if not flags or flags != quick_flags():
         return None
-    emitters = {"xla_cpu_use_fusion_emitters": True} if _OLDER_EMITTERS in flags else {}
+    emitters = {name: True for name in _OLDER_EMITTERS if name in quick_options()}
     return {"xla_backend_optimization_level": 3, **emitters}
 
 

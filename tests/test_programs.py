@@ -4,8 +4,12 @@ import os
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from fitting.inference import compiled
 from jaxvision import programs
 
 OURS = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
@@ -25,6 +29,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     monkeypatch.setenv("XLA_FLAGS", "")
     programs.compile_quickly()
     assert os.environ["XLA_FLAGS"] == ""
+    assert programs.briefly() is None
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setattr(programs, "version", lambda name: "0.99.0")
     programs.compile_quickly()
@@ -34,7 +39,9 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "find_spec", lambda name: None)
+    assert programs.briefly()["xla_backend_optimization_level"] == 0
     programs.compile_quickly()
+    assert programs.briefly() is None  # the flags say so of all programs
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
     assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]
     assert programs.thoroughly()["xla_cpu_use_fusion_emitters"]
@@ -43,6 +50,17 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert "fusion_emitters" not in os.environ["XLA_FLAGS"]
     assert programs.thoroughly() == {"xla_backend_optimization_level": 3}
+
+
+def test_a_program_compiled_briefly_may_be_part_of_another(monkeypatch):
+    monkeypatch.setattr(compiled, "briefly", programs.quick_options)
+    assert programs.quick_options()
+    cubed = compiled.compiled_briefly(lambda x, power: x**power)
+    x = jnp.array([1.0, 2.0])
+    np.testing.assert_array_equal(cubed(x, 3), [1, 8])
+    np.testing.assert_array_equal(jax.jit(lambda x: cubed(x, 3) + 1)(x), [2, 9])
+    np.testing.assert_array_equal(jax.grad(lambda x: cubed(x, 3).sum())(x), [3, 12])
+    np.testing.assert_array_equal(jax.vmap(lambda x: cubed(x, power=3))(x), [1, 8])
 
 
 def test_programs_are_kept_where_they_may_be(untouched, monkeypatch):

@@ -16,6 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision.programs import thoroughly
 
+from .compiled import compiled_briefly
+
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
 
@@ -120,7 +122,7 @@ def _search(
     return _solution(jax.lax.while_loop(goes_on, step, _begun(start)), tolerance)
 
 
-_minimise = eqx.filter_jit(_search)
+_minimise = compiled_briefly(_search)
 _minimise_thoroughly = cast(Any, eqx.filter_jit)(_search, compiler_options=thoroughly())
 
 

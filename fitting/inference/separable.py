@@ -19,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .compiled import compiled_briefly
+
 KNOTS = 48
 ZOOMS = 4  # each shrinks the interval by (KNOTS - 1) / 2
 COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
@@ -168,7 +170,7 @@ def fit_amplitudes(
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
 
 
-@jax.jit
+@compiled_briefly
 def _projected(
     columns: Float[Array, "knots observations"],
     fixed: Float[Array, "fixed observations"],

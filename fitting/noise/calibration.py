@@ -16,6 +16,7 @@ from jaxtyping import Array, Int
 
 from jaxvision import as_dtype
 
+from ..inference.compiled import compiled_briefly
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
 from ..inference.importance import laplace_where_it_holds
@@ -37,6 +38,8 @@ from .window import needed_window
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
+
+_evaluated = compiled_briefly(evaluate)
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,7 +104,7 @@ def calibrate(
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
     within = ranges(measurement)
     usable = linear_levels(measurement)
-    standard = eqx.filter_jit(evaluate)(measurement, within)
+    standard = _evaluated(measurement, within)
     window, gone = needed_window(measurement, usable)
     data = noise_data(measurement, usable, window=window)
     linear, chosen = choose_model(measurement, within, data, standard.values)
@@ -147,9 +150,7 @@ def _likelihood_estimates(
     args = (fit.space, fit.data, jnp.asarray(linearity))
     if posterior.sampled:
         return _drawn_estimates(posterior, within, args)
-    values, slopes, at_saturation = eqx.filter_jit(_sheet_and_slopes)(
-        fit.solution.vector, within.saturation, args
-    )
+    values, slopes, at_saturation = _sheet_and_slopes(fit.solution.vector, within.saturation, args)
     found = []
     for name, value in values.items():
         slope = np.asarray(slopes[name])
@@ -161,6 +162,7 @@ def _likelihood_estimates(
     return tuple(found)
 
 
+@compiled_briefly
 def _sheet_and_slopes(
     mode: Array, saturation: Array | None, args: tuple
 ) -> tuple[dict, dict, dict | None]:

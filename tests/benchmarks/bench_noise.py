@@ -52,7 +52,8 @@ def frames():
     die = make_die(rng, CAMERA, SHAPE)
 
     def taken(photons, count):
-        return expose(rng, CAMERA, photons, EXPOSURES[0], (count, *SHAPE), die=die).astype(np.uint16)
+        codes = expose(rng, CAMERA, photons, EXPOSURES[0], (count, *SHAPE), die=die)
+        return codes.astype(np.uint16)
 
     counts = [FRAMES if i == PATTERN_LEVEL else 2 for i in range(LEVELS)]
     return [taken(p, n) for p, n in zip(PHOTONS, counts, strict=True)], taken(0.0, FRAMES)

@@ -1,10 +1,10 @@
 """Derivatives of the likelihood of a picture, of all samples and in blocks of them."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ...inference.compiled import compiled_briefly
 from ...inference.in_blocks import Counts, mapped, summed
 from ...inference.newton import twice
 from .model import Samples, log_likelihoods, residuals
@@ -25,7 +25,7 @@ def with_information(
     return summed(lambda part, counts: twice(_cost, vector, (part, counts)), samples)
 
 
-@eqx.filter_jit
+@compiled_briefly
 def scores_and_slopes(
     vector: Float[Array, " parameters"], samples: Samples
 ) -> tuple[Float[Array, "parameters samples"], Float[Array, "parameters samples"]]:

@@ -11,7 +11,6 @@ trusting them, would bias the highlight.
 from dataclasses import dataclass, replace
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from ...inference.bounded import minimise_in_box
 from ...inference.clustering import Robustness, cluster_robust
+from ...inference.compiled import compiled_briefly
 from ...inference.diagnostics import Identifiability, identifiability
 from ...inference.least_squares import minimise_residuals
 from ...inference.neighbours import regions
@@ -272,7 +272,7 @@ def _projected(samples: Samples, gamma: Array | None) -> SeparableFit:
     return fit_separable(columns, fixed, linear, weights, lower=lower, upper=upper)
 
 
-@eqx.filter_jit
+@compiled_briefly
 def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
     """Fixed columns, decoded values and weights, the latter two as one band."""
     form = samples.form
@@ -287,7 +287,7 @@ def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Ar
     return jnp.stack([samples.irradiance * body, constant]), linear[:, None], weights[:, None]
 
 
-@eqx.filter_jit
+@compiled_briefly
 def _lobe_columns(samples: Samples, log_shapes: Array) -> Array:
     geometry = samples.geometry
     assert geometry is not None, "a model with a lobe has its angles"
@@ -331,7 +331,7 @@ def _residual_signal_slope(
     return residual, signal, slope
 
 
-@eqx.filter_jit
+@compiled_briefly
 def _predicted(vector: Array, samples: Samples) -> tuple[Array, Array, Array]:
     """Linear signal, d DN / d X and DN of all samples."""
     signal = linear_signal(vector, samples)
@@ -339,7 +339,7 @@ def _predicted(vector: Array, samples: Samples) -> tuple[Array, Array, Array]:
     return signal, slope, predicted_dn(vector, samples)
 
 
-_cost = eqx.filter_jit(negative_log_likelihood)
+_cost = compiled_briefly(negative_log_likelihood)
 
 
 def _weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:

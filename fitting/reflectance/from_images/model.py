@@ -25,6 +25,7 @@ from jaxvision.brdf.gaussian_lobe import gaussian_lobe
 from jaxvision.brdf.phong import phong_lobe
 from jaxvision.point_ops import gamma_decode, gamma_encode
 
+from ...inference.compiled import compiled_briefly
 from ...inference.parameters import Parameter, ParameterSpace, to_natural
 from ...inference.tails import log_ndtr
 from ..models import REFLECTANCES, amplitude, has_lobe, shape_of, unit_shading
@@ -159,7 +160,7 @@ def _directions(model: Model, seen: Invariants) -> tuple[Vec, Vec]:
     return wi, Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
 
 
-@eqx.filter_jit
+@compiled_briefly
 def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Array:
     """X, as a linear camera would give it.
 
@@ -200,7 +201,7 @@ def encoding_gamma(vector: Float[Array, " parameters"], samples: Samples) -> Arr
     return jnp.exp(vector[-1]) if samples.form.free_gamma else samples.gamma
 
 
-@eqx.filter_jit
+@compiled_briefly
 def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array:
     """Digital numbers before clipping.
 
