@@ -154,7 +154,7 @@ def capture(
         _check_keys(key, die_key, camera, _bands(scene))
     renderer = _renderer(integrator, key, rule, samples)
     radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
-    _check_unit(camera.sensor, irradiance)
+    _check_unit(camera, irradiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
     return Capture(radiance, irradiance, raw, picture, certificate)
@@ -207,8 +207,17 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
             )
 
 
-def _check_unit(sensor: Sensor, light: Array) -> None:
-    """Warns where watts have become photons: a sensor that counts them, and gets hardly any."""
+def _check_unit(camera: Camera, light: Array) -> None:
+    """Warns where a unit was lost on the way: radiance that no lens has made irradiance, and watts
+    that count as photons, of which the sensor gets hardly any."""
+    sensor, view = camera.sensor, camera.view
+    if sensor.photon_conversion is not None and view.f_number is None:
+        warnings.warn(
+            "capture: the view has no f_number, so that radiance in W m^-2 sr^-1 counts as so many "
+            "W m^-2 on the sensor, 20 times what a lens at f/4 lets in; give it one, as by "
+            "dataclasses.replace(view, f_number=4.0).",
+            stacklevel=3,
+        )
     counts = sensor.photon_conversion is None and sensor.shot_noise is not None
     if not (counts and is_known(light) and is_known(sensor.exposure_time)):
         return

@@ -183,6 +183,18 @@ SENTENCES = {
         lambda: jv.read_camera("consumer_bayer", wavelengths=[610.0, 550.0, 465.0]),
         "read_camera: wavelength is in metres, got 610",
     ),
+    "nanometres of photons": (
+        lambda: jv.PhotonConversion(wavelength=550, pixel_area=25e-12),
+        "PhotonConversion.wavelength is in metres, got 550",
+    ),
+    "square micrometres": (
+        lambda: jv.PhotonConversion(wavelength=550e-9, pixel_area=25),
+        r"PhotonConversion.pixel_area is in m\^2, got 25",
+    ),
+    "micrometres of a pixel": (
+        lambda: jv.Pinhole(UP, np.eye(3), 0.016, 6.45, resolution=(2, 2)),
+        r"Pinhole.pixel_pitch must be in m \(5 um are 5e-6\), got 6.45",
+    ),
     "micrometres": (lambda: airy_radius(0.55, 4), "wavelength is in metres, got 0.55"),
     "a cosine for its logarithm": (
         lambda: jv.phong_lobe(0.5, 30),

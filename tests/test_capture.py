@@ -361,6 +361,17 @@ def test_what_bounces_is_what_the_integrator_finds():
     np.testing.assert_array_equal(flat.radiance, 1)
 
 
+def test_radiance_that_no_lens_made_irradiance_is_told():
+    photons = s.PhotonConversion(wavelength=550e-9, pixel_area=25e-12)
+    camera = s.Camera(PINHOLE, s.Sensor(exposure_time=0.01, photon_conversion=photons))
+    with pytest.warns(UserWarning, match="the view has no f_number"):
+        bare = capture(None, LAMBERT_ONLY, camera)
+    behind_lens = replace(camera, view=replace(PINHOLE, f_number=4.0))
+    raw = capture(None, LAMBERT_ONLY, behind_lens).raw
+    cos4 = sensor_irradiance(behind_lens.view, jnp.ones((*PINHOLE.resolution, 1)))
+    np.testing.assert_allclose(raw, bare.raw * cos4, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -350,7 +350,7 @@ def test_the_spectral_cornell_box_is_the_same_room_in_the_bands_of_a_shipped_cam
     np.testing.assert_allclose(walls, [0.747, 0.285, 0.75], rtol=1e-6)
     found_lamp = [lamp[400], lamp[500], lamp[550], lamp[600]]
     np.testing.assert_allclose(found_lamp, [0, 8, 11.8, 15.6], rtol=1e-6)
-    camera = replace(read_camera("consumer_bayer"), view=found.view)
+    camera = replace(read_camera("consumer_bayer"), view=replace(found.view, f_number=4.0))
     key = jax.random.key(0)
     camera = jv.as_dtype(camera, "float32")  # as the scene
     shot = jax.eval_shape(lambda: jv.capture(key, found.scene, camera, die_key=key))

@@ -8,8 +8,10 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .._arguments import require_metres
 from .._shown import Shown
 from .._types import (
     FINITE,
@@ -37,13 +39,15 @@ from .noises import (
     TelegraphNoise,
 )
 
+LARGEST_PIXEL = 0.1  # m^2; above, a number in um^2 was meant
+
 
 class PhotonConversion(Shown):
     """Conversion of irradiance to photons: mu_p = lambda E A t / (h c), EMVA 1288.
 
     Attributes:
-        wavelength: () or (bands,) m, > 0.
-        pixel_area: () m^2 of the whole pixel, > 0.
+        wavelength: () or (bands,) m, > 0, at most 1 cm.
+        pixel_area: () m^2 of the whole pixel, > 0, at most 0.1 m^2.
 
     Example:
         1 uW cm^-2 of 1 um for 1 ms on 1 um^2 is the constant of EMVA 1288.
@@ -59,6 +63,13 @@ class PhotonConversion(Shown):
 
     def __check_init__(self) -> None:
         check_fields(self, wavelength=POSITIVE, pixel_area=POSITIVE)
+        if is_known(self.wavelength):
+            require_metres("PhotonConversion.wavelength", np.asarray(self.wavelength))
+        if is_known(self.pixel_area) and float(self.pixel_area) > LARGEST_PIXEL:
+            raise ValueError(
+                f"PhotonConversion.pixel_area is in m^2, got {float(self.pixel_area):g}; a "
+                "pixel of 5 um has 25e-12."
+            )
 
 
 class PixelAperture(Shown):

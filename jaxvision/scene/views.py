@@ -58,7 +58,7 @@ class Pinhole(Shown):
             the world.
         focal_length: () m from the hole to the sensor, > 0, at most the larger of 1 m and 1e6
             pitches.
-        pixel_pitch: () m between pixels, on the sensor, > 0.
+        pixel_pitch: () m between pixels, on the sensor, > 0, at most 4 focal lengths.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
             unchanged.
@@ -92,7 +92,7 @@ class ThinLens(Shown):
         rotation: (3, 3) no unit, rows are the unit axes right, down and forward of the camera in
             the world.
         focal_length: () m, > 0, at most the larger of 1 m and 1e6 pitches.
-        pixel_pitch: () m between pixels, on the sensor, > 0.
+        pixel_pitch: () m between pixels, on the sensor, > 0, at most 4 focal lengths.
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over the lens's diameter, no unit, > 0; inf closes the aperture.
         focus_distance: () m along the axis from the lens to the plane in focus, beyond the focal
@@ -143,6 +143,9 @@ NARROWEST = (
 )
 
 
+WIDEST = 4.0  # focal lengths that the side of a pixel may have
+
+
 def _check_view(view: View, **ranges: Range) -> None:
     name = type(view).__name__
     f_number = Range(0, above=True, finite=False)
@@ -153,6 +156,11 @@ def _check_view(view: View, **ranges: Range) -> None:
             raise ValueError(
                 f"{name}.focal_length must be in m (50 mm are 0.05), got {float(length):g} with a "
                 f"pixel_pitch of {float(pitch):g} m: a pixel would see less than {NARROWEST:g} rad."
+            )
+        if is_known(pitch) and float(pitch) > WIDEST * float(length):
+            raise ValueError(
+                f"{name}.pixel_pitch must be in m (5 um are 5e-6), got {float(pitch):g} with a "
+                f"focal_length of {float(length):g} m: one pixel would see more than 125 degrees."
             )
     _check_rotation(f"{name}.rotation", view.rotation)
     if not isinstance(view.resolution, tuple) or len(view.resolution) != 2:
