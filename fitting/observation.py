@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.toml_files import checked

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from numpy.typing import ArrayLike
-
+from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
