@@ -160,6 +160,11 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> quad = jv.Quad([0, 0, 3], [0, 1, 0], [1, 0, 0])
+        >>> print(jv.geometry.intersect_quad(jv.Ray([0.5, 0.5, 0], [0, 0, 1]), quad).distance)
+        3.0
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)

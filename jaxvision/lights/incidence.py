@@ -111,6 +111,12 @@ def seen(light: Light, ray: Ray) -> Seen:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> light = jv.lights.seen(lamp, jv.Ray([0, 0, 0], [0, 0, 1]))
+        >>> print(light.distance, light.radiance)
+        3.0 [5.]
     """
     return extended_kind(light).seen(light, ray)
 
@@ -151,6 +157,11 @@ def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> print(jv.lights.radiance_from(lamp, [0, 0, 0], [0, 0, 1]))  # W m^-2 sr^-1, straight up
+        [5.]
     """
     return extended_kind(light).seen(light, Ray(point, wi)).radiance
 
@@ -169,6 +180,12 @@ def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incid
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> toward = jv.lights.direction_sample(lamp, [0, 0, 0], [0.5, 0.5])
+        >>> print(f"{toward.distance:.2f} m")  # to its middle
+        3.00 m
     """
     return extended_kind(light).sample(light, point, u)
 
