@@ -63,6 +63,11 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> floor = jv.Plane([0, 0, 0], [0, 0, 1])
+        >>> print(jv.geometry.intersect_plane(jv.Ray([0, 0, 2], [0.6, 0, -0.8]), floor).distance)
+        2.5
     """
     return plane_hit(ray, plane, stored)
 
@@ -82,6 +87,11 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> disc = jv.Disc([0, 0, 3], [0, 0, -1], 1.0)
+        >>> print(jv.geometry.intersect_disc(jv.Ray([2, 0, 0], [0, 0, 1]), disc).distance)
+        inf
     """
     return disc_hit(ray, disc, stored)
 

@@ -131,6 +131,12 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
     Returns:
         The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are infinitely far
         away and add up. Where there is no extended light the radiance is () and 0.
+
+    Example:
+        >>> sides = [0, 2, 0], [2, 0, 0]  # m
+        >>> low, high = (jv.RectangleLight([-1, -1, z], *sides, [5.0]) for z in (3.0, 4.0))
+        >>> print(jv.lights.nearest_seen([high, low], jv.Ray([0, 0, 0], [0, 0, 1])).distance)
+        3.0
     """
     distance = jnp.full_like(ray.origin.x, jnp.inf)
     radiance = jnp.zeros_like(ray.origin.x)
@@ -204,5 +210,11 @@ def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> density = jv.lights.direction_pdf(sky, [0, 0, 0], [0, 0, 1])  # sr^-1
+        >>> print(f"{4 * np.pi * density:.3f}")
+        1.000
     """
     return extended_kind(light).pdf(light, point, wi)
