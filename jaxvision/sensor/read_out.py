@@ -59,7 +59,7 @@ def read_out_noise(
         ValueError: a key is None and needed, or row noise or banding is asked for without an image.
 
     Example:
-        >>> frame = {"shape": (100, 100, 1), "dtype": np.float32}
+        >>> frame = {"shape": (100, 100, 1), "dtype": float}
         >>> sensor = jv.Sensor(read_noise=5.0)  # electrons
         >>> noise = jv.sensor.read_out_noise(jax.random.key(0), None, sensor, **frame)
         >>> print(round(float(noise.std()), 1))
@@ -90,7 +90,7 @@ def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
 
     Example:
         >>> sensor = jv.Sensor(read_noise=3.0, row_noise=4.0)  # electrons
-        >>> print(jv.sensor.read_out_variance(sensor, dtype=np.float32))
+        >>> print(jv.sensor.read_out_variance(sensor, dtype=float))
         25.0
     """
     variance = jnp.zeros((), dtype)
