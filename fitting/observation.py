@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.toml_files import checked
@@ -75,6 +75,18 @@ def read_frame(
     Raises:
         InputError: for non-finite, negative or too large numbers, for another number of channels,
             and for data of a depth that contradicts the camera's `bits`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> from fitting.observation import read_frame
+        >>> from fitting.rig import Camera
+        >>> with TemporaryDirectory() as folder:
+        ...     image = Path(folder) / "flat.tif"
+        ...     jv.io.write_image(image, np.full((2, 3), 2048, np.uint16))
+        ...     print(read_frame(image, Camera(bits=12)))
+        [[2048. 2048. 2048.]
+         [2048. 2048. 2048.]]
     """
     stored = load(path)
     numeric = np.issubdtype(stored.dtype, np.integer) or np.issubdtype(stored.dtype, np.floating)
@@ -148,6 +160,13 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     Returns:
         `grey` for (h, w), `red green blue` for (h, w, 3), and for a Bayer mosaic its four sites
         `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2).
+
+    Example:
+        >>> from fitting.observation import split_channels
+        >>> from fitting.rig import Camera
+        >>> sites = split_channels(np.arange(16.0).reshape(4, 4), Camera(bits=12, pattern="RGGB"))
+        >>> print({name: int(plane[0, 0]) for name, plane in sites.items()})
+        {'red': 0, 'green 1': 1, 'green 2': 4, 'blue': 5}
     """
     if frame.ndim == 3:
         return dict(zip(("red", "green", "blue"), np.moveaxis(frame, -1, 0), strict=True))

@@ -5,7 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
+
+from jaxvision import ArrayLike
 
 from .observation import require_as_many
 from .rig import SphereGeometry

@@ -60,6 +60,11 @@ def kelvin(temperature: float) -> float:
 
     Raises:
         ValueError: below the temperature of any camera.
+
+    Example:
+        >>> from fitting.rig import kelvin
+        >>> print(kelvin(293.15))
+        293.15
     """
     if not temperature >= COLDEST:
         raise ValueError(
@@ -312,6 +317,16 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
     Raises:
         InputError: names the file, the entry and the remedy.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> from fitting.rig import load_rig
+        >>> with TemporaryDirectory() as folder:
+        ...     _ = (Path(folder) / "rig.toml").write_text("camera = {bits = 12, black_level = 64}")
+        ...     camera = load_rig(folder).camera
+        >>> print(camera.full_scale, camera.black_level)  # DN
+        4095 64.0
     """
     file = Path(path)
     if file.is_dir():

@@ -47,6 +47,7 @@ from ._numerics import (
     safe_sqrt as safe_sqrt,
 )
 from ._types import (
+    ArrayLike as ArrayLike,
     Colour as Colour,
     Image as Image,
     Key as Key,

@@ -4,7 +4,7 @@ when it is given several, and directions must be unit.
 Numbers are looked at where they are known, outside `jax.jit` and its like; NaN passes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from functools import cache, wraps
 from inspect import Parameter, signature
 from sys import maxsize
@@ -28,6 +28,7 @@ from ._types import (
     is_any_axes,
     is_known,
 )
+from .errors import nearest
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -66,7 +67,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
     They become arrays of the floating dtype that is beside them. A shape that the annotation
     excludes, a direction that is not unit and a number for a random key raise `ValueError`;
-    optional arguments without their names, `TypeError`.
+    optional arguments without their names, and names of none, `TypeError`.
 
     Args:
         function: whose annotations say which of its parameters are arrays.
@@ -80,6 +81,8 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
         wanted = _wanted(function)
         if len(args) > (placed := _placed(function)):
             raise _unnamed(function, placed, args)
+        if not kwargs.keys() <= wanted.keys():
+            raise _unknown(function, kwargs, wanted)
         values = dict(zip(wanted, args, strict=False)) | kwargs
         arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
         plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
@@ -275,6 +278,15 @@ def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -
     who = getattr(function, "__name__", "function")
     advice = f"write {given}" if given else "leave out the others"
     return TypeError(f"{who} takes {placed} of its arguments by their place; {advice}.")
+
+
+def _unknown(
+    function: Callable[..., Any], given: Iterable[str], known: Collection[str]
+) -> TypeError:
+    """The sentence for a name that no argument has."""
+    word = next(name for name in given if name not in known)
+    who = getattr(function, "__name__", "function")
+    return TypeError(f"{who} has no argument {word!r}; {nearest(word, known)}.")
 
 
 def _place(function: Callable[..., Any], name: str) -> str:

@@ -16,6 +16,11 @@ def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.nd
 
     Returns:
         Nodes in (0, 1) and weights of sum 1, each (order,); no unit.
+
+    Example:
+        >>> nodes, weights = jv.lights.gauss_legendre(3)
+        >>> print(weights @ nodes**5)  # the integral of x^5, 1/6
+        0.1666666666666667
     """
     x, w = np.polynomial.legendre.leggauss(order)
     return (x + 1) / 2, w / 2

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
@@ -25,7 +26,7 @@ class _OneOf(type):
     kinds: tuple[type, ...]
 
     def __instancecheck__(cls, x: Any) -> bool:
-        return any(isinstance(x, kind) for kind in cls.kinds)
+        return any(isinstance(x, get_origin(kind) or kind) for kind in cls.kinds)
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
@@ -55,7 +56,9 @@ Spectrum = Float[Array, "... bands"]
 Image = Float[Array, "*batch h w bands"]
 Key = PRNGKeyArray | Shaped[Array, "2"]
 _KEY_WORDS = ((2,), (4,))  # of keys without a type of their own
-print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key")
+# What NumPy makes an array of: NumPy's own alias, which misses these kinds where `isinstance` asks.
+ArrayLike = npt.ArrayLike | tuple[Any, ...] | float | int
+print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key", "ArrayLike")
 
 Record = TypeVar("Record")
 

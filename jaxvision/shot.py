@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ._arguments import takes_numbers
 from ._band_count import band_count
 from ._shown import Shown
-from ._types import Image, Key, Scalar, in_short, is_known
+from ._types import Image, Key, Scalar, in_short, is_known, print_by_name
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .in_notebooks import preview_png, with_picture
@@ -30,6 +30,7 @@ from .transport import Paths, path_traced
 
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
+print_by_name(globals(), "Motion", "Renderer")
 
 DARKEST = 0.01  # photons an exposure on the brightest pixel, below which a unit was mistaken
 _OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key

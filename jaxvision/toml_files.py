@@ -7,8 +7,9 @@ suggests the nearest known one. The models of a schema are its documentation.
 import os
 import tomllib
 from collections.abc import Mapping
+from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,6 +20,14 @@ class Entry(BaseModel):
     """Base of the tables of a file; a key that is not in the schema is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Signatures and `help` say `float`; its range stands with the attributes."""
+        plain = get_type_hints(cls)
+        whole = signature(cls)
+        said = [x.replace(annotation=plain[x.name]) for x in whole.parameters.values()]
+        cls.__signature__ = whole.replace(parameters=said)
 
 
 # strict: strings and booleans are not numbers

@@ -384,3 +384,12 @@ def test_half_precision_counts_and_sums_in_float32():
     assert float(jv.filters.box_sum(whole, 398, 398, 400, 400)) == 4
     grey = jnp.ones((512, 512, 3), jnp.float16)
     assert jnp.all(jv.development.grey_world_gains(grey) == 1)
+
+
+def test_a_misspelt_argument_names_the_nearest():
+    for take in (jv.compositing.over, jv.optics.airy_radius):
+        with pytest.raises(TypeError, match="has no argument"):
+            take(wrong=1.0)
+    said = "airy_radius has no argument 'f_numer'; the nearest is 'f_number'."
+    with pytest.raises(TypeError, match=said):
+        jv.optics.airy_radius(550e-9, f_numer=4.0)

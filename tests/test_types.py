@@ -99,6 +99,25 @@ def test_signatures_say_names_of_unions(root):
             assert len(str(inspect.signature(offered))) <= 700, name
 
 
+@pytest.mark.parametrize("root", [jv, fitting])
+def test_signatures_of_rooms_say_names_too(root):
+    """Of what NumPy makes an array of, and of numbers with a range."""
+    rooms = [thing for name in root.__all__ if inspect.ismodule(thing := getattr(root, name))]
+    offered = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
+    said = [str(inspect.signature(one)) for one in offered if inspect.isfunction(one)]
+    assert len(said) > 20
+    assert max(map(len, said)) <= 800
+    assert not [one for one in said if "_SupportsArray" in one or "FieldInfo" in one]
+    assert "bits: int, black_level: Optional[float]" in str(inspect.signature(fitting.joint.Camera))
+
+
+def test_what_numpy_makes_an_array_of_has_a_name():
+    for given in (jnp.ones(2), np.ones(2), np.float32(1), 1, 1.5, True, [[1, 2], [3, 4]], (1.0,)):
+        assert isinstance(given, jv.ArrayLike), given
+    for wrong in (None, object(), {1.0}):
+        assert not isinstance(wrong, jv.ArrayLike), wrong
+
+
 def test_a_union_of_records_with_a_name_is_still_a_union():
     assert isinstance(Sphere([0, 0, 0], 1.0), Shape)
     assert not isinstance(Lambert([0.3]), Shape)

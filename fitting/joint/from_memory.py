@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
+
+from jaxvision import ArrayLike
 
 from ..observation import in_memory, require_as_many
 from ..photographs import rig_entries

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from numpy.typing import ArrayLike
-
+from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
@@ -40,6 +39,17 @@ def from_frames(
 
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
+
+    Example:
+        >>> from fitting.noise import Camera, from_frames
+        >>> rng = np.random.default_rng(0)
+        >>> levels = [rng.poisson(100 * i, (2, 20, 20)) for i in range(1, 5)]  # DN
+        >>> darks = [rng.poisson(1, (2, 20, 20))]
+        >>> at = {"camera": Camera(bits=12), "dark_exposures": [0.01]}
+        >>> measured = from_frames(levels, darks, [0.01] * 4, [200, 400, 600, 800], **at)
+        >>> gain = measured.bright.variance / measured.bright.mean
+        >>> print(gain.round(1))  # DN an electron
+        [1.  1.  1.1 1.1]
     """
     require_as_many("exposures", exposures, "levels of flats", flats)
     if photons is not None:
@@ -92,6 +102,13 @@ def darks_from_frames(
 
     Raises:
         InputError: for lists of unequal length, and for frames that do not belong together.
+
+    Example:
+        >>> from fitting.noise import Camera, darks_from_frames
+        >>> frames = np.random.default_rng(0).normal(64, 5, (2, 2, 40, 40)).round()  # DN
+        >>> darks = darks_from_frames(list(frames), [0.1, 1.0], camera=Camera(bits=12))
+        >>> print(darks.mean.round(), np.sqrt(darks.variance).round())
+        [64. 64.] [5. 5.]
     """
     require_as_many("exposures", exposures, "sets of darks", darks)
     images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
+from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.plots import pictures

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool
-from numpy.typing import ArrayLike
+
+from jaxvision import ArrayLike
 
 from ..observation import in_memory, require_as_many
 from ..rig import Camera
@@ -34,6 +35,15 @@ def from_stack(
 
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
+
+    Example:
+        >>> from fitting.response import Camera, from_stack
+        >>> light = np.random.default_rng(0).uniform(100, 500, (20, 20))  # DN a second
+        >>> times = [0.5, 1.0, 2.0]
+        >>> images = [(t * light).astype(int) for t in times]
+        >>> stack = from_stack(images, times, camera=Camera(bits=12))
+        >>> print([(plane.channel, plane.codes.shape) for plane in stack.planes])
+        [('grey', (3, 20, 20))]
     """
     require_as_many("exposures", exposures, "images", images)
     entries = [

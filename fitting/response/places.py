@@ -47,6 +47,13 @@ def clear_of_clipping(
 
     Returns:
         Of the same shape: `clip`, rounded up, within `MIXED` pixels of a code that has it.
+
+    Example:
+        >>> from fitting.response import clear_of_clipping
+        >>> codes = np.full((1, 1, 7), 100)
+        >>> codes[0, 0, 0] = 255  # one clipped pixel
+        >>> print(clear_of_clipping(codes, 255.0).ravel())
+        [255 255 255 255 255 100 100]
     """
     size = 1, 2 * MIXED + 1, 2 * MIXED + 1
     near = maximum_filter((codes >= clip).astype(np.uint8), size) > 0

@@ -144,6 +144,10 @@ def is_delta(material: Any) -> bool:
 
     Returns:
         The answer, a Python bool, no unit.
+
+    Example:
+        >>> print(jv.brdf.is_delta(jv.Mirror([0.9])), jv.brdf.is_delta(jv.Lambert([0.1])))
+        True False
     """
     return family(material).specular is not None
 
@@ -156,6 +160,10 @@ def is_body(material: Any) -> bool:
 
     Returns:
         The answer, a Python bool, no unit.
+
+    Example:
+        >>> print(jv.brdf.is_body(jv.Glass(1.5)), jv.brdf.is_body(jv.Mirror([0.9])))
+        True False
     """
     return family(material).absorption is not None
 
@@ -204,6 +212,12 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
     Returns:
         The direction that is seen, unit, local, and the reflectance there, (bands,) no unit. None
         for all other materials, glass among them, which shows more than what it mirrors.
+
+    Example:
+        >>> from jaxvision.brdf import seen_in_mirror
+        >>> direction, share = seen_in_mirror(jv.Mirror([0.9]), jv.Vec(0.6, 0.0, 0.8))
+        >>> print(direction.x, share)
+        -0.6 [0.9]
     """
     if not is_delta(material):
         return None

@@ -80,6 +80,11 @@ def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
 
     Returns:
         A unit direction of the density that `pdf` has; an array or a `Vec`, as `wo` is.
+
+    Example:
+        >>> wi = jv.brdf.sample(jv.Lambert([0.1]), jnp.array([0.0, 0.0, 1.0]), [0.25, 0.5, 0.5])
+        >>> print(f"{jv.norm(wi):.2f}", wi[2] > 0)
+        1.00 True
     """
     wi = family(material).sample(material, _direction("wo", wo), u)
     return wi if isinstance(wo, Vec) else as_array(wi)
@@ -96,6 +101,11 @@ def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
 
     Returns:
         The density at `wi`, () in sr^-1 over the whole sphere.
+
+    Example:
+        >>> density = jv.brdf.pdf(jv.Lambert([0.1]), [0.6, 0, 0.8], [0, 0, 1])
+        >>> print(f"{np.pi * density:.2f}")  # cos(theta_i) / pi
+        0.80
     """
     return family(material).pdf(material, _direction("wi", wi), _direction("wo", wo))
 
@@ -113,6 +123,10 @@ def albedo(material: Material, wo: Direction) -> Colour:
 
     Returns:
         The albedo, (bands,), no unit; 0 where wo.z <= 0.
+
+    Example:
+        >>> print(jv.brdf.albedo(jv.Lambert([0.5 / np.pi]), [0, 0, 1]).round(3))
+        [0.5]
     """
     viewer = _direction("wo", wo)
     return where_above(viewer.z, family(material).albedo(material, viewer))
@@ -131,6 +145,11 @@ def shading(material: Material, wi: Direction, wo: Direction) -> Colour:
 
     Returns:
         The shading, (bands,) in sr^-1.
+
+    Example:
+        >>> material = jv.Lambert([0.5 / np.pi])  # sr^-1
+        >>> print(round(float(np.pi * jv.brdf.shading(material, [0.6, 0, 0.8], [0, 0, 1])[0]), 3))
+        0.4
     """
     return family(material).shading(material, _direction("wi", wi), _direction("wo", wo))
 

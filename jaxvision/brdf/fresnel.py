@@ -89,6 +89,10 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 
     Returns:
         The reflectance, (bands,), no unit.
+
+    Example:
+        >>> print(np.asarray(jv.brdf.fresnel.fresnel(jv.Dielectric([1.33]), 1.0)).round(3))  # water
+        [0.02]
     """
     match interface:
         case Dielectric():
@@ -121,6 +125,10 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
         ValueError: for a known cosine outside [-1, 1], or an index that is not above 0.
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
+
+    Example:
+        >>> print(np.asarray(jv.brdf.fresnel.fresnel_dielectric(1.0, [1.5])).round(3))  # glass
+        [0.04]
     """
     c, eta = jnp.clip(cos_theta, 0, 1), _index(eta)
     square, contrast = eta * eta, (eta - 1) * (eta + 1)
@@ -163,6 +171,11 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
         ValueError: for a known cosine outside [-1, 1], or a negative part of the index.
 
     Source: Born & Wolf, Principles of Optics, section 14.2.
+
+    Example:
+        >>> silver = jv.brdf.fresnel.fresnel_conductor(1.0, [0.06], [3.6])  # at 550 nm
+        >>> print(np.asarray(silver).round(3))
+        [0.983]
     """
     c, eta, k = jnp.clip(cos_theta, 0, 1), _index(eta), _index(k)
     s_squared = (1 - c) * (1 + c)
@@ -206,6 +219,12 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
         ValueError: for a known cosine outside [-1, 1].
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
+
+    Example:
+        >>> for cosine in (1.0, 0.0):
+        ...     print(jv.brdf.fresnel.fresnel_schlick(cosine, [0.04]))
+        [0.04]
+        [1.]
     """
     c = jnp.clip(cos_theta, 0, 1)
     rest = 1 - c

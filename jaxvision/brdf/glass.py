@@ -57,6 +57,11 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     Returns:
         A unit local direction on the other side than `w`. In total reflection, where nothing goes
         through, it is the direction along the surface, with z = 0.
+
+    Example:
+        >>> bent = jv.brdf.glass.refracted_direction([0.6, 0.0, 0.8], 1.5)
+        >>> print([round(float(x), 3) for x in bent])  # Snell's law: 0.6 / 1.5
+        [-0.4, -0.0, -0.917]
     """
     v = as_vec(w)
     # 1 - (1 - z^2) / eta^2 = (eta^2 - 1 + z^2) / eta^2: nothing cancels near equal indices

@@ -93,6 +93,11 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase"
 
     Raises:
         ValueError: for another pattern or an unknown border.
+
+    Example:
+        >>> raw = np.tile([[100.0, 200.0], [200.0, 400.0]], (3, 3))  # DN of one colour
+        >>> print(jv.development.demosaic_bilinear(raw, jv.bayer("RGGB"))[2, 3])
+        [100. 200. 400.]
     """
     layout = _layout(pattern)
 
@@ -125,6 +130,11 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") 
 
     Source: Malvar, He, Cutler, "High-quality linear interpolation for demosaicing of
     Bayer-patterned color images", ICASSP 2004, figure 2.
+
+    Example:
+        >>> raw = np.tile([[100.0, 200.0], [200.0, 400.0]], (4, 4))  # DN of one colour
+        >>> print(jv.development.demosaic_malvar(raw, jv.bayer("RGGB"))[3, 4])
+        [100. 200. 400.]
     """
     layout = _layout(pattern)
 
@@ -168,6 +178,11 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
 
     Source: Menon, Andriani, Calvagno, "Demosaicing with directional filtering and a posteriori
     decision", IEEE Transactions on Image Processing 16 (2007), equations 1 to 12.
+
+    Example:
+        >>> raw = np.tile([[100.0, 200.0], [200.0, 400.0]], (4, 4))  # DN of one colour
+        >>> print(jv.development.demosaic_menon(raw, jv.bayer("RGGB"))[3, 4])
+        [100. 200. 400.]
     """
     layout = _layout(pattern)
 
@@ -234,6 +249,11 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
         ValueError: for a malformed pattern, or a mosaic smaller than one tile.
 
     Source: Knutsson and Westin, "Normalized and differential convolution", CVPR 1993.
+
+    Example:
+        >>> raw = np.tile([[100.0, 200.0], [200.0, 400.0]], (3, 3))  # DN of one colour
+        >>> print(jv.development.demosaic_normalised(raw, jv.bayer("RGGB"))[0, 0])
+        [100. 200. 400.]
     """
     rows, columns = len(pattern), len(pattern[0])
     tents = (_tent(rows), _tent(columns))

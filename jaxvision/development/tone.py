@@ -69,6 +69,10 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
 
     Returns:
         (...) relative.
+
+    Example:
+        >>> print(jv.development.map_tone(jnp.array([1.0, 3.0]), jv.Reinhard()))
+        [0.5  0.75]
     """
     match tone_map:
         case Reinhard(white=white):
@@ -89,6 +93,10 @@ def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
 
     Returns:
         (...) encoded, relative.
+
+    Example:
+        >>> print(f"{jv.development.encode_tone(jnp.array(0.18), jv.Gamma(2.2)):.3f}")
+        0.459
     """
     match tone:
         case Gamma(gamma=gamma):

@@ -70,6 +70,12 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
 
     Raises:
         ValueError: for an empty patch.
+
+    Example:
+        >>> card = np.full((4, 4, 3), [200.0, 400.0, 100.0])  # DN of a grey card
+        >>> gains = jv.development.neutral_gains(card)
+        >>> print(gains * card[0, 0])
+        [400. 400. 400.]
     """
     if patch.size == 0:
         raise ValueError(f"patch must hold a pixel, got shape {patch.shape}.")
@@ -97,6 +103,11 @@ def grey_world_gains(
 
     Source: Buchsbaum, J. Franklin Institute 310, 1980 (the grey world); Finlayson and Trezzi,
     "Shades of gray and colour constancy", CIC 2004.
+
+    Example:
+        >>> under_a_lamp = np.array([[[0.8, 0.4], [0.4, 0.2]]])  # twice as red as it is green
+        >>> print(jv.development.grey_world_gains(under_a_lamp).round(3))
+        [1. 2.]
     """
     image = as_relative(image)
     if image.dtype.itemsize < 4:  # half precision does not hold the sums

@@ -53,6 +53,11 @@ def bilateral_filter(
 
     Raises:
         ValueError: for a radius below 0 and for an unknown window, difference or border.
+
+    Example:
+        >>> edge = np.array([[0.1, 0.12, 0.9, 0.92]] * 3)
+        >>> print(np.asarray(jv.filters.bilateral_filter(edge, 2.0, 0.05, radius=1))[1].round(2))
+        [0.11 0.11 0.91 0.91]
     """
     return joint_bilateral_filter(
         picture,

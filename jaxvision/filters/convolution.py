@@ -185,6 +185,12 @@ def correlate_separable(
     Raises:
         ValueError: for taps of another rank, without entries, or with another number of bands than
             the picture; for an anchor outside the kernel; and for an unknown border or method.
+
+    Example:
+        >>> print(jv.filters.correlate_separable(np.eye(3), [1.0], [0.25, 0.5, 0.25]))
+        [[0.75 0.25 0.  ]
+         [0.25 0.5  0.25]
+         [0.   0.25 0.75]]
     """
     picture, down, along = map(_as_array, (picture, column, row))
     check_picture(picture)

@@ -51,6 +51,12 @@ def derivative(
 
     Raises:
         ValueError: for an unknown scheme, border or method.
+
+    Example:
+        >>> ramp = np.tile(np.arange(5.0), (3, 1))
+        >>> gradient = jv.filters.derivative(ramp)
+        >>> print(gradient.x[1, 1:4], gradient.y[1, 1:4])
+        [1. 1. 1.] [0. 0. 0.]
     """
     _check_weighs(border, of="a derivative")
     along, across = derivative_kernels(scheme=scheme)
@@ -83,6 +89,11 @@ def laplacian(
 
     Raises:
         ValueError: for an unknown border or method.
+
+    Example:
+        >>> bowl = np.arange(5.0)[None] ** 2 * np.ones((3, 1))
+        >>> print(jv.filters.laplacian(bowl)[1, 1:4])
+        [2. 2. 2.]
     """
     _check_weighs(border, of="a derivative")
     kernel = laplacian_kernel(isotropic=isotropic)

@@ -149,6 +149,10 @@ def gaussian_kernel(
 
     Raises:
         ValueError: for an unknown sampling, a size below 1, or an order below 0.
+
+    Example:
+        >>> print(np.asarray(jv.filters.gaussian_kernel(1.0, size=5)).round(3))
+        [0.054 0.244 0.403 0.244 0.054]
     """
     check_choice("sampling", sampling, _SAMPLINGS)
     check_count("size", size, 1)

@@ -115,6 +115,12 @@ def window_sum(integral: IntegralImage, size: tuple[int, int]) -> Float[Array, "
 
     Raises:
         ValueError: for a window that is empty or larger than the image.
+
+    Example:
+        >>> whole = jv.filters.integral_image(np.ones((4, 4)))
+        >>> print(jv.filters.window_sum(whole, (3, 3)))
+        [[9. 9.]
+         [9. 9.]]
     """
     axis = _row_axis(integral.high.ndim, "an integral image")
     shape = tuple(n - 1 for n in integral.high.shape[axis : axis + 2])

@@ -33,6 +33,10 @@ def box_kernel(size: int) -> np.ndarray:
 
     Raises:
         ValueError: for a size that is not a whole number of at least 1.
+
+    Example:
+        >>> print(jv.filters.box_kernel(4))
+        [0.25 0.25 0.25 0.25]
     """
     return np.full(_checked(size), 1 / size)
 
@@ -72,6 +76,11 @@ def derivative_kernels(*, scheme: str = "central") -> tuple[np.ndarray, np.ndarr
         ValueError: for another scheme.
 
     Source: H. Scharr, thesis, Heidelberg 2000, for "scharr".
+
+    Example:
+        >>> slope, smooth = jv.filters.derivative_kernels(scheme="sobel")
+        >>> print(slope, smooth)
+        [-0.5  0.   0.5] [0.25 0.5  0.25]
     """
     check_choice("scheme", scheme, SMOOTHING)
     across = np.array(SMOOTHING[scheme], float)
@@ -87,6 +96,12 @@ def laplacian_kernel(*, isotropic: bool = False) -> np.ndarray:
 
     Returns:
         (3, 3) per square pixel.
+
+    Example:
+        >>> print(jv.filters.laplacian_kernel())
+        [[ 0.  1.  0.]
+         [ 1. -4.  1.]
+         [ 0.  1.  0.]]
     """
     if isotropic:
         return np.array([[1, 4, 1], [4, -20, 4], [1, 4, 1]]) / 6.0
@@ -107,6 +122,10 @@ def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
 
     Raises:
         ValueError: for a sigma below 0 or not finite.
+
+    Example:
+        >>> print(jv.filters.gaussian_size(2.0), jv.filters.gaussian_size(2.0, truncate=2.0))
+        17 9
     """
     if not (np.isfinite(sigma) and sigma >= 0):
         raise ValueError(f"sigma must be finite and >= 0 pixels, got {sigma}.")

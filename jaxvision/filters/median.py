@@ -55,6 +55,12 @@ def median_filter(
     Raises:
         ValueError: for an empty footprint, a size of another form, an unknown border, or another
             dtype.
+
+    Example:
+        >>> hot = np.ones((3, 3))
+        >>> hot[1, 1] = 4095.0  # DN of a hot pixel
+        >>> print(jv.filters.median_filter(hot)[1])
+        [1. 1. 1.]
     """
     if footprint is None:
         shape = np.ones(_both_ways(size), bool)

@@ -43,6 +43,11 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
 
     Raises:
         ValueError: for an array that is no picture and for an unknown border.
+
+    Example:
+        >>> print(jv.filters.reduce_by_two(np.ones((4, 4))))
+        [[1. 1.]
+         [1. 1.]]
     """
     image, restore = as_planes(picture)
     check_border(border, refused=("constant",))
@@ -96,6 +101,10 @@ def gaussian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror"
 
     Raises:
         ValueError: for fewer than one level and as for `reduce_by_two`.
+
+    Example:
+        >>> print([level.shape for level in jv.filters.gaussian_pyramid(np.ones((8, 6)), 3)])
+        [(8, 6), (4, 3), (2, 2)]
     """
     check_count("levels", levels, 1)
     check_picture(picture)
@@ -120,6 +129,11 @@ def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror
 
     Raises:
         ValueError: for fewer than one level and as for `reduce_by_two`.
+
+    Example:
+        >>> levels = jv.filters.laplacian_pyramid(np.full((4, 4), 0.5), 2)
+        >>> print([float(abs(level).max()) for level in levels])  # no detail, and the mean
+        [0.0, 0.5]
     """
     gaussian = gaussian_pyramid(picture, levels, border=border)
     details = (

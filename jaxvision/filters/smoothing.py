@@ -43,6 +43,10 @@ def box(
 
     Raises:
         ValueError: for a size of another form or below 1, and as for `correlate_separable`.
+
+    Example:
+        >>> print(jv.filters.box([[0.0, 9.0, 0.0]], size=(1, 3)))
+        [[3. 3. 3.]]
     """
     down, across = _both_ways(size)
     return correlate_separable(
@@ -73,6 +77,11 @@ def binomial(
 
     Raises:
         ValueError: for a size below 1, and as for `correlate_separable`.
+
+    Example:
+        >>> step = [[0.0, 0.0, 4.0, 4.0]] * 3
+        >>> print(jv.filters.binomial(step, size=3)[1])
+        [0. 1. 3. 4.]
     """
     taps = binomial_kernel(size)
     return correlate_separable(picture, taps, taps, border=border, fill=fill, method=method)
@@ -109,6 +118,11 @@ def unsharp_mask(
         ValueError: as for `gaussian`.
 
     Source: Szeliski, Computer Vision, section 3.2.
+
+    Example:
+        >>> step = np.array([[0.2, 0.2, 0.8, 0.8]] * 3)
+        >>> print(np.asarray(jv.filters.unsharp_mask(step, 0.5, 1.0))[1].round(2))
+        [0.2  0.14 0.86 0.8 ]
     """
     blurred = gaussian(picture, sigma, size=size, truncate=truncate, border=border, fill=fill)
     sharp = as_float(picture)

@@ -33,6 +33,11 @@ def ball_around(shapes: Sequence[Shape]) -> Ball | None:
 
     Returns:
         Centre and radius, m, constant to gradients; None where a shape is an unbounded plane.
+
+    Example:
+        >>> ball = jv.geometry.ball_around([jv.Sphere([0, 0, 0], 1.0), jv.Sphere([4, 0, 0], 1.0)])
+        >>> print(ball.radius >= 3)
+        True
     """
     shapes = jax.lax.stop_gradient(list(shapes))
     balls = [_ball(shape) for shape in shapes if not isinstance(shape, Plane)]

@@ -37,6 +37,10 @@ def has_area(shape: Shape) -> bool:
 
     Returns:
         False for a plane, which is unbounded; a Python bool, no unit.
+
+    Example:
+        >>> print(jv.geometry.has_area(jv.Plane([0, 0, 0], [0, 0, 1])))
+        False
     """
     return not isinstance(shape, Plane)
 
@@ -49,6 +53,10 @@ def surface_area(shape: Shape) -> Scalar:
 
     Returns:
         () m^2; inf for a plane.
+
+    Example:
+        >>> print(f"{jv.geometry.surface_area(jv.Sphere([0, 0, 0], 0.5)):.4f} m^2")
+        3.1416 m^2
     """
     match shape:
         case Sphere():
@@ -78,6 +86,11 @@ def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
 
     Raises:
         ValueError: for a plane, which is unbounded.
+
+    Example:
+        >>> place = jv.geometry.point_on(jv.Quad([0, 0, 3], [0, 2, 0], [2, 0, 0]), [0.5, 0.5])
+        >>> print(jv.as_array(place.point), jv.as_array(place.normal))
+        [1. 1. 3.] [ 0.  0. -1.]
     """
     match shape:
         case Sphere():

@@ -20,6 +20,10 @@ def problems(shape: Shape) -> list[str]:
 
     Returns:
         One sentence for each problem; none if all is well.
+
+    Example:
+        >>> print(jv.geometry.problems(jv.Sphere([0, 0, np.nan], 1.0)))
+        ['Sphere.centre holds a number that is not finite.']
     """
     kind = type(shape).__name__
     found = [

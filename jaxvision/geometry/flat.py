@@ -63,6 +63,11 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> floor = jv.Plane([0, 0, 0], [0, 0, 1])
+        >>> print(jv.geometry.intersect_plane(jv.Ray([0, 0, 2], [0.6, 0, -0.8]), floor).distance)
+        2.5
     """
     return plane_hit(ray, plane, stored)
 
@@ -82,6 +87,11 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> disc = jv.Disc([0, 0, 3], [0, 0, -1], 1.0)
+        >>> print(jv.geometry.intersect_disc(jv.Ray([2, 0, 0], [0, 0, 1]), disc).distance)
+        inf
     """
     return disc_hit(ray, disc, stored)
 
@@ -160,6 +170,11 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> quad = jv.Quad([0, 0, 3], [0, 1, 0], [1, 0, 0])
+        >>> print(jv.geometry.intersect_quad(jv.Ray([0.5, 0.5, 0], [0, 0, 1]), quad).distance)
+        3.0
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)

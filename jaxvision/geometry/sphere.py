@@ -58,6 +58,12 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
     Returns:
         The hit; a miss has distance inf.
+
+    Example:
+        >>> ray, ball = jv.Ray([0, 0, 0], [0, 0, 1]), jv.Sphere([0, 0, 5], 1.0)
+        >>> hit = jv.geometry.intersect_sphere(ray, ball)
+        >>> print(hit.distance, jv.as_array(hit.normal))
+        4.0 [ 0.  0. -1.]
     """
     found = stored(_first_crossing, *jax.lax.stop_gradient((ray, sphere)))
     hit = found < jnp.inf

@@ -112,6 +112,10 @@ def soft_histogram(
 
     Raises:
         ValueError: for another kernel and as for `exact_histogram`.
+
+    Example:
+        >>> print(jv.histogram.soft_histogram(np.array([[0.25, 0.5]]), bins=4).counts)
+        [0.5 1.  0.5 0. ]
     """
     check_choice("kernel", kernel, ("linear", "cubic"))
     stack, chosen = as_stack(image), binning(image, bins, value_range)
@@ -127,6 +131,11 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 
     Returns:
         (..., bins + 1) from 0 to 1, no unit; 0 throughout where nothing was counted.
+
+    Example:
+        >>> counts = jv.histogram.exact_histogram(np.array([[0.1, 0.3], [0.3, 0.9]]), bins=4)
+        >>> print(jv.histogram.cumulative_distribution(counts))
+        [0.   0.25 0.75 0.75 1.  ]
     """
     return cumulative_fractions(histogram.counts, histogram.edges.dtype)
 
@@ -149,6 +158,11 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 
     Raises:
         ValueError: for a q outside [0, 1].
+
+    Example:
+        >>> codes = np.arange(256, dtype=np.uint8).reshape(16, 16)
+        >>> print(jv.histogram.quantile(jv.histogram.exact_histogram(codes), 0.5))
+        128.0
     """
     cdf, edges = cumulative_distribution(histogram), histogram.edges
     bins = edges.shape[0] - 1
@@ -181,6 +195,11 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
         ValueError: for fewer than 2 bins.
 
     Source: Otsu 1979.
+
+    Example:
+        >>> codes = np.array([[10, 12, 11], [200, 190, 210]], np.uint8)  # ink and paper
+        >>> print(jv.histogram.otsu_threshold(jv.histogram.exact_histogram(codes)))
+        13.0
     """
     counts, edges = histogram.counts.astype(histogram.edges.dtype), histogram.edges
     bins = edges.shape[0] - 1

@@ -69,6 +69,12 @@ def equalise_locally(
     Raises:
         ValueError: for tiles of another form, for bins or a range with an integer image, and as for
             `exact_histogram`.
+
+    Example:
+        >>> ramp = np.linspace(0.4, 0.6, 64).reshape(8, 8)
+        >>> wide = jv.histogram.equalise_locally(ramp, tiles=(1, 1), clip_limit=None)
+        >>> print(np.asarray([wide.min(), wide.max()]).round(3))
+        [0.006 0.994]
     """
     stack = as_stack(image)
     if np.shape(tiles) != (2,) or not all(isinstance(n, Integral) and n >= 1 for n in tiles):

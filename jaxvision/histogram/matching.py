@@ -31,6 +31,11 @@ def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
 
     Raises:
         ValueError: for two dtypes, or for shapes that differ in more than h and w.
+
+    Example:
+        >>> dull, bright = np.array([[0.2, 0.3, 0.4]]), np.array([[0.9, 0.1, 0.5]])
+        >>> print(jv.histogram.match_histogram(dull, bright))
+        [[0.1 0.5 0.9]]
     """
     source, target = as_stack(image), as_stack(reference)
     if source.dtype != target.dtype:

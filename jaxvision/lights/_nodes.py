@@ -28,6 +28,11 @@ def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         Nodes, (order^2, 2), and weights of sum 1, (order^2,); no unit.
+
+    Example:
+        >>> nodes, weights = jv.lights.square_nodes(2)
+        >>> print(nodes.shape, weights)
+        (4, 2) [0.25 0.25 0.25 0.25]
     """
     return product(gauss_legendre(order), gauss_legendre(order))
 

@@ -152,6 +152,10 @@ def can_be_seen(light: Light) -> bool:
 
     Returns:
         The answer, a Python bool, no unit.
+
+    Example:
+        >>> print(jv.lights.can_be_seen(jv.PointLight([0, 0, 2], [8.0])))
+        False
     """
     return isinstance(kind_of(light), Extended)
 

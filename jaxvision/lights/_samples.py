@@ -36,6 +36,12 @@ def light_nodes(
 
     Raises:
         ValueError: if `rule` is not a rule.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> places, weights = jv.lights.light_nodes(lamp, jv.Quadrature(2), np.float32)
+        >>> print(places.shape, weights)
+        (4, 2) [0.25 0.25 0.25 0.25]
     """
     check_kind("rule", rule, Rule)
     kind = kind_of(light)
@@ -63,6 +69,12 @@ def incident_sample(
     Returns:
         Direction, distance, and irradiance, (bands,) W m^-2: the radiance times the solid angle
         that the node stands for.
+
+    Example:
+        >>> lamp = jv.PointLight([0, 0, 2], [8.0])  # W sr^-1
+        >>> node = jv.lights.incident_sample(lamp, jv.Quadrature(1), [0, 0, 0], [0.5, 0.5], 1.0)
+        >>> print(node.distance, node.irradiance)  # 8 / 2^2 W m^-2
+        2.0 [2.]
     """
     kind = kind_of(light)
     if isinstance(kind, Discrete):
@@ -129,6 +141,11 @@ def rule_of_each(lights: Sequence[Light], rule: Rule | Sequence[Rule]) -> tuple[
 
     Raises:
         ValueError: if there are not as many rules as lights.
+
+    Example:
+        >>> lamp = jv.PointLight([0, 0, 2], [8.0])
+        >>> print(len(jv.lights.rule_of_each([lamp, lamp], jv.Quadrature(4))))
+        2
     """
     if not isinstance(rule, Sequence):
         return (rule,) * len(lights)

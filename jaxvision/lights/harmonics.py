@@ -53,6 +53,11 @@ def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 band
 
     Returns:
         (9, bands) W m^-2, in the map's own axes.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((8, 16, 1)))
+        >>> print(jv.lights.harmonics.irradiance_coefficients(sky).shape)
+        (9, 1)
     """
     h, w, bands = environment.radiance.shape
     theta, phi = np.pi * (np.arange(h) + 0.5) / h, np.pi * (1 - 2 * (np.arange(w) + 0.5) / w)
@@ -85,6 +90,13 @@ def harmonic_irradiance(
 
     Returns:
         The irradiance, (bands,) W m^-2.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((8, 16, 1)))  # W m^-2 sr^-1 from everywhere
+        >>> coefficients = jv.lights.harmonics.irradiance_coefficients(sky)
+        >>> light = jv.lights.harmonics.harmonic_irradiance(sky, coefficients, [0.0, 0.0, 1.0])
+        >>> print(round(float(light[0] / np.pi), 3))
+        1.008
     """
     basis = harmonics(_to_map(environment, normal))
     return (basis[:, None] * coefficients).sum(axis=0)

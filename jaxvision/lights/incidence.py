@@ -111,6 +111,12 @@ def seen(light: Light, ray: Ray) -> Seen:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> light = jv.lights.seen(lamp, jv.Ray([0, 0, 0], [0, 0, 1]))
+        >>> print(light.distance, light.radiance)
+        3.0 [5.]
     """
     return extended_kind(light).seen(light, ray)
 
@@ -125,6 +131,12 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
     Returns:
         The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are infinitely far
         away and add up. Where there is no extended light the radiance is () and 0.
+
+    Example:
+        >>> sides = [0, 2, 0], [2, 0, 0]  # m
+        >>> low, high = (jv.RectangleLight([-1, -1, z], *sides, [5.0]) for z in (3.0, 4.0))
+        >>> print(jv.lights.nearest_seen([high, low], jv.Ray([0, 0, 0], [0, 0, 1])).distance)
+        3.0
     """
     distance = jnp.full_like(ray.origin.x, jnp.inf)
     radiance = jnp.zeros_like(ray.origin.x)
@@ -151,6 +163,11 @@ def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> print(jv.lights.radiance_from(lamp, [0, 0, 0], [0, 0, 1]))  # W m^-2 sr^-1, straight up
+        [5.]
     """
     return extended_kind(light).seen(light, Ray(point, wi)).radiance
 
@@ -169,6 +186,12 @@ def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incid
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+        >>> toward = jv.lights.direction_sample(lamp, [0, 0, 0], [0.5, 0.5])
+        >>> print(f"{toward.distance:.2f} m")  # to its middle
+        3.00 m
     """
     return extended_kind(light).sample(light, point, u)
 
@@ -187,5 +210,11 @@ def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
 
     Raises:
         ValueError: for a light that has no size.
+
+    Example:
+        >>> sky = jv.environment_map(np.ones((4, 8, 1)))
+        >>> density = jv.lights.direction_pdf(sky, [0, 0, 0], [0, 0, 1])  # sr^-1
+        >>> print(f"{4 * np.pi * density:.3f}")
+        1.000
     """
     return extended_kind(light).pdf(light, point, wi)

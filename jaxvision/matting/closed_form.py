@@ -69,6 +69,13 @@ def closed_form_matte(
         InputError: for known numbers that hold NaN, and for a known trimap without foreground or
             without background. Under a trace NaN gives a NaN matte, and a trimap of one kind alone
             a constant one.
+
+    Example:
+        >>> picture = np.repeat([[[0.1], [0.1], [0.5], [0.9], [0.9]]], 3, axis=0)  # a soft edge
+        >>> trimap = np.repeat([[0.0, 0.0, 0.5, 1.0, 1.0]], 3, axis=0)
+        >>> matte = jv.matting.closed_form_matte(picture, trimap)
+        >>> print(matte.alpha[1, :, 0].round(2), matte.converged)
+        [0.  0.  0.5 1.  1. ] True
     """
     image, trimap = as_relative(image), as_relative(trimap)
     if image.ndim != 3 or min(image.shape[:2]) < 3:

@@ -58,6 +58,13 @@ def estimate_foreground(
         ValueError: for shapes that do not fit and, where the numbers are known, for an alpha
             outside [0, 1] or not finite and a `regularisation` that is not above 0. Under a trace a
             single NaN makes both pictures NaN throughout.
+
+    Example:
+        >>> alpha = np.array([[[1.0], [0.5], [0.0], [0.0]]] * 4)
+        >>> picture = alpha * 0.8 + (1 - alpha) * 0.2
+        >>> front, behind = jv.matting.estimate_foreground(picture, alpha)
+        >>> print(np.asarray(front)[0, :2, 0].round(2), np.asarray(behind)[0, 1:, 0].round(2))
+        [0.8 0.8] [0.2 0.2 0.2]
     """
     image, alpha = as_relative(image), checked_alpha(alpha)
     if image.ndim != 3 or 0 in image.shape:

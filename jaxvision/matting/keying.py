@@ -40,6 +40,12 @@ def difference_matte(
     Raises:
         ValueError: unless `low` < `high`, where they are known. Under a trace the matte is then a
             step at `low`.
+
+    Example:
+        >>> wall, leaf = [0.2, 0.2, 0.2], [0.2, 0.5, 0.6]
+        >>> picture = [wall, leaf]  # of two pixels
+        >>> print(jv.matting.difference_matte(picture, wall, 0.1, 0.4).ravel())
+        [0. 1.]
     """
     if is_known(low) and is_known(high) and not np.asarray(low) < np.asarray(high):
         raise ValueError(f"low must lie below high, got {low} and {high}.")
@@ -76,6 +82,12 @@ def blue_screen_matte(
 
     Source: Smith and Blinn, "Blue Screen Matting", SIGGRAPH 1996, solutions 1 and 2, here for any
     backing.
+
+    Example:
+        >>> screen, grey = np.array([0.0, 0.1, 0.8]), np.array([0.4, 0.4, 0.4])
+        >>> edge = 0.25 * grey + 0.75 * screen  # a grey object in a quarter of the pixel
+        >>> print(jv.matting.blue_screen_matte(edge, screen))
+        [0.25]
     """
     image, backing = as_relative(image), as_relative(backing)
     bands = image.shape[-1]
@@ -108,6 +120,11 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
         (..., 1) alpha, no unit.
 
     Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
+
+    Example:
+        >>> hair, sky = np.array([0.1, 0.05, 0.0]), np.array([0.3, 0.5, 0.9])
+        >>> print(jv.matting.projected_matte(0.6 * hair + 0.4 * sky, hair, sky))
+        [0.6]
     """
     image = as_relative(image)
     foreground, background = (
@@ -146,6 +163,12 @@ def least_squares_matte(
 
     Source: Smith and Blinn, "Blue Screen Matting", SIGGRAPH 1996, theorem 4 and its extension to
     more backings.
+
+    Example:
+        >>> layer, screens = np.array([0.1, 0.2]), np.array([[0.0, 0.8], [0.8, 0.0], [0.4, 0.4]])
+        >>> pictures = layer + (1 - 0.5) * screens  # smoke, of alpha 0.5
+        >>> print(np.asarray(jv.matting.least_squares_matte(pictures, screens)).round(3))
+        [0.1 0.2 0.5]
     """
     images, backgrounds = as_relative(images), as_relative(backgrounds)
     if images.shape != backgrounds.shape or images.shape[0] < 2:
@@ -179,6 +202,13 @@ def triangulation_matte(
 
     Raises:
         ValueError: for two pictures, or backgrounds, of different shapes.
+
+    Example:
+        >>> blue, green = np.array([0.0, 0.1, 0.8]), np.array([0.1, 0.7, 0.1])
+        >>> glass = np.array([0.1, 0.1, 0.2])  # its own light; it hides 30 % of what is behind
+        >>> seen = glass + 0.7 * blue, blue, glass + 0.7 * green, green
+        >>> print(np.asarray(jv.matting.triangulation_matte(*seen)).round(3))
+        [0.1 0.1 0.2 0.3]
     """
     for one, other in ((image, image_2), (background, background_2)):
         if one.shape != other.shape:
@@ -205,6 +235,11 @@ def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
 
     Raises:
         ValueError: for an alpha outside [0, 1], as in `compositing`.
+
+    Example:
+        >>> layer = jv.matting.lift([0.5, 0.4], [0.25], [0.4, 0.4])
+        >>> print(np.asarray(layer).round(3), jv.compositing.over(layer, [0.4, 0.4, 1.0])[:2])
+        [0.2  0.1  0.25] [0.5 0.4]
     """
     return _lifted(as_relative(image), checked_alpha(alpha), as_relative(background))
 

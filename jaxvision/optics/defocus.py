@@ -60,6 +60,12 @@ def defocus_radius(view: ThinLens, depth: Scalars) -> Scalars:
 
     Returns:
         (...) pixels; positive nearer than the plane in focus, negative behind it.
+
+    Example:
+        >>> at = {"resolution": (2, 2), "f_number": 2.0, "focus_distance": 2.0}
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, **at)
+        >>> print([f"{jv.optics.defocus_radius(lens, z):.1f}" for z in (1.0, 2.0, np.inf)])
+        ['32.1', '0.0', '-32.1']
     """
     focus = jnp.inf if view.focus_distance is None else view.focus_distance
     focus = jnp.broadcast_to(jnp.asarray(focus, depth.dtype), depth.shape)

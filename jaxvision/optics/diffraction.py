@@ -68,6 +68,12 @@ def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Sca
 
     Raises:
         ValueError: for a wavelength or an f-number below 0.
+
+    Example:
+        >>> dark = jv.optics.airy_radius(550e-9, 4.0)  # m, of the first dark ring
+        >>> at = (jv.optics.airy_pattern(radius, 550e-9, 4.0) for radius in (0.0, dark / 2, dark))
+        >>> print([f"{x:.2f}" for x in at])
+        ['1.00', '0.37', '0.00']
     """
     x = jnp.pi * radius / (wavelength * f_number)
     amplitude = jinc(x * x)

@@ -64,6 +64,11 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
 
     Returns:
         () relative; 0 at a fold of the image and negative beyond it.
+
+    Example:
+        >>> barrel = jv.Distortion([-0.1])
+        >>> print(f"{jv.optics.distortion_area(barrel, 0.5, 0.0):.4f}")
+        0.9019
     """
     a, b, c = _jacobian(distortion, x, y)
     return a * c - b * b

@@ -43,6 +43,11 @@ def sample_image(
     Source:
         Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29
         (1981).
+
+    Example:
+        >>> row = [[[1.0], [2.0], [4.0]]]
+        >>> print(jv.optics.sample_image(row, [[0.0]], [[1.5]], interpolation="linear").ravel())
+        [3.]
     """
     check_choice("interpolation", interpolation, INTERPOLATIONS)
     taps = _linear_taps if interpolation == "linear" else _cubic_taps
@@ -116,6 +121,12 @@ def lateral_aberration(
 
     Raises:
         ValueError: `magnification` does not hold one value per band, or another interpolation.
+
+    Example:
+        >>> picture = np.linspace(0, 1, 5)[None, :, None] * np.ones((1, 1, 2))  # of two bands
+        >>> wide = jv.optics.lateral_aberration(picture, [1.0, 2.0], interpolation="linear")
+        >>> print(wide[0, :, 1])
+        [0.25  0.375 0.5   0.625 0.75 ]
     """
     if magnification.shape != image.shape[-1:]:
         raise ValueError(

@@ -57,6 +57,10 @@ def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
     Returns:
         (...) m^-1; 0 at z_o = f and negative for a virtual image.
+
+    Example:
+        >>> print(f"{1000 / jv.optics.image_vergence(2.0, 0.05):.2f} mm")  # behind the lens
+        51.28 mm
     """
     return vergence_difference(focal_length, object_distance)
 
@@ -71,6 +75,10 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
 
     Returns:
         1 / first - 1 / second, (...) m^-1.
+
+    Example:
+        >>> print(jv.optics.vergence_difference(0.5, 1.0))  # dioptres
+        1.0
     """
     near = _is_near(first, second) & _is_near(second, first) & jnp.isfinite(first)
     a, b = (or_one(z, near) for z in (first, second))
@@ -176,6 +184,10 @@ def lens_focal_length(
 
     Returns:
         (...) m; negative for a diverging lens.
+
+    Example:
+        >>> print(f"{jv.optics.lens_focal_length(10.0, -10.0, 1.5):.3f} m")  # radii 0.1 m
+        0.100 m
     """
     return _reciprocal(
         lens_power(front_curvature, back_curvature, refractive_index, thickness=thickness)

@@ -97,6 +97,11 @@ def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scala
 
     Returns:
         (right, down), each () m.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(2, 2))
+        >>> print(*(f"{1e6 * x:.0f} um" for x in jv.optics.pixel_offset(view, 0, 1)))
+        5 um -5 um
     """
     rows, columns = view.resolution
     x = (column + (1 - columns) / 2) * view.pixel_pitch
@@ -126,6 +131,12 @@ def focus_vergence(view: ThinLens) -> Scalar:
 
     Returns:
         () m^-1; 0 at infinity.
+
+    Example:
+        >>> at = {"resolution": (2, 2), "f_number": 2.0, "focus_distance": 2.0}
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, **at)
+        >>> print(jv.optics.focus_vergence(lens))
+        0.5
     """
     if view.focus_distance is None:
         return jnp.zeros_like(view.focal_length)
@@ -143,6 +154,11 @@ def chief_slope(view: Pinhole | ThinLens, row: Scalar, column: Scalar) -> tuple[
 
     Returns:
         (right, down), each () m per m forward.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(4, 4))
+        >>> print(*(f"{x:.2f}" for x in jv.optics.chief_slope(view, 0, 3)))
+        0.15 -0.15
     """
     x, y = pixel_offset(view, row, column)
     vergence = sensor_vergence(view)
@@ -295,6 +311,11 @@ def cos_to_axis(view: View, row: Scalar, column: Scalar) -> Scalar:
 
     Returns:
         () in (0, 1], no unit.
+
+    Example:
+        >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 1.0, resolution=(1, 3))
+        >>> print(f"{jv.optics.cos_to_axis(view, 0, 2):.4f}")  # 45 degrees off
+        0.7071
     """
     if isinstance(view, Orthographic):
         return jnp.ones_like(view.pixel_pitch)

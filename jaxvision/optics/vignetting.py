@@ -31,6 +31,11 @@ def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
 
     Returns:
         () relative, in [0, 1]; 1 without a rim.
+
+    Example:
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(3, 3), f_number=2.0)
+        >>> print(jv.optics.clear_fraction(lens, 1, 1))  # no rim, no vignetting
+        1.0
     """
     if view.rim is None:
         return jnp.ones_like(view.f_number)

@@ -52,6 +52,11 @@ class SceneFile:
         lights: name of each light in messages.
         digest: a hash of all numbers of the scene and its view, independent of the files they came
             from.
+
+    Example:
+        >>> file = jv.scene_files.read_scene("glass_and_mirror")
+        >>> print(file.path.name, file.bands, file.lights)
+        glass_and_mirror.toml 3 ('light "lamp"', 'light "sky"')
     """
 
     path: Path
@@ -83,6 +88,10 @@ def shipped_scenes() -> list[str]:
 
     Returns:
         The names, sorted.
+
+    Example:
+        >>> print(jv.scene_files.shipped_scenes())
+        ['cornell_box', 'cornell_box_spectral', 'glass_and_mirror']
     """
     return list(shipped_files("scene"))
 
@@ -98,6 +107,13 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
     Raises:
         InputError: the first mistake in the file, or the first problem that `scene_checks` finds.
+
+    Example:
+        >>> file = jv.scene_files.read_scene("cornell_box")
+        >>> print(file)
+        cornell_box.toml: 15 surfaces, 1 light, 3 bands
+        >>> print(file.view.resolution, file.surfaces[:3])
+        (512, 512) ('surface "floor"', 'surface "ceiling"', 'surface "back wall"')
     """
     file = existing_file(path, "scene")
     entry = checked(file, _content(file), SceneEntry, "scene")

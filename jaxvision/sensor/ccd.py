@@ -98,6 +98,13 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
     Raises:
         ValueError: `electrons` is not an image.
+
+    Example:
+        >>> column = np.zeros((4, 1, 1))
+        >>> column[1] = 1000.0  # electrons, which are shifted twice
+        >>> read = jv.sensor.transferred(column, jv.ChargeTransfer(0.01))
+        >>> print([round(float(x), 1) for x in read.ravel()])
+        [0.0, 980.1, 19.6, 0.3]
     """
     rows_read = _trailing(electrons, transfer.inefficiency, transfer.trail, axis=-3, weight=_share)
     if transfer.serial_inefficiency is None:

@@ -138,6 +138,11 @@ def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
 
     Returns:
         (..., bands) electrons per exposure for pixels of mean sensitivity.
+
+    Example:
+        >>> sensor = jv.Sensor(quantum_efficiency=0.5, exposure_time=0.01)
+        >>> print(jv.sensor.expected_charge(sensor, [[[2e5]]]).ravel())  # 2e5 photons a second
+        [1000.]
     """
     electrons = mean_photoelectrons(sensor, irradiance)
     if sensor.smear is not None:
@@ -161,6 +166,13 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     Raises:
         ValueError: the pattern does not tile the picture or does not use every colour of the
             filter, or the numbers of bands differ.
+
+    Example:
+        >>> colours = jv.ColourFilter(np.eye(3), pattern=jv.bayer("RGGB"))
+        >>> light = np.full((2, 2, 3), [100.0, 200.0, 400.0])  # electrons
+        >>> print(jv.sensor.filtered(colours, light)[..., 0])
+        [[100. 200.]
+         [200. 400.]]
     """
     transmission = colour_filter.transmission
     check_pattern(colour_filter.pattern, bands=transmission.shape[0], name="ColourFilter.pattern")
@@ -188,6 +200,10 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
     Raises:
         ValueError: `electrons` is not an image.
+
+    Example:
+        >>> print(jv.sensor.drifted([[[0.0], [100.0], [0.0]]], 0.1).ravel())  # borders give back
+        [10. 80. 10.]
     """
     check_image("Sensor.crosstalk", electrons.shape)
 
@@ -213,6 +229,11 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
 
     Raises:
         ValueError: `electrons` is not an image.
+
+    Example:
+        >>> column = [[[0.0]], [[1000.0]], [[0.0]]]  # a lamp in the middle row
+        >>> print(jv.sensor.smeared(column, 0.01).ravel())
+        [  10. 1000.   10.]
     """
     check_image("Sensor.smear", electrons.shape)
     column = electrons.sum(axis=-3, keepdims=True)

@@ -41,6 +41,13 @@ def sensitivity(
 
     Returns:
         Relative sensitivities of that shape, no unit; None if the sensor has neither effect.
+
+    Example:
+        >>> sensor = jv.Sensor(prnu=0.02)
+        >>> of = {"shape": (50, 50, 1), "dtype": float}
+        >>> die = jv.sensor.sensitivity(jax.random.key(0), sensor, **of)
+        >>> print(round(float(die.mean()), 2), round(float(die.std()), 2))
+        1.0 0.02
     """
     response = None
     if sensor.prnu is not None:
@@ -71,6 +78,13 @@ def hot_rates(
 
     Returns:
         e- s^-1 of that shape.
+
+    Example:
+        >>> of = {"shape": (100, 100, 1), "dtype": float}
+        >>> hot = jv.HotPixels(0.1, 300.0)  # a tenth of the pixels, 300 e- s^-1 on average
+        >>> rates = jv.sensor.hot_rates(jax.random.key(0), hot, **of)
+        >>> print(round(float((rates > 0).mean()), 2))
+        0.1
     """
     from_end = tail_probability(~words(die_key, Die.DEFECT, shape), dtype)
     hot = from_end <= hot_pixels.fraction
@@ -134,5 +148,11 @@ def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTyp
 
     Returns:
         (1, w, bands) relative gains with as many axes as the image, no unit.
+
+    Example:
+        >>> of = {"shape": (4, 1000, 1), "dtype": float}
+        >>> gains = jv.sensor.column_gains(jax.random.key(0), 0.01, **of)
+        >>> print(gains.shape, round(float(gains.std()), 3))
+        (1, 1000, 1) 0.01
     """
     return 1 + rms * along_columns(die_key, Die.COLUMN_GAIN, shape, dtype)

@@ -57,6 +57,13 @@ def read_out_noise(
 
     Raises:
         ValueError: a key is None and needed, or row noise or banding is asked for without an image.
+
+    Example:
+        >>> frame = {"shape": (100, 100, 1), "dtype": float}
+        >>> sensor = jv.Sensor(read_noise=5.0)  # electrons
+        >>> noise = jv.sensor.read_out_noise(jax.random.key(0), None, sensor, **frame)
+        >>> print(round(float(noise.std()), 1))
+        5.0
     """
     parts = []
     rms = _rms_of_each(key, sensor, shape, dtype)
@@ -80,6 +87,11 @@ def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
 
     Returns:
         () electrons^2.
+
+    Example:
+        >>> sensor = jv.Sensor(read_noise=3.0, row_noise=4.0)  # electrons
+        >>> print(jv.sensor.read_out_variance(sensor, dtype=float))
+        25.0
     """
     variance = jnp.zeros((), dtype)
     match sensor.read_noise:

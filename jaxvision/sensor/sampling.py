@@ -25,6 +25,10 @@ def light_share(aperture: PixelAperture) -> Scalar:
 
     Returns:
         () relative to all light on the pixel, in (0, 1].
+
+    Example:
+        >>> print(jv.sensor.light_share(jv.PixelAperture(0.5, microlens=0.8)))
+        0.9
     """
     if aperture.microlens is None:
         return aperture.fill_factor
@@ -49,6 +53,11 @@ def pixel_means(
 
     Raises:
         ValueError: `irradiance` is not an image of a whole number of pixels.
+
+    Example:
+        >>> fine = np.array([[1.0, 3.0], [1.0, 3.0]])[..., None]  # W m^-2 in one pixel
+        >>> print(jv.sensor.pixel_means(fine, jv.PixelAperture(1.0, oversampling=2)).ravel())
+        [2.]
     """
     n = aperture.oversampling
     if irradiance.ndim < 3:

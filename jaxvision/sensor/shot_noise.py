@@ -49,6 +49,12 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
     Returns:
         (...) electrons in the dtype of `mean`; whole numbers unless Gaussian.
+
+    Example:
+        >>> electrons = jnp.full(10000, 100.0)
+        >>> drawn = jv.sensor.count(jax.random.key(0), electrons, jv.GaussianShotNoise())
+        >>> print(round(float(drawn.var() / drawn.mean()), 1))  # as of Poisson's distribution
+        1.0
     """
     match shot_noise:
         case PoissonShotNoise():

@@ -37,6 +37,10 @@ def row_starts(
 
     Returns:
         (rows,) s.
+
+    Example:
+        >>> print(1000 * jv.sensor.row_starts(jv.RollingShutter(0.001), 0.01, rows=3))  # ms
+        [0. 1. 2.]
     """
     if shutter is None:
         return jnp.zeros(rows, exposure_time.dtype)
@@ -62,6 +66,12 @@ def exposure_slots(
 
     Raises:
         ValueError: `slots` is less than 1.
+
+    Example:
+        >>> shutter = jv.RollingShutter(0.001)  # s from row to row
+        >>> times, weights = jv.sensor.exposure_slots(shutter, 0.002, rows=3, slots=4)
+        >>> print(np.asarray(1000 * times), weights[0])  # ms
+        [0.5 1.5 2.5 3.5] [0.5 0.5 0.  0. ]
     """
     check_count("slots", slots, 1)
     starts = row_starts(shutter, exposure_time, rows=rows)

@@ -74,6 +74,12 @@ def ray_tree_radiance(
 
     Raises:
         ValueError: for fewer than one ray, or a random rule in `Scene.rules`.
+
+    Example:
+        >>> lamp = jv.Surface(jv.Disc([0, 0, 9], [0, 0, -1], 1), jv.Lambert([0.0]), [2.0])
+        >>> ray = jv.Ray([0, 0, 0], [0, 0, 1])
+        >>> print(jv.transport.ray_tree_radiance(jv.Scene(lamp, []), ray, rays=1))
+        [2.]
     """
     world = world_of(scene)
     rays, rules = _followed(world, rays), _rules(scene, world, rule)

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
+
+from jaxvision import ArrayLike
 
 from ...observation import in_memory
 from ...photographs import rig_entries
@@ -46,6 +47,15 @@ def from_photographs(
 
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
+
+    Example:
+        >>> from fitting.reflectance import Camera, SphereGeometry, from_photographs
+        >>> lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1.0]])
+        >>> images = [np.full((20, 20), 100)] * 4  # DN
+        >>> ball = SphereGeometry(centre=(9.5, 9.5), radius=8.0)  # pixels
+        >>> seen = from_photographs(images, lights, camera=Camera(bits=8), sphere=ball)
+        >>> print(seen.channels, seen.shape, seen.held_out)
+        ('grey',) (20, 20) [False False False  True]
     """
     named, entries = rig_entries(
         images,

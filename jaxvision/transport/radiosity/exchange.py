@@ -256,6 +256,11 @@ def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
     Returns:
         (n,), no unit: 0 in a closed scene, where all light arrives somewhere; in an open one, minus
         the fraction that escapes.
+
+    Example:
+        >>> table = [[0.2, 0.8], [0.5, 0.25]]  # the second patch sees a window
+        >>> print(jv.transport.radiosity.closure_error(table))
+        [ 0.   -0.25]
     """
     return table.sum(axis=1) - 1
 

@@ -70,6 +70,12 @@ def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = Fa
     Raises:
         ValueError: for a surface that is not bounded or not `Lambert`, by its number, and for a
             size that is not positive.
+
+    Example:
+        >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.1]))
+        >>> plan = jv.transport.radiosity.plan_patches(jv.Scene(floor, []), size=0.5, split=1)
+        >>> print(plan.faces[0].rows, plan.faces[0].columns)
+        2 2
     """
     if not size > 0:
         raise ValueError(f"size must be positive, got {size}.")
