@@ -6,6 +6,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
+from jax.core import Tracer
 
 from jaxvision.programs import briefly
 
@@ -30,7 +31,7 @@ def compiled_briefly(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         leaves = jax.tree.leaves((args, kwargs))
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        traced = any(isinstance(leaf, Tracer) for leaf in leaves)
         return (part if traced else whole)(*args, **kwargs)
 
     return call
