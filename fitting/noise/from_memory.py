@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
-from ..observation import MEMORY, in_memory, require_as_many
+from ..observation import MEMORY, in_memory, require_as_many, require_frames
 from ..rig import Camera
 from .levels import Levels, PhotonTransfer
 from .read import check, reduce_darks, reduce_rig
@@ -41,12 +41,15 @@ def from_frames(
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
     """
+    require_frames("flats", flats)
+    require_frames("darks", darks)
     require_as_many("exposures", exposures, "levels of flats", flats)
     if photons is not None:
         require_as_many("photon counts", photons, "levels of flats", flats)
     if dark_exposures is None and len(darks) != len(flats):
         raise InputError(
-            f"{len(darks)} sets of darks for {len(flats)} levels of flats; give dark_exposures."
+            f"len(darks) is {len(darks)} and len(flats) {len(flats)}, so darks need exposures of "
+            "their own; give dark_exposures."
         )
     times = exposures if dark_exposures is None else dark_exposures
     require_as_many("dark_exposures", times, "sets of darks", darks)
@@ -65,7 +68,12 @@ def from_frames(
         {"files": _names("darks", i, level), "exposure": float(times[i])}
         for i, level in enumerate(darks)
     ]
-    rig, load = in_memory(images, camera=camera, flat=flat, dark=dark)
+    called = {
+        "flat.exposure": "exposures",
+        "flat.photons": "photons",
+        "dark.exposure": "exposures" if dark_exposures is None else "dark_exposures",
+    }
+    rig, load = in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
     measurement = reduce_rig(rig, channel=channel, load=load)
     check(MEMORY, measurement)
     return measurement
@@ -93,13 +101,15 @@ def darks_from_frames(
     Raises:
         InputError: for lists of unequal length, and for frames that do not belong together.
     """
+    require_frames("darks", darks)
     require_as_many("exposures", exposures, "sets of darks", darks)
     images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}
     dark = [
         {"files": _names("darks", i, level), "exposure": float(exposures[i])}
         for i, level in enumerate(darks)
     ]
-    rig, load = in_memory(images, camera=camera, dark=dark)
+    called = {"dark.exposure": "exposures"}
+    rig, load = in_memory(images, called=called, camera=camera, dark=dark)
     return reduce_darks(rig, channel=channel, load=load)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
-from ..observation import in_memory, require_as_many
+from ..observation import in_memory, require_as_many, require_several_images
 from ..rig import Camera
 from .read import ExposureStack, read_exposure_stack
 
@@ -35,11 +35,13 @@ def from_stack(
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
     """
+    require_several_images("images", images)
     require_as_many("exposures", exposures, "images", images)
     entries = [
         {"file": f"images[{i}]", "exposure": float(exposure), "exposure_sd": exposure_sd}
         for i, exposure in enumerate(exposures)
     ]
     named = {f"images[{i}]": image for i, image in enumerate(images)}
-    rig, load = in_memory(named, camera=camera, exposure=entries)
+    called = {"exposure.exposure": "exposures"}
+    rig, load = in_memory(named, called=called, camera=camera, exposure=entries)
     return read_exposure_stack(rig, mask=mask, load=load)
