@@ -284,8 +284,8 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
     if lights < FEWEST_LEVELS:
         if measurement.photons_known and times >= FEWEST_LEVELS:
             raise InputError(
-                f"{file}: the flats have {times} exposures, but {lights} different photons; photons "
-                "are counted per pixel and exposure, so multiply a rate per second by the exposure."
+                f"{file}: the flats have {times} exposures, but {lights} different photons; these "
+                "are photons per pixel and exposure, so multiply a rate per second by the exposure."
             )
         raise InputError(
             f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
