@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
+from fitting.joint import calibrate as calibrate_joint
 from fitting.noise import calibrate as calibrate_noise
 from fitting.noise import darks_from_frames, from_frames, read_photon_transfer
 from fitting.reflectance import from_photographs
@@ -102,6 +103,18 @@ def test_one_image_in_place_of_a_list_is_said():
         from_stack(singles[0], [1.0], camera=CAMERA)
     with pytest.raises(InputError, match=r"images is one image, \(20, 30\); give a list"):
         from_photographs(singles[0], LIGHTS, camera=CAMERA, sphere=SPHERE)
+
+
+def test_what_is_no_measurement_is_no_calibration():
+    for calibrate, named in (
+        (calibrate_noise, "noise.calibrate: measurement must be a PhotonTransfer, got dict; from_"),
+        (calibrate_response, "response.calibrate: stack must be an ExposureStack, got dict"),
+        (calibrate_joint, "joint.calibrate: measurement must be a JointMeasurement, got dict"),
+    ):
+        with pytest.raises(InputError, match=named):
+            calibrate({"a": 1})
+    with pytest.raises(InputError, match="observation must be a ReflectanceObservation, got dict"):
+        calibrate_reflectance({"a": 1}, model="phong")
 
 
 @pytest.mark.parametrize("colours", [(), (3,)])
