@@ -73,7 +73,7 @@ def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
     if len(images) == 0:
         raise InputError(f"{name} is empty; give a list of images, (h, w) each.")
     if np.ndim(images[0]) < 2:
-        shape = np.shape(images)
+        shape = np.asarray(images).shape
         raise InputError(f"{name} is one image, {shape}; give a list of images, (h, w) each.")
 
 
@@ -93,7 +93,7 @@ def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
         shape = getattr(level, "shape", ())
         if len(level) and (np.ndim(level[0]) < 2 or (len(shape) == 3 and shape[2] == 1)):
             raise InputError(
-                f"{name}[{i}] is one frame, {np.shape(level)}, but noise shows between frames; "
+                f"{name}[{i}] is one frame, {np.asarray(level).shape}, but noise shows between frames; "
                 "give of each level a list of two or more."
             )
         if len(level) < 2:
