@@ -93,8 +93,8 @@ def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
         shape = getattr(level, "shape", ())
         if len(level) and (np.ndim(level[0]) < 2 or (len(shape) == 3 and shape[2] == 1)):
             raise InputError(
-                f"{name}[{i}] is one frame, {np.asarray(level).shape}, but noise shows between frames; "
-                "give of each level a list of two or more."
+                f"{name}[{i}] is one frame, {np.asarray(level).shape}, but noise shows between "
+                "frames; give of each level a list of two or more."
             )
         if len(level) < 2:
             raise InputError(
